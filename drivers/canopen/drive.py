@@ -1,0 +1,564 @@
+"""CanOpenDrive: a CiA-402 servo drive behind the `ServoDrive` abstraction.
+
+What may go in: what makes a CANopen node a ServoDrive - opening it safely, fresh samples, profile moves, homing. Walking the power
+states is `power`'s work, SDO `sdo`'s, PDOs `pdo`'s, supervision `node`'s. One link may carry several drives; whoever made the link
+closes it.
+
+A sample is asked for: SYNC goes out and the synchronous TPDOs that answer it are waited for, so it is never older than the call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from drivers.canopen import objects
+from drivers.canopen.bus import CanLink
+from drivers.canopen.cia402 import (
+    QUICK_STOP_ENDINGS,
+    Command,
+    Control,
+    HomingStatus,
+    Mode,
+    Status,
+    decode_homing,
+    decode_state,
+)
+from drivers.canopen.eds import EdsFile
+from drivers.canopen.motion import FAULTS, RUN, ProfileMotion
+from drivers.canopen.node import HEARTBEAT, SYNC, NmtCommand, NmtState, NodeMonitor
+from drivers.canopen.objects import Entry
+from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
+from drivers.canopen.pdo_lint import Finding
+from drivers.canopen.pdo_setup import PdoSetup
+from drivers.canopen.power import PowerStage, PowerTimes
+from drivers.canopen.reported import readings
+from drivers.canopen.sampling import Sampler, exists, sampled_pdos
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.units import read_units
+from drivers.clock import Clock
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.errors import (
+    AbortError,
+    BridgeError,
+    DriveFaultError,
+    LimitError,
+    LinkLostError,
+    MotionTimeoutError,
+    NoAnswerError,
+    ProtocolError,
+    StateError,
+    TransportError,
+)
+from drivers.scaling import AxisScaling, ReportedScaling
+
+QUICK_STOP_ON_ABORT = 3  # 6007h
+
+
+@dataclass(frozen=True)
+class HomingSettings:
+    """What is written before homing; whatever is None stays as the drive has it. mm/s, and load mm of the home position."""
+
+    method: int | None = None
+    speed_switch_mm_s: float | None = None
+    speed_zero_mm_s: float | None = None
+    home_position_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class CanOpenSettings:
+    """Times in seconds. heartbeat_s: the period asked of the drive, None leaves it and its supervision alone.
+
+    guard_s: the drive shall stop (6007h: quick stop) when it has not heard our own heartbeat, sent as node `master_id`, for so
+    long: 1016h is set up for it. None: it is left alone, and an axis goes on with its move when this process or the cable dies.
+    """
+
+    sdo_timeout_s: float = 0.5
+    sample_timeout_s: float = 0.1
+    handshake_timeout_s: float = 1.0
+    mode_timeout_s: float = 1.0
+    heartbeat_s: float | None = 0.2
+    heartbeat_grace: float = 2.5  # times the period
+    guard_s: float | None = None
+    master_id: int = 127
+    power: PowerTimes = field(default_factory=PowerTimes)
+    homing: HomingSettings = field(default_factory=HomingSettings)
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who answered: 1018h, 1008h to 100Ah."""
+
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial: int
+    device_name: str
+    hardware: str
+    software: str
+
+
+class CanOpenDrive(ServoDrive):
+    """One node as a drive.
+
+    Raises from its methods, besides what ServoDrive names: NoAnswerError and LinkLostError (wire, heartbeat, restart of the node),
+    AbortError (a refused access, naming object and reason), ProtocolError.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        scaling: AxisScaling,
+        limits: DriveLimits,
+        clock: Clock,
+        *,
+        link: CanLink,
+        node_id: int,
+        settings: CanOpenSettings | None = None,
+        eds: EdsFile | None = None,
+    ) -> None:
+        super().__init__(name, scaling, limits, clock)
+        self.link = link
+        self.node_id = node_id
+        self.settings = settings or CanOpenSettings()
+        self.eds = eds  # the PDO linter asks it what may be mapped
+        self.identity: Identity | None = None
+        self.pdo_findings: list[Finding] = []  # what the linter pointed out when the PDOs were set up
+        self.notes: list[str] = []  # what open found worth telling an engineer
+        self._open = False
+        self._homed: bool | None = None
+        self._homing = False
+        self._fault_code: int | None = None
+        self._has_probe = False
+        self._pdo_setup: PdoSetup | None = None
+        self._before: list[tuple[Entry, int]] = []  # what was changed for the connection, as it stood
+
+    # -- connection ------------------------------------------------------------------------------------------------------
+    def open(self) -> None:
+        """Find the node, read who it is and what it can, map the PDOs, supervise its heartbeat. Nothing is enabled or moved."""
+        if self._open:
+            raise StateError(f"drive {self.name} is already open")
+        where = f"drive {self.name}"
+        self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=self.settings.sdo_timeout_s)
+        self.monitor = NodeMonitor(self.link, self.node_id, where)
+        self.power = PowerStage(self.sdo, self.clock, self.settings.power)
+        self.sampler = Sampler(self.link, self.sdo, self.monitor, (), timeout_s=self.settings.sample_timeout_s)
+        try:
+            self._read_identity()
+            self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
+            self.motion = ProfileMotion(
+                self.sdo,
+                self.power,
+                self.sampler,
+                self.clock,
+                handshake_s=self.settings.handshake_timeout_s,
+                mode_s=self.settings.mode_timeout_s,
+            )
+            self._homed = None
+            self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
+            self._note_ramps()
+            self._map_pdos()
+            self.monitor.command(NmtCommand.START)
+            self._supervise_heartbeat()
+            self._guard()
+            self.sampler.subscribe()
+            self._open = True
+            self.sample()
+        except BaseException:
+            with suppress(BridgeError):  # the error under way matters more
+                self._put_back()
+            self._release()
+            raise
+
+    def _read_identity(self) -> None:
+        device_type = self.sdo.read(objects.DEVICE_TYPE)
+        if device_type & 0xFFFF != 402:
+            raise ProtocolError(
+                f"drive {self.name}: node {self.node_id} has device profile {device_type & 0xFFFF}, not 402"
+            )
+        number, text = self.sdo.read_or, self._text
+        self.identity = Identity(
+            number(objects.VENDOR_ID, 0),
+            number(objects.PRODUCT_CODE, 0),
+            number(objects.REVISION, 0),
+            number(objects.SERIAL_NUMBER, 0),
+            text(objects.DEVICE_NAME),
+            text(objects.HARDWARE_VERSION),
+            text(objects.SOFTWARE_VERSION),
+        )
+
+    def _text(self, entry: Entry) -> str:
+        try:
+            return self.sdo.read_text(entry)
+        except AbortError:
+            return ""
+
+    def _note_ramps(self) -> None:
+        """A quick stop that brakes less than a move does overshoots the move's target; said once, changed never."""
+        self.notes = []
+        quick = self.sdo.read_or(objects.QUICK_STOP_DECELERATION, 0)
+        ordinary = self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2)
+        if 0 < quick < ordinary:
+            self.notes.append(
+                f"drive {self.name}: quick stop (6085h) brakes with {quick * self.scaling.resolution_load_mm:g} mm/s²,"
+                f" moves with up to {self.limits.max_acceleration_mm_s2:g} mm/s²: a stop may overshoot the target"
+            )
+
+    def _map_pdos(self) -> None:
+        self.rpdo = PdoSpec(1, False, 0x200 + self.node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
+        self._pdo_setup = PdoSetup(self.sdo, self.node_id, (*self.sampler.specs, self.rpdo))
+        self.pdo_findings = self._pdo_setup.apply(None if self.eds is None else self.eds.mappable_objects())
+        if self.sdo.read_or(objects.SYNC_COB_ID, SYNC) & 0x7FF != SYNC:
+            raise ProtocolError(f"drive {self.name}: {objects.SYNC_COB_ID} is not {SYNC:03X}h")
+
+    def _supervise_heartbeat(self) -> None:
+        period_s = self.settings.heartbeat_s
+        if period_s is None:
+            return
+        self._set_for_now(objects.PRODUCER_HEARTBEAT, round(1000 * period_s))
+        self.monitor.expect_heartbeat(self.settings.heartbeat_grace * period_s)
+
+    def _guard(self) -> None:
+        """Have the drive stop by itself when it no longer hears us."""
+        guard_s = self.settings.guard_s
+        if guard_s is None:
+            return
+        self.link.produce_heartbeat(self.settings.master_id, guard_s / 4)
+        self._set_for_now(objects.ABORT_OPTION, QUICK_STOP_ON_ABORT)
+        self._set_for_now(objects.CONSUMER_HEARTBEAT, self.settings.master_id << 16 | round(1000 * guard_s))
+        self.link.send(
+            HEARTBEAT + self.settings.master_id, bytes((NmtState.OPERATIONAL,))
+        )  # a drive guards from the first on
+
+    def _set_for_now(self, entry: Entry, value: int) -> None:
+        """Write a setting of the connection; `close` puts back what was there."""
+        before = self.sdo.read(entry)
+        if before != value:
+            self.sdo.write(entry, value)
+            self._before.append((entry, before))
+
+    def restart(self, timeout_s: float = 5.0) -> None:
+        """Start the node anew (NMT reset node) and open it again: stored parameters or restored defaults come into force.
+
+        Raises StateError unless the axis is disabled, NoAnswerError when no boot-up comes within `timeout_s`.
+        """
+        state = self.sample().state
+        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
+            raise StateError(f"drive {self.name} cannot be restarted: it is {state.value}, disable it first")
+        before = self.monitor.boot_ups
+        self.monitor.expect_heartbeat(None)
+        self.monitor.command(NmtCommand.RESET_NODE)
+        started = self.link.wait(lambda: self.monitor.boot_ups > before, timeout_s)
+        self._before, self._pdo_setup = [], None  # the node has forgotten what was set up for this connection
+        self._release()
+        if not started:
+            raise NoAnswerError(
+                f"drive {self.name}: no boot-up of node {self.node_id} within {timeout_s:g} s of its reset"
+            )
+        self.open()
+
+    def close(self) -> None:
+        if not self._open:
+            return
+        try:
+            self._shut_down()
+        except TransportError:
+            pass  # the link is dead: there is nobody left to tell
+        finally:
+            self._release()
+
+    def _shut_down(self) -> None:
+        """Leave the axis disabled, and mode, speeds, ramps and communication as they were found."""
+        self.link.poll()
+        self.monitor.check()
+        try:
+            self.disable()
+        except TransportError:
+            raise
+        except BridgeError:
+            self.power.write(Command.QUICK_STOP.word)
+            raise
+        finally:
+            self.monitor.expect_heartbeat(None)
+        self.motion.put_back()
+        self._put_back()
+
+    def _put_back(self) -> None:
+        """Communication settings as `open` found them."""
+        self.sampler.unsubscribe()
+        self.monitor.command(NmtCommand.PRE_OPERATIONAL)
+        if self._pdo_setup is not None:
+            self._pdo_setup.restore()
+        while self._before:
+            entry, value = self._before.pop()
+            self.sdo.write(entry, value)
+
+    def _release(self) -> None:
+        self._open = False
+        self._pdo_setup = None
+        self._before = []
+        self.sampler.unsubscribe()
+        self.monitor.close()
+        self.sdo.close()
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        """From 6502h and from which objects answered; known once open."""
+        self._require_open()
+        found = {Capability.PARAMETERS}
+        for mode, capability in (
+            (Mode.PROFILE_POSITION, Capability.PROFILE_POSITION),
+            (Mode.PROFILE_VELOCITY, Capability.PROFILE_VELOCITY),
+            (Mode.HOMING, Capability.HOMING),
+            (Mode.CYCLIC_POSITION, Capability.STREAMING),
+        ):
+            if self.motion.supports(mode):
+                found.add(capability)
+        if objects.TORQUE_ACTUAL in self.sampler.specs[0].entries:
+            found.add(Capability.TORQUE_ACTUAL)
+        if self._has_probe:
+            found.add(Capability.TOUCH_PROBE)
+        return frozenset(found)
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise StateError(f"drive {self.name} is not open")
+
+    def reported_scaling(self) -> tuple[ReportedScaling, ...]:
+        """608Fh, 6091h, 6092h and 60A8h."""
+        self._require_open()
+        return readings(read_units(self.sdo))
+
+    # -- reading ---------------------------------------------------------------------------------------------------------
+    def sample(self) -> DriveSample:
+        """A fresh sample by SYNC. following_error_mm is demand − actual, as 60F4h has it.
+
+        Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
+        DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a profile velocity run
+        comes to the end of the travel.
+        """
+        self._require_open()
+        self.sampler.refresh()
+        values, scaling = self.sampler.values, self.scaling
+        status = self.sampler.statusword
+        state = decode_state(status)
+        velocity = values.get(objects.VELOCITY_ACTUAL)
+        torque = values.get(objects.TORQUE_ACTUAL)
+        error = values.get(objects.FOLLOWING_ERROR_ACTUAL)
+        if state in FAULTS:
+            if self._fault_code is None:
+                self._fault_code = self.power.error_code()
+            self._homing = False
+        else:
+            self._fault_code = None
+        if self._homing:
+            self._watch_homing(status)
+        position_mm = scaling.load_mm(self.sampler.position_counts)
+        velocity_mm_s = None if velocity is None else scaling.load_mm(velocity)
+        if self.motion.mode is Mode.PROFILE_VELOCITY and velocity_mm_s and state is DriveState.ENABLED:
+            self._watch_travel(position_mm, velocity_mm_s)
+        return DriveSample(
+            self.sampler.heard_ns,
+            state,
+            position_mm,
+            bool(status & Status.TARGET_REACHED) and not self._homing,
+            velocity_mm_s,
+            None if torque is None else scaling.direction * torque / 10.0,
+            None if error is None else scaling.load_mm(error),
+            self._homed,
+            self._fault_code,
+        )
+
+    def _watch_travel(self, position_mm: float, velocity_mm_s: float) -> None:
+        """A velocity run has no target: stop it while the braking distance still lies within the travel."""
+        braking_mm = velocity_mm_s * abs(velocity_mm_s) / (2.0 * self.limits.max_acceleration_mm_s2)
+        if not self.limits.travel_min_mm <= position_mm + braking_mm <= self.limits.travel_max_mm:
+            self.quick_stop()
+            raise LimitError(
+                f"drive {self.name}: velocity run stopped at {position_mm:.3f} mm with {velocity_mm_s:.3f} mm/s,"
+                f" travel is {self.limits.travel_min_mm:g} to {self.limits.travel_max_mm:g} mm"
+            )
+
+    def error_history(self) -> list[int]:
+        """The drive's own list of errors (1003h), the latest first; the lower 16 bits of each are an error code."""
+        self._require_open()
+        count = self.sdo.read_or(objects.ERROR_HISTORY, 0)
+        return [
+            self.sdo.read(Entry(0x1003, number, objects.DataType.U32, "standard error field"))
+            for number in range(1, min(count, 254) + 1)
+        ]
+
+    # -- streaming ---------------------------------------------------------------------------------------------------------
+    @property
+    def is_streaming(self) -> bool:
+        """Whether a `stream.CyclicStream` paces this drive; its samples come by SDO meanwhile, as SYNC belongs to the stream."""
+        return self.sampler.by_sdo
+
+    def begin_streaming(self) -> None:
+        """A stream takes over SYNC and the PDOs; it puts the PDOs back before `end_streaming`."""
+        self._require_open()
+        if self.is_streaming:
+            raise StateError(f"drive {self.name} is streaming already")
+        self.sampler.by_sdo = True
+        self.sampler.unsubscribe()
+
+    def end_streaming(self) -> None:
+        """The PDOs are those of `open` again."""
+        self.sampler.by_sdo = False
+        self.sampler.subscribe()
+
+    # -- states ----------------------------------------------------------------------------------------------------------
+    def _enable(self) -> None:
+        self.set_mode(Mode.PROFILE_POSITION)
+        if self.power.state() is DriveState.QUICK_STOP and self._quick_stop_holds():
+            self._await_standstill()
+            self.power.resume_from_quick_stop(self.motion.stay)
+            return
+        self.power.enable(self.motion.stay)
+
+    def _quick_stop_holds(self) -> bool:
+        ending = QUICK_STOP_ENDINGS.get(self.sdo.read_or(objects.QUICK_STOP_OPTION, 2))
+        return ending is not None and ending.stays
+
+    def _await_standstill(self) -> None:
+        self.wait_for(
+            lambda sample: sample.target_reached or sample.state not in (DriveState.ENABLED, DriveState.QUICK_STOP),
+            self.settings.power.stop_s,
+            "standstill",
+        )
+
+    def disable(self) -> None:
+        """Halt, then walk down to switch on disabled. Raises MotionTimeoutError when it does not come to rest."""
+        self._require_open()
+        state = self.sample().state
+        if state is DriveState.ENABLED:
+            self.motion.halt()
+            self._await_standstill()
+        elif state is DriveState.QUICK_STOP:
+            self._await_standstill()
+        self._homing = False
+        self.power.disable()
+
+    def quick_stop(self) -> None:
+        """Quick stop command; what follows the ramp is up to the drive's 605Ah. When SDO fails the RPDO is tried as well."""
+        self._require_open()
+        self._homing = False
+        try:
+            self.power.write(Command.QUICK_STOP.word)
+        except (TransportError, ProtocolError, AbortError):
+            with suppress(LinkLostError):
+                target = self.sampler.values.get(objects.POSITION_ACTUAL, 0)
+                self.link.send(self.rpdo.cob_id, self.rpdo.codec.pack(Command.QUICK_STOP.word, target))
+                self.link.send(SYNC, b"")
+            raise
+
+    def reset_fault(self) -> None:
+        """Rising edge of the reset bit; the axis stays disabled. Raises DriveFaultError when the fault's cause is still there."""
+        self._require_open()
+        self.power.reset_fault()
+
+    # -- modes and profile moves -------------------------------------------------------------------------------------------
+    def set_mode(self, mode: Mode) -> None:
+        """Change the mode of operation; see `ProfileMotion.set_mode`."""
+        self._require_open()
+        self.motion.set_mode(mode)
+        self._homing = False
+
+    def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        self._homing = False
+        self._move(position_load_mm, velocity_mm_s, after_the_present=False)
+
+    def queue_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        """A set-point that follows the move under way without a stop between being asked for; the drive holds one.
+
+        Raises as `start_move`, and StateError when the drive holds one already.
+        """
+        self.limits.check_target(position_load_mm)
+        self.limits.check_velocity(velocity_mm_s)
+        self._require_enabled("move")
+        self._move(position_load_mm, velocity_mm_s, after_the_present=True)
+
+    def _move(self, position_load_mm: float, velocity_mm_s: float, *, after_the_present: bool) -> None:
+        scaling = self.scaling
+        self.motion.move(
+            scaling.motor_counts(position_load_mm),
+            scaling.motor_counts_per_s(velocity_mm_s),
+            scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2),
+            after_the_present=after_the_present,
+        )
+
+    def start_velocity(self, velocity_mm_s: float) -> None:
+        """Run at a signed velocity (profile velocity mode) until told otherwise; sampling it keeps it within the travel.
+
+        Raises LimitError for a speed above the limit or a direction that leads out of the travel, StateError unless enabled.
+        """
+        self.require(Capability.PROFILE_VELOCITY)
+        if velocity_mm_s:
+            self.limits.check_velocity(abs(velocity_mm_s))
+        self._require_enabled("run")
+        position_mm = self.scaling.load_mm(self.sampler.position_counts)
+        if velocity_mm_s:
+            self._watch_travel(position_mm, velocity_mm_s)
+        self._homing = False
+        counts = self.scaling.motor_counts_per_s(velocity_mm_s) if velocity_mm_s else 0
+        sign = self.scaling.direction * (1 if velocity_mm_s > 0 else -1)
+        self.motion.run_at(sign * counts, self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2))
+
+    def halt(self) -> None:
+        """Stop with the ramp of 605Dh and hold; `resume` goes on with the order under way."""
+        self._require_enabled("halt")
+        self.motion.halt()
+
+    def resume(self) -> None:
+        """End a halt."""
+        self._require_enabled("resume")
+        self.motion.resume()
+
+    # -- homing ----------------------------------------------------------------------------------------------------------
+    def _start_homing(self) -> None:
+        homing, scaling = self.settings.homing, self.scaling
+        settings: list[tuple[Entry, int | None]] = [
+            (objects.HOMING_METHOD, homing.method),
+            (objects.HOMING_SPEED_SWITCH, _counts(homing.speed_switch_mm_s, scaling.motor_counts_per_s)),
+            (objects.HOMING_SPEED_ZERO, _counts(homing.speed_zero_mm_s, scaling.motor_counts_per_s)),
+            (objects.HOME_OFFSET, _counts(homing.home_position_mm, scaling.motor_counts)),
+        ]
+        for entry, value in settings:
+            if value is not None:
+                self.motion.set(entry, value)
+        self.set_mode(Mode.HOMING)
+        self._homed = False
+        self.power.write(RUN)
+        self.power.write(RUN | Control.HOMING_START)
+        self._homing = True
+
+    def home(self, timeout_s: float, *, attempts: int = 1) -> DriveSample:
+        """Home and wait for it; a homing that fails is begun again, `attempts` times in all.
+
+        Raises DriveFaultError after the last failure, MotionTimeoutError when an attempt does not end in time (the axis is stopped).
+        """
+        for attempt in range(1, max(1, attempts) + 1):
+            self.start_homing()
+            try:
+                return self.wait_for(lambda sample: sample.homed is True or sample.state in FAULTS, timeout_s, "homed")
+            except DriveFaultError:
+                if attempt >= attempts:
+                    raise
+            except MotionTimeoutError:
+                self.quick_stop()
+                raise
+        raise StateError(f"drive {self.name}: homing was given no attempt")
+
+    def _watch_homing(self, status: int) -> None:
+        homing = decode_homing(status)
+        if homing is HomingStatus.COMPLETED:
+            self._homed, self._homing = True, False
+        elif homing is not None and homing.failed:
+            self._homing = False
+            self.power.write(RUN)
+            raise DriveFaultError(f"drive {self.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})")
+
+
+def _counts(value: float | None, convert: Callable[[float], int]) -> int | None:
+    return None if value is None else convert(value)

@@ -1,0 +1,212 @@
+"""Profile motion in the drive's own units: set-point handshake, velocity, halt, mode changes that keep the axis held.
+
+What may go in: the mode specific bits of controlword and statusword, and the objects that go with them. Limits and millimetres are
+the drive's business (`drive`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.canopen import objects
+from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
+from drivers.canopen.node import error_text
+from drivers.canopen.objects import Entry
+from drivers.canopen.power import PowerStage
+from drivers.canopen.sampling import Sampler
+from drivers.canopen.sdo import SdoClient
+from drivers.clock import NS_PER_S, Clock
+from drivers.drive import DriveState
+from drivers.errors import CapabilityError, DriveFaultError, LimitError, ProtocolError, StateError
+
+POLL_S = 0.001
+RUN = Command.ENABLE_OPERATION.word
+FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
+
+
+def mode_of(shown: int) -> Mode:
+    """The mode of 6061h; manufacturer modes and unknown ones count as none."""
+    try:
+        return Mode(shown)
+    except ValueError:
+        return Mode.NONE
+
+
+TARGETS = (objects.TARGET_POSITION, objects.TARGET_VELOCITY, objects.TARGET_TORQUE)
+"""Set-points, which are never put back."""
+
+
+class ProfileMotion:
+    """Motion orders to one open drive. handshake_s and mode_s: how long a drive may take to acknowledge."""
+
+    def __init__(
+        self, sdo: SdoClient, power: PowerStage, sampler: Sampler, clock: Clock, *, handshake_s: float, mode_s: float
+    ) -> None:
+        self._sdo = sdo
+        self._power = power
+        self._sampler = sampler
+        self._clock = clock
+        self._handshake_s = handshake_s
+        self._mode_s = mode_s
+        self._written: dict[Entry, int] = {}
+        self._found: dict[Entry, int] = {}  # what the drive held before we wrote it
+        self.supported_modes = sdo.read(objects.SUPPORTED_MODES)
+        self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
+        self.halted = False
+
+    def supports(self, mode: Mode) -> bool:
+        """Whether 6502h lists the mode."""
+        return bool(self.supported_modes & mode.supported_bit)
+
+    # -- modes -----------------------------------------------------------------------------------------------------------
+    def set_mode(self, mode: Mode) -> None:
+        """Change the mode of operation and see it confirmed (6061h); the controlword is not touched, so the axis stays held.
+
+        Set-points of the new mode are first made to mean "stay". Raises CapabilityError for a mode that 6502h does not list,
+        ProtocolError when the drive does not follow.
+        """
+        if not self.supports(mode):
+            raise CapabilityError(
+                f"{self._sdo.name} has no mode {mode.name.lower()} (6502h is {self.supported_modes:X}h)"
+            )
+        if self.mode is mode:
+            return
+        if mode not in (Mode.PROFILE_POSITION, Mode.HOMING):
+            self.stay()
+        self._remember(objects.MODE)
+        self._sdo.write(objects.MODE, mode)
+        deadline = self._clock.deadline(self._mode_s)
+        while (shown := self._sdo.read(objects.MODE_DISPLAY)) != mode:
+            if deadline.expired:
+                raise ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
+            self._clock.sleep_s(POLL_S)
+        self.mode = mode
+
+    def stay(self) -> None:
+        """Set-points that move nothing: target position := actual position, target velocity and torque := 0."""
+        self.set(objects.TARGET_POSITION, self._sdo.read(objects.POSITION_ACTUAL), always=True)
+        if self.supports(Mode.PROFILE_VELOCITY) or self.supports(Mode.CYCLIC_VELOCITY):
+            self.set(objects.TARGET_VELOCITY, 0, always=True)
+        if self.supports(Mode.CYCLIC_TORQUE):
+            self.set(objects.TARGET_TORQUE, 0, always=True)
+
+    def set(self, entry: Entry, value: int, *, always: bool = False) -> None:
+        """Write an object unless it is known to hold the value already."""
+        if always or self._written.get(entry) != value:
+            self._written.pop(entry, None)
+            self._remember(entry)
+            self._sdo.write(entry, value)
+            self._written[entry] = value
+
+    def _remember(self, entry: Entry) -> None:
+        if entry not in self._found and entry not in TARGETS:
+            self._found[entry] = self._sdo.read(entry)
+
+    def put_back(self) -> None:
+        """Mode, speeds and ramps as they were found, on a disabled axis. Targets are not put back: they would be motion orders."""
+        while self._found:
+            entry, value = self._found.popitem()
+            if self._written.pop(entry, None) != value:
+                self._sdo.write(entry, value)
+
+    # -- profile position ------------------------------------------------------------------------------------------------
+    def move(self, target: int, velocity: int, acceleration: int, *, after_the_present: bool = False) -> None:
+        """Hand over an absolute set-point, counts and counts/s(²); returns once the drive has acknowledged it.
+
+        It replaces the move under way, or follows it where `after_the_present` (the drive holds one such set-point; StateError
+        when it holds one already).
+        """
+        self.set_mode(Mode.PROFILE_POSITION)
+        self.set(objects.PROFILE_VELOCITY, velocity)
+        self.set(objects.PROFILE_ACCELERATION, acceleration)
+        self.set(objects.PROFILE_DECELERATION, acceleration)
+        self.set(objects.TARGET_POSITION, target, always=True)
+        if after_the_present:
+            self._hand_over(Control(0), wait_until_free=False)
+            return
+        distance = abs(target - self._sampler.position_counts)
+        limited_before = self._sampler.statusword & Status.INTERNAL_LIMIT
+        self._hand_over(Control.CHANGE_IMMEDIATELY, wait_until_free=True)
+        if self._sampler.statusword & Status.INTERNAL_LIMIT and not limited_before:
+            self._refuse_limited(target)
+        if distance > self._position_window():
+            # a drive may show the arrival of the move before for a cycle or two
+            self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05)
+
+    def _refuse_limited(self, target: int) -> None:
+        """The drive clips this target to its own software limits: stop, rather than arrive somewhere else."""
+        self.halt()
+        low, high = self._sdo.read_or(objects.SOFTWARE_LIMIT_MIN, 0), self._sdo.read_or(objects.SOFTWARE_LIMIT_MAX, 0)
+        raise LimitError(
+            f"{self._sdo.name}: the drive limits the target {target} to its own software limits (607Dh) {low} to {high}"
+        )
+
+    def _position_window(self) -> int:
+        window = self._written.get(objects.POSITION_WINDOW)
+        if window is None:
+            window = self._written[objects.POSITION_WINDOW] = self._sdo.read_or(objects.POSITION_WINDOW, 0)
+        return window
+
+    def _hand_over(self, flags: Control, *, wait_until_free: bool) -> None:
+        """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken."""
+        name, timeout_s = self._sdo.name, self._handshake_s
+        if self._power.controlword != RUN:
+            self._power.write(RUN)
+            self.halted = False
+        if not self._await_status(_not_acknowledged, timeout_s if wait_until_free else POLL_S):
+            if not wait_until_free:
+                raise StateError(f"{name}: it holds a following set-point already")
+            raise ProtocolError(f"{name}: set-point acknowledge (bit 12) stays set, no set-point can be given")
+        self._power.write(RUN | Control.NEW_SETPOINT | flags)
+        taken = self._await_status(_acknowledged, timeout_s)
+        self._power.write(RUN)
+        if not taken:
+            raise ProtocolError(f"{name}: the set-point was not acknowledged within {timeout_s:g} s")
+        if wait_until_free:
+            self._await_status(_not_acknowledged, timeout_s)
+
+    def _await_status(self, condition: Callable[[int], bool], timeout_s: float) -> bool:
+        """Watch the statusword; False when the condition did not hold in time. Raises DriveFaultError when a fault comes."""
+        deadline = self._clock.deadline(timeout_s)
+        while True:
+            self._sampler.refresh()
+            status = self._sampler.statusword
+            state = decode_state(status)
+            if state in FAULTS:
+                code = self._power.error_code()
+                text = error_text(code) if code else "no error code"
+                raise DriveFaultError(f"{self._sdo.name} went into {state.value}: {text}", code)
+            if condition(status):
+                return True
+            if deadline.expired:
+                return False
+            self._clock.sleep_until_ns(min(deadline.end_ns, self._clock.now_ns() + round(POLL_S * NS_PER_S)))
+
+    # -- profile velocity, halt --------------------------------------------------------------------------------------------
+    def run_at(self, velocity: int, acceleration: int) -> None:
+        """Profile velocity, counts/s with its sign."""
+        self.set(objects.PROFILE_ACCELERATION, acceleration)
+        self.set(objects.PROFILE_DECELERATION, acceleration)
+        self.set_mode(Mode.PROFILE_VELOCITY)
+        if self._power.controlword != RUN:
+            self._power.write(RUN)
+            self.halted = False
+        self.set(objects.TARGET_VELOCITY, velocity, always=True)
+
+    def halt(self) -> None:
+        """Halt bit: stop with the ramp of 605Dh and stay enabled; the order under way is kept for `resume`."""
+        self._power.write(RUN | Control.HALT)
+        self.halted = True
+
+    def resume(self) -> None:
+        """Clear the halt bit: the drive goes on with what it was told."""
+        self._power.write(RUN)
+        self.halted = False
+
+
+def _acknowledged(status: int) -> bool:
+    return bool(status & Status.SETPOINT_ACKNOWLEDGE)
+
+
+def _not_acknowledged(status: int) -> bool:
+    return not status & Status.SETPOINT_ACKNOWLEDGE

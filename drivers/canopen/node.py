@@ -1,0 +1,170 @@
+"""What is known of one node without asking it: heartbeat, boot-ups, emergencies; and the NMT commands to it.
+
+What may go in: the supervision side of CiA-301. The node is judged when somebody looks (`check`), with the frames that have come
+in by then; nothing here runs by itself.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import IntEnum
+
+from drivers.canopen.bus import CanLink
+from drivers.clock import NS_PER_S
+from drivers.errors import LinkLostError
+
+NMT = 0x000
+SYNC = 0x080
+EMERGENCY = 0x080
+HEARTBEAT = 0x700
+LOG_LENGTH = 256
+
+
+class NmtCommand(IntEnum):
+    START = 0x01
+    STOP = 0x02
+    PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class NmtState(IntEnum):
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+ERROR_CLASSES: tuple[tuple[int, int, str], ...] = (
+    # mask, value, text; the first that matches (CiA-301 table 26, CiA-402 error codes)
+    (0xFFFF, 0x0000, "no error"),
+    (0xFFFF, 0x2310, "continuous over current"),
+    (0xFFFF, 0x2320, "short circuit or earth leakage"),
+    (0xFFFF, 0x3210, "DC link over-voltage"),
+    (0xFFFF, 0x3220, "DC link under-voltage"),
+    (0xFFFF, 0x4210, "device over-temperature"),
+    (0xFFFF, 0x4310, "drive over-temperature"),
+    (0xFFFF, 0x7121, "motor blocked"),
+    (0xFFFF, 0x7305, "incremental sensor 1 fault"),
+    (0xFFFF, 0x8120, "CAN in error passive mode"),
+    (0xFFFF, 0x8130, "life guard or heartbeat error"),
+    (0xFFFF, 0x8140, "recovered from bus off"),
+    (0xFFFF, 0x8210, "PDO not processed, length error"),
+    (0xFFFF, 0x8220, "PDO length exceeded"),
+    (0xFFFF, 0x8400, "velocity speed control"),
+    (0xFFFF, 0x8500, "position control"),
+    (0xFFFF, 0x8611, "following error"),
+    (0xFFFF, 0x8612, "reference limit"),
+    (0xFF00, 0x1000, "generic error"),
+    (0xF000, 0x2000, "current"),
+    (0xF000, 0x3000, "voltage"),
+    (0xF000, 0x4000, "temperature"),
+    (0xFF00, 0x5000, "device hardware"),
+    (0xF000, 0x6000, "device software"),
+    (0xF000, 0x7000, "additional modules"),
+    (0xFF00, 0x8100, "communication"),
+    (0xFF00, 0x8200, "protocol"),
+    (0xFF00, 0x8600, "positioning"),
+    (0xFF00, 0x9000, "external error"),
+    (0xFF00, 0xF000, "additional functions"),
+    (0xFF00, 0xFF00, "device specific"),
+)
+
+
+def error_text(code: int) -> str:
+    """An error code of EMCY or 603Fh with its meaning."""
+    for mask, value, text in ERROR_CLASSES:
+        if code & mask == value:
+            return f"{text} (0x{code:04X})"
+    return f"unknown error (0x{code:04X})"
+
+
+@dataclass(frozen=True)
+class Emergency:
+    """One EMCY as received; register is 1001h, extra the five manufacturer bytes."""
+
+    time_ns: int
+    code: int
+    register: int
+    extra: bytes
+
+    def __str__(self) -> str:
+        return f"{error_text(self.code)}, register {self.register:02X}h, extra {self.extra.hex()}"
+
+
+class NodeMonitor:
+    """Listens to heartbeat, boot-up and EMCY of a node.
+
+    The log keeps the last emergencies; `emergencies_seen` counts all.
+    """
+
+    def __init__(self, link: CanLink, node_id: int, name: str) -> None:
+        self.link = link
+        self.node_id = node_id
+        self.name = name
+        self.state: NmtState | None = None
+        self.log: deque[Emergency] = deque(maxlen=LOG_LENGTH)
+        self.emergencies_seen = 0
+        self.boot_ups = 0
+        self.heartbeats = 0
+        self._heard_ns: int | None = None
+        self._limit_ns: int | None = None
+        self._expect_boot = False
+        self._rebooted = False
+        link.subscribe(HEARTBEAT + node_id, self._on_heartbeat)
+        link.subscribe(EMERGENCY + node_id, self._on_emergency)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.link.unsubscribe(HEARTBEAT + self.node_id, self._on_heartbeat)
+        self.link.unsubscribe(EMERGENCY + self.node_id, self._on_emergency)
+
+    def command(self, command: NmtCommand) -> None:
+        """Send an NMT command to this node. Nothing confirms it but the next heartbeat."""
+        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
+            self._expect_boot = True
+        self.link.send(NMT, bytes((command, self.node_id)))
+
+    def expect_heartbeat(self, within_s: float | None) -> None:
+        """From now on a heartbeat must come at least that often; None: not supervised."""
+        self._limit_ns = None if within_s is None else round(within_s * NS_PER_S)
+        self._heard_ns = self.link.clock.now_ns()
+
+    def check(self) -> None:
+        """Raise LinkLostError when the heartbeat is overdue or the node has started anew without being told to."""
+        if self._rebooted:
+            raise LinkLostError(f"{self.name}: node {self.node_id} restarted by itself; open it again")
+        if self._limit_ns is None or self._heard_ns is None:
+            return
+        silent_ns = self.link.clock.now_ns() - self._heard_ns
+        if silent_ns > self._limit_ns:
+            raise LinkLostError(
+                f"{self.name}: no heartbeat of node {self.node_id} for {silent_ns / NS_PER_S:.3f} s,"
+                f" expected every {self._limit_ns / NS_PER_S:g} s at least"
+            )
+
+    def last_error_code(self) -> int | None:
+        """The code of the last emergency, None when there was none; 0 says that the errors are gone."""
+        return self.log[-1].code if self.log else None
+
+    def _on_heartbeat(self, time_ns: int, data: bytes) -> None:
+        if len(data) != 1:
+            return
+        self._heard_ns = time_ns
+        self.heartbeats += 1
+        try:
+            self.state = NmtState(data[0] & 0x7F)
+        except ValueError:
+            return
+        if self.state is NmtState.BOOT_UP:
+            self.boot_ups += 1
+            if not self._expect_boot and self._limit_ns is not None:
+                self._rebooted = True
+            self._expect_boot = False
+
+    def _on_emergency(self, time_ns: int, data: bytes) -> None:
+        if len(data) != 8:
+            return
+        self.emergencies_seen += 1
+        self.log.append(Emergency(time_ns, int.from_bytes(data[:2], "little"), data[2], data[3:]))

@@ -1,0 +1,186 @@
+"""A drive's parameters by their dictionary: checked before they are written, proven after, stored only when that is safe.
+
+What may go in: access to single parameters with what an EDS says of them, and 1010h/1011h. Whole sets (snapshot, all or nothing,
+audit) are built on top of it. What moves the axis is no parameter: targets, modes and the controlword are refused here, because some
+drives keep them through a store and a restore.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from drivers.canopen import objects
+from drivers.canopen.drive import CanOpenDrive
+from drivers.canopen.eds import EdsEntry, EdsFile, Key
+from drivers.canopen.objects import DataType
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.wire_time import expedited_sdo, frame
+from drivers.drive import DriveState
+from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError, StateError
+
+Value = int | float | str | bytes | bool
+SAVE, LOAD = b"save", b"load"
+ON_COMMAND = 0x01  # 1010h:1 and 1011h:1 when read
+MOTION_TARGETS: dict[int, str] = {
+    0x6040: "controlword",
+    0x6060: "mode of operation",
+    0x6071: "target torque",
+    0x607A: "target position",
+    0x60B0: "position offset",
+    0x60B1: "velocity offset",
+    0x60B2: "torque offset",
+    0x60B8: "touch probe function",
+    0x60C1: "interpolation data",
+    0x60FE: "digital outputs",
+    0x60FF: "target velocity",
+}
+NOT_PARAMETERS: dict[int, str] = {
+    0x1003: "error history",
+    0x1010: "store parameters",
+    0x1011: "restore parameters",
+    0x1020: "verify configuration",
+    0x1F50: "program data",
+    0x1F51: "program control",
+}
+
+
+@dataclass(frozen=True)
+class Access:
+    """A value read, and how long its answer took (the clock's time, s)."""
+
+    value: Value
+    seconds: float
+
+
+class CanOpenParameters:
+    """Parameter access of one open drive, by an EDS or DCF."""
+
+    def __init__(self, drive: CanOpenDrive, eds: EdsFile) -> None:
+        self._drive = drive
+        self.eds = eds
+
+    @property
+    def _sdo(self) -> SdoClient:
+        return self._drive.sdo  # another one after a restart
+
+    # -- which --------------------------------------------------------------------------------------------------------
+    def readable(self) -> tuple[EdsEntry, ...]:
+        """Every entry that can be read, ascending; domains are left out."""
+        return tuple(
+            found
+            for _, found in sorted(self.eds.entries.items())
+            if found.readable and found.entry.type is not DataType.DOMAIN
+        )
+
+    def writable(self) -> tuple[EdsEntry, ...]:
+        """Those that are the user's to change: no targets, no commands, no PDO parameters."""
+        return tuple(found for found in self.readable() if self.refusal(found) is None)
+
+    def refusal(self, found: EdsEntry) -> str | None:
+        """Why an entry is not written as a parameter; None for one that may be."""
+        index = found.entry.index
+        if not found.writable:
+            return f"{found.entry} is read only"
+        if index in MOTION_TARGETS:
+            return f"{found.entry} moves the axis and is no parameter"
+        if index in NOT_PARAMETERS:
+            return f"{found.entry} is a command, not a parameter"
+        if 0x1400 <= index < 0x1C00:
+            return f"{found.entry} belongs to the PDO mapping, which is set up as a whole"
+        return None
+
+    def find(self, index: int, subindex: int = 0) -> EdsEntry:
+        """The entry. Raises InputError for one that the file does not have."""
+        found = self.eds.entries.get((index, subindex))
+        if found is None:
+            raise InputError(f"has no object {index:04X}h:{subindex:02X}", path=self.eds.path)
+        return found
+
+    # -- one --------------------------------------------------------------------------------------------------------
+    def read(self, found: EdsEntry) -> Access:
+        """The present value. Raises AbortError, NoAnswerError, ProtocolError."""
+        entry, clock = found.entry, self._drive.clock
+        start_ns = clock.now_ns()
+        value = entry.unpack(self._sdo.read_bytes(entry.index, entry.subindex))
+        return Access(value, (clock.now_ns() - start_ns) * 1e-9)
+
+    def check(self, found: EdsEntry, value: Value) -> None:
+        """Raise CapabilityError for what may not be written, InputError for what does not fit its type and limits."""
+        refusal = self.refusal(found)
+        if refusal is not None:
+            raise CapabilityError(f"drive {self._drive.name}: {refusal}")
+        entry = found.entry
+        entry.pack(value)
+        if isinstance(value, (int, float)):
+            if found.low is not None and value < found.low:
+                raise InputError(f"{entry}: {value!r} is below its limit {found.low:g}", path=self.eds.path)
+            if found.high is not None and value > found.high:
+                raise InputError(f"{entry}: {value!r} is above its limit {found.high:g}", path=self.eds.path)
+
+    def write(self, found: EdsEntry, value: Value) -> None:
+        """Check, write, read back. Raises as `check`, AbortError when the drive refuses, ProtocolError when it kept another value."""
+        self.check(found, value)
+        entry = found.entry
+        data = entry.pack(value)
+        self._sdo.write_bytes(entry.index, entry.subindex, data)
+        kept = self._sdo.read_bytes(entry.index, entry.subindex)
+        if kept[: len(data)] != data or (not entry.type.is_number and kept != data):
+            raise ProtocolError(
+                f"drive {self._drive.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"
+            )
+
+    # -- many ---------------------------------------------------------------------------------------------------------
+    def snapshot(
+        self, entries: Iterable[EdsEntry] | None = None, progress: Callable[[int, int], None] = lambda _done, _all: None
+    ) -> dict[Key, Access]:
+        """Values of all (or the given) readable entries; those that the drive refuses to show are left out."""
+        wanted = list(self.readable() if entries is None else entries)
+        found: dict[Key, Access] = {}
+        for number, eds_entry in enumerate(wanted, start=1):
+            try:
+                found[eds_entry.entry.index, eds_entry.entry.subindex] = self.read(eds_entry)
+            except AbortError:
+                continue
+            finally:
+                progress(number, len(wanted))
+        return found
+
+    # -- kept without power ---------------------------------------------------------------------------------------------
+    def store(self, *, timeout_s: float = 10.0) -> None:
+        """1010h:1 := "save". Targets are made harmless before, as a drive may store them too.
+
+        Raises StateError unless the axis is disabled, CapabilityError when the drive does not store on command.
+        """
+        self._require_at_rest("store parameters")
+        self._require_command(objects.STORE_ALL)
+        self._drive.motion.stay()
+        self._sdo.write_bytes(0x1010, 1, SAVE, timeout_s=timeout_s, reads_back=False)
+
+    def restore_defaults(self, *, timeout_s: float = 10.0) -> None:
+        """1011h:1 := "load": factory defaults, in force after the drive's next start (`CanOpenDrive.restart`)."""
+        self._require_at_rest("restore defaults")
+        self._require_command(objects.RESTORE_ALL)
+        self._sdo.write_bytes(0x1011, 1, LOAD, timeout_s=timeout_s, reads_back=False)
+
+    def _require_at_rest(self, verb: str) -> None:
+        state = self._drive.sample().state
+        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
+            raise StateError(f"drive {self._drive.name} cannot {verb}: it is {state.value}, disable it first")
+
+    def _require_command(self, entry: objects.Entry) -> None:
+        if not self._sdo.read_or(entry, 0) & ON_COMMAND:
+            raise CapabilityError(f"drive {self._drive.name}: {entry} is not done on command")
+
+
+def predicted_seconds(writes: Mapping[Key, Value], eds: EdsFile, bitrate: int, answer_s: float = 0.0) -> float:
+    """How long a download with read-back takes at least on a free bus; answer_s: what the drive adds to each answer."""
+    total_ns = 0.0
+    answers = 0
+    for key, value in writes.items():
+        size = len(eds.entries[key].entry.pack(value))
+        segments = 0 if 0 < size <= 4 else max(1, -(-size // 7))
+        transfer = expedited_sdo().time_ns(bitrate)[0] + 2 * segments * frame(8).time_ns(bitrate)[0]
+        total_ns += 2 * transfer
+        answers += 2 * (1 + segments)
+    return total_ns * 1e-9 + answers * answer_s

@@ -1,0 +1,136 @@
+"""Putting a drive's PDOs in order, and back as they were: survey, lint, write, verify, restore.
+
+What may go in: the sequence over one node. What a PDO is stands in `pdo`, what is wrong with a set of them in `pdo_lint`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+from drivers.canopen import objects
+from drivers.canopen.objects import DataType, Entry
+from drivers.canopen.pdo import (
+    EXISTS_NOT,
+    ID_MASK,
+    OBJECT_MISSING,
+    PdoImage,
+    PdoSpec,
+    configure,
+    read_image,
+    write_image,
+)
+from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
+from drivers.canopen.sdo import SdoClient
+from drivers.errors import AbortError, InputError, TransportError
+
+SURVEYED = 4  # of each direction: the predefined connection set
+NAMED: dict[tuple[int, int], Entry] = {
+    (entry.index, entry.subindex): entry for entry in vars(objects).values() if isinstance(entry, Entry)
+}
+BY_BITS = {8: DataType.U8, 16: DataType.U16, 32: DataType.U32, 64: DataType.U64}
+
+
+def entry_of(mapped: int) -> Entry:
+    """The object behind a mapping value; one that is not named in `objects` is taken as unsigned."""
+    index, subindex, bits = mapped >> 16, mapped >> 8 & 0xFF, mapped & 0xFF
+    named = NAMED.get((index, subindex))
+    if named is not None and named.bits == bits:
+        return named
+    return Entry(index, subindex, BY_BITS.get(bits, DataType.U64), "object")
+
+
+def spec_of(image: PdoImage) -> PdoSpec:
+    """A drive's image as a spec. Raises InputError when it maps more than fits."""
+    transmit = image.communication >= 0x1800
+    number = image.communication - (0x1800 if transmit else 0x1400) + 1
+    return PdoSpec(
+        number, transmit, image.cob_id & ID_MASK, image.kind, tuple(entry_of(mapped) for mapped in image.mapped)
+    )
+
+
+class PdoSetup:
+    """The PDOs of one node: `apply` brings the wanted ones into force, `restore` puts back what was there.
+
+    alone: every other PDO of the node is switched off meanwhile, not only those in the way.
+    """
+
+    def __init__(self, sdo: SdoClient, node_id: int, wanted: Sequence[PdoSpec], *, alone: bool = False) -> None:
+        self._sdo = sdo
+        self._node_id = node_id
+        self.wanted = tuple(wanted)
+        self._alone = alone
+        self._before: list[PdoImage] = []
+        self._changed: list[PdoImage] = []
+
+    def survey(self) -> list[PdoImage]:
+        """Read the first PDOs of both directions as they stand, existing or disabled."""
+        images = []
+        for transmit in (False, True):
+            for number in range(1, SURVEYED + 1):
+                probe = PdoSpec(number, transmit, 0, 0, ())
+                try:
+                    images.append(read_image(self._sdo, probe))
+                except AbortError as error:
+                    if error.code not in OBJECT_MISSING:
+                        raise
+                    break
+        self._before = images
+        return images
+
+    def in_the_way(self) -> list[PdoImage]:
+        """Active PDOs that are not wanted and would interfere: any that commands what ours command, or uses our COB-IDs."""
+        places = {spec.communication for spec in self.wanted}
+        commanded = {entry.mapping for spec in self.wanted if not spec.transmit for entry in spec.entries}
+        identifiers = {spec.cob_id for spec in self.wanted}
+        return [
+            image
+            for image in self._before
+            if image.communication not in places
+            and not image.cob_id & EXISTS_NOT
+            and (
+                self._alone
+                or image.cob_id & ID_MASK in identifiers
+                or (image.communication < 0x1800 and not commanded.isdisjoint(image.mapped))
+            )
+        ]
+
+    def lint(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
+        """What would be wrong with the wanted PDOs beside those that stay."""
+        replaced = {spec.communication for spec in self.wanted} | {image.communication for image in self.in_the_way()}
+        staying = []
+        for image in self._before:
+            if image.communication not in replaced and not image.cob_id & EXISTS_NOT:
+                with suppress(InputError):  # what a drive has that cannot be is its own affair
+                    staying.append(spec_of(image))
+        dictionaries = None if dictionary is None else {self._node_id: dictionary}
+        return lint({self._node_id: [*self.wanted, *staying]}, dictionaries=dictionaries, cycle=cycle)
+
+    def apply(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
+        """Survey, lint, then write and verify; returns the warnings.
+
+        Raises InputError before anything is written when the linter finds an error; AbortError or ProtocolError, with everything
+        put back, when the drive does not take a PDO.
+        """
+        self.survey()
+        findings = self.lint(dictionary, cycle)
+        refuse_errors(findings)
+        try:
+            for image in self.in_the_way():
+                self._changed.append(image)
+                self._sdo.write(Entry(image.communication, 1, DataType.U32, "COB-ID"), image.cob_id | EXISTS_NOT)
+            for spec in self.wanted:
+                before = next((image for image in self._before if image.communication == spec.communication), None)
+                self._changed.append(read_image(self._sdo, spec) if before is None else before)
+                configure(self._sdo, spec)
+        except BaseException:
+            with suppress(TransportError, AbortError):  # the error under way matters more
+                self.restore()
+            raise
+        return findings
+
+    def restore(self) -> None:
+        """Put back every PDO that was changed, the last first."""
+        while self._changed:
+            write_image(self._sdo, self._changed[-1])
+            self._changed.pop()

@@ -1,0 +1,169 @@
+"""Walking the CiA-402 state machine from the master's side, one command at a time, with the reason when it does not move.
+
+What may go in: controlword and state logic that needs the wire. It knows nothing of positions; who enables writes the target first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.canopen.cia402 import DISABLE_STEPS, ENABLE_STEPS, Command, Control, Status, decode_state
+from drivers.canopen.node import error_text
+from drivers.canopen.objects import CONTROLWORD, ERROR_CODE, STATUSWORD
+from drivers.canopen.sdo import SdoClient
+from drivers.clock import NS_PER_S, Clock
+from drivers.drive import DriveState
+from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError
+
+POLL_S = 0.002
+
+
+@dataclass(frozen=True)
+class PowerTimes:
+    """How long a drive may take. The enable time holds the brake's opening, the stop time its longest ramp. Seconds."""
+
+    enable_s: float = 3.0
+    disable_s: float = 3.0
+    stop_s: float = 10.0
+    fault_reset_s: float = 2.0
+
+
+class PowerStage:
+    """Controlword and statusword of one drive, over SDO: every step is confirmed."""
+
+    def __init__(self, sdo: SdoClient, clock: Clock, times: PowerTimes) -> None:
+        self._sdo = sdo
+        self._clock = clock
+        self.times = times
+        self.controlword = 0  # as last written by us
+
+    @property
+    def _name(self) -> str:
+        return self._sdo.name
+
+    def statusword(self) -> int:
+        """6041h, asked for now."""
+        return self._sdo.read(STATUSWORD)
+
+    def state(self) -> DriveState:
+        return decode_state(self.statusword())
+
+    def write(self, controlword: int) -> None:
+        """Write 6040h and remember it."""
+        self._sdo.write(CONTROLWORD, controlword)
+        self.controlword = controlword
+
+    def error_code(self) -> int | None:
+        """603Fh, None where the drive has none."""
+        try:
+            return self._sdo.read(ERROR_CODE)
+        except (AbortError, NoAnswerError):
+            return None
+
+    # -- walks -----------------------------------------------------------------------------------------------------------
+    def enable(self, before_power: Callable[[], None]) -> None:
+        """Walk to ENABLED; `before_power()` is called right before the command that closes the loop.
+
+        Raises DriveFaultError in a fault, MotionTimeoutError naming the state it is stuck in and why that may be.
+        """
+
+        def step(state: DriveState) -> Command | None:
+            command = ENABLE_STEPS.get(state)
+            if command is Command.ENABLE_OPERATION:
+                before_power()
+            return command
+
+        self._walk(DriveState.ENABLED, step, self.times.enable_s, "enabled")
+
+    def resume_from_quick_stop(self, before_power: Callable[[], None]) -> None:
+        """Transition 16, for a drive that holds after its quick stop (605Ah 5 to 8): the axis is never let go."""
+        before_power()
+        self.write(Command.ENABLE_OPERATION.word)
+        self._await(lambda state: state is DriveState.ENABLED, self.times.enable_s, "enabled out of quick stop")
+
+    def disable(self) -> None:
+        """Walk down to SWITCH_ON_DISABLED; a fault counts as disabled."""
+        resting = (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT, DriveState.NOT_READY)
+        if self.state() in resting:
+            self.write(Command.DISABLE_VOLTAGE.word)
+            return
+        self._walk(DriveState.SWITCH_ON_DISABLED, DISABLE_STEPS.get, self.times.disable_s, "disabled", also=resting)
+
+    def reset_fault(self) -> None:
+        """The rising edge of bit 7, then a controlword that enables nothing. Raises DriveFaultError when the fault stays."""
+        state = self._await(
+            lambda state: state is not DriveState.FAULT_REACTION, self.times.stop_s, "through with its fault reaction"
+        )
+        self.write(Command.DISABLE_VOLTAGE.word)
+        if state is not DriveState.FAULT:
+            return
+        self.write(int(Control.FAULT_RESET))
+        deadline = self._clock.deadline(self.times.fault_reset_s)
+        while (state := self.state()) is DriveState.FAULT and not deadline.expired:
+            self._clock.sleep_s(POLL_S)
+        self.write(Command.DISABLE_VOLTAGE.word)
+        if state is DriveState.FAULT:
+            code = self.error_code()
+            raise DriveFaultError(
+                f"{self._name}: the fault stays after a reset: {error_text(code) if code else 'no error code'}", code
+            )
+
+    def _walk(
+        self,
+        goal: DriveState,
+        step: Callable[[DriveState], Command | None],
+        timeout_s: float,
+        what: str,
+        also: tuple[DriveState, ...] = (),
+    ) -> None:
+        deadline = self._clock.deadline(timeout_s)
+        commanded: DriveState | None = None
+        while True:
+            status = self.statusword()
+            state = decode_state(status)
+            if state is goal or state in also:
+                return
+            if goal is DriveState.ENABLED and state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+                code = self.error_code()
+                raise DriveFaultError(
+                    f"{self._name}: fault while enabling: {error_text(code) if code else 'no error code'}", code
+                )
+            if deadline.expired:
+                raise MotionTimeoutError(
+                    f"{self._name}: not {what} within {timeout_s:g} s, it stays in {state.value}{self._why(state, status)}"
+                )
+            if state is not commanded:
+                command = step(state)
+                if command is not None:
+                    self.write(command.word)
+                    commanded = state
+                    continue
+            self._clock.sleep_until_ns(min(deadline.end_ns, self._clock.now_ns() + round(POLL_S * NS_PER_S)))
+
+    def _await(self, reached: Callable[[DriveState], bool], timeout_s: float, what: str) -> DriveState:
+        deadline = self._clock.deadline(timeout_s)
+        while not reached(state := self.state()):
+            if deadline.expired:
+                raise MotionTimeoutError(f"{self._name}: not {what} within {timeout_s:g} s, it is {state.value}")
+            self._clock.sleep_s(POLL_S)
+        return state
+
+    def _why(self, state: DriveState, status: int) -> str:
+        """What usually keeps a drive in a state, from what it shows."""
+        reasons = []
+        if not status & Status.REMOTE:
+            reasons.append("remote bit 9 is 0: the drive does not listen to the controlword (local control)")
+        if not status & Status.VOLTAGE_ENABLED:
+            reasons.append("voltage enabled bit 4 is 0: no mains, or safe torque off (STO) is active")
+        if state is DriveState.SWITCH_ON_DISABLED and not reasons:
+            reasons.append(
+                "the shutdown command was taken but not obeyed: an enable input, STO or another master's RPDO"
+            )
+        if state is DriveState.SWITCHED_ON and not reasons:
+            reasons.append(
+                "power is on but operation is not: a brake or commutation that takes longer than the time-out"
+            )
+        if not reasons:
+            return ""
+        return f" (statusword {status:04X}h: {'; '.join(reasons)})"

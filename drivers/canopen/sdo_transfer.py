@@ -1,0 +1,275 @@
+"""SDO transfers of CiA-301 as generators: bytes out, bytes in, no I/O and no clock.
+
+What may go in: expedited, segmented and block transfer, client side. A transfer yields the frames to send next and is resumed with
+the next frame of the server; it returns the object's bytes (upload) or None (download). A frame that answers some other index
+is not taken for an answer: it is skipped and counted, and the transfer goes on waiting.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from collections.abc import Generator
+from typing import NoReturn, TypeVar
+
+from drivers.errors import AbortError, ProtocolError
+
+T = TypeVar("T")
+Frames = tuple[bytes, ...]
+Transfer = Generator[Frames, bytes, T]
+
+SEGMENT = 7
+MAX_BLOCK = 127
+
+ABORT_TEXTS: dict[int, str] = {
+    0x05030000: "toggle bit not alternated",
+    0x05040000: "SDO protocol timed out",
+    0x05040001: "command specifier not valid or unknown",
+    0x05040002: "invalid block size",
+    0x05040003: "invalid sequence number",
+    0x05040004: "CRC error",
+    0x05040005: "out of memory",
+    0x06010000: "unsupported access to an object",
+    0x06010001: "attempt to read a write-only object",
+    0x06010002: "attempt to write a read-only object",
+    0x06020000: "object does not exist",
+    0x06040041: "object cannot be mapped to the PDO",
+    0x06040042: "mapped objects would exceed the PDO length",
+    0x06040043: "general parameter incompatibility",
+    0x06040047: "general internal incompatibility in the device",
+    0x06060000: "access failed due to a hardware error",
+    0x06070010: "data type does not match, length of parameter does not match",
+    0x06070012: "data type does not match, parameter too long",
+    0x06070013: "data type does not match, parameter too short",
+    0x06090011: "sub-index does not exist",
+    0x06090030: "invalid value for parameter",
+    0x06090031: "value too high",
+    0x06090032: "value too low",
+    0x06090036: "maximum is less than minimum",
+    0x060A0023: "resource not available: SDO connection",
+    0x08000000: "general error",
+    0x08000020: "data cannot be transferred or stored",
+    0x08000021: "data cannot be transferred or stored because of local control",
+    0x08000022: "data cannot be transferred or stored because of the present device state",
+    0x08000023: "no object dictionary is present",
+    0x08000024: "no data available",
+}
+ABORT_TOGGLE = 0x05030000
+ABORT_TIMEOUT = 0x05040000
+ABORT_COMMAND = 0x05040001
+ABORT_SEQUENCE = 0x05040003
+ABORT_CRC = 0x05040004
+ABORT_LENGTH = 0x06070010
+
+ABORT = 0x80
+UPLOAD, DOWNLOAD, BLOCK_DOWNLOAD, BLOCK_UPLOAD = 0x40, 0x60, 0xA0, 0xC0  # answers to initiate requests
+SERVER_SPECIFIERS = (0x00, 0x20, UPLOAD, DOWNLOAD, ABORT, BLOCK_DOWNLOAD, BLOCK_UPLOAD)
+
+
+def abort_text(code: int) -> str:
+    """The abort code with its meaning."""
+    return f"{ABORT_TEXTS.get(code, 'unknown abort code')} (0x{code:08X})"
+
+
+def multiplexer(index: int, subindex: int) -> bytes:
+    """Index and subindex as they stand in bytes 1 to 3 of a frame."""
+    return struct.pack("<HB", index, subindex)
+
+
+def abort_frame(index: int, subindex: int, code: int) -> bytes:
+    """The frame that ends a transfer from either side."""
+    return struct.pack("<BHBI", ABORT, index, subindex, code)
+
+
+def crc16(data: bytes) -> int:
+    """CRC of block transfers: x^16 + x^12 + x^5 + 1, start value 0 (CiA-301, 7.2.4.3.16)."""
+    return binascii.crc_hqx(data, 0)
+
+
+class Conversation:
+    """What the steps of one transfer share: whom it is about, and how many frames were not for it."""
+
+    def __init__(self, index: int, subindex: int) -> None:
+        self.index = index
+        self.subindex = subindex
+        self.mux = multiplexer(index, subindex)
+        self.skipped = 0
+        self.farewell: Frames = ()  # to be sent when the generator has ended; nothing answers it
+
+    def place(self) -> str:
+        return f"{self.index:04X}h:{self.subindex:02X}"
+
+    def raise_abort(self, frame: bytes) -> None:
+        """Raise AbortError when the frame is an abort of this transfer."""
+        if frame[0] == ABORT:
+            code = struct.unpack_from("<I", frame, 4)[0]
+            raise AbortError(f"{self.place()} refused: {abort_text(code)}", code)
+
+    def initiate(self, *frames: bytes, answers: tuple[int, ...]) -> Transfer[bytes]:
+        """Send, and return the first answer that names this index and subindex; raise its abort.
+
+        answers: the server's command specifiers (upper three bits) that can answer. Another one that the protocol has answers
+        some other request for the same object, late or doubled, and is skipped; one that it does not have ends the transfer.
+        """
+        answer = yield frames
+        while True:
+            if len(answer) == 8 and answer[1:4] == self.mux:
+                self.raise_abort(answer)
+                specifier = answer[0] & 0xE0
+                if specifier in answers:
+                    return answer
+                if specifier not in SERVER_SPECIFIERS:
+                    self.fail(f"answered with command {answer[0]:02X}h", ABORT_COMMAND)
+            self.skipped += 1
+            answer = yield ()
+
+    def segment(self, *frames: bytes, after: bytes = b"") -> Transfer[bytes]:
+        """Send, and return the next answer; raise an abort of this transfer, skip one of another.
+
+        after: the answer before this one. Where two in a row can never be equal (the toggle bit sees to that) an equal one is a
+        frame that CAN delivered twice (ISO 11898-1 allows it after an error in the last bit), and is skipped.
+        """
+        answer = yield frames
+        while len(answer) != 8 or answer == after or (answer[0] == ABORT and answer[1:4] not in (self.mux, b"\0\0\0")):
+            self.skipped += 1
+            answer = yield ()
+        self.raise_abort(answer)
+        return answer
+
+    def fail(self, what: str, code: int) -> NoReturn:
+        """Leave an abort for the server and raise ProtocolError."""
+        self.farewell = (abort_frame(self.index, self.subindex, code),)
+        raise ProtocolError(f"SDO {self.place()}: {what}")
+
+
+def _expedited_data(answer: bytes) -> bytes:
+    if answer[0] & 0x01:
+        return answer[4 : 8 - (answer[0] >> 2 & 0x03)]
+    return answer[4:8]  # no size indicated: all four bytes, the reader's type cuts them
+
+
+def upload(talk: Conversation) -> Transfer[bytes]:
+    """Read an object, expedited or segmented as the server chooses. Raises AbortError, ProtocolError."""
+    answer = yield from talk.initiate(bytes((0x40,)) + talk.mux + bytes(4), answers=(UPLOAD,))
+    return (yield from _rest_of_upload(talk, answer))
+
+
+def _rest_of_upload(talk: Conversation, answer: bytes) -> Transfer[bytes]:
+    """An upload from the server's first answer on."""
+    if answer[0] & 0x02:
+        return _expedited_data(answer)
+    size = struct.unpack_from("<I", answer, 4)[0] if answer[0] & 0x01 else None
+    data = bytearray()
+    toggle = 0
+    while True:
+        answer = yield from talk.segment(bytes((0x60 | toggle, 0, 0, 0, 0, 0, 0, 0)), after=answer)
+        if answer[0] & 0xE0:
+            talk.fail(f"segment answered with command {answer[0]:02X}h", ABORT_COMMAND)
+        if answer[0] & 0x10 != toggle:
+            talk.fail("toggle bit not alternated", ABORT_TOGGLE)
+        data += answer[1 : 8 - (answer[0] >> 1 & 0x07)]
+        toggle ^= 0x10
+        if answer[0] & 0x01:
+            break
+    if size is not None and size != len(data):
+        talk.fail(f"{len(data)} bytes came, {size} were announced", ABORT_LENGTH)
+    return bytes(data)
+
+
+def download(talk: Conversation, data: bytes) -> Transfer[None]:
+    """Write an object, expedited up to four bytes, segmented above. Raises AbortError, ProtocolError."""
+    if 0 < len(data) <= 4:
+        command = 0x23 | (4 - len(data)) << 2
+        yield from talk.initiate(bytes((command,)) + talk.mux + data.ljust(4, b"\0"), answers=(DOWNLOAD,))
+        return
+    answer = yield from talk.initiate(bytes((0x21,)) + talk.mux + struct.pack("<I", len(data)), answers=(DOWNLOAD,))
+    toggle = 0
+    for start in range(0, max(len(data), 1), SEGMENT):
+        part = data[start : start + SEGMENT]
+        last = start + SEGMENT >= len(data)
+        command = toggle | (SEGMENT - len(part)) << 1 | last
+        answer = yield from talk.segment(bytes((command,)) + part.ljust(SEGMENT, b"\0"), after=answer)
+        if answer[0] & 0xEF != 0x20:
+            talk.fail(f"segment answered with command {answer[0]:02X}h", ABORT_COMMAND)
+        if answer[0] & 0x10 != toggle:
+            talk.fail("toggle bit not alternated", ABORT_TOGGLE)
+        toggle ^= 0x10
+
+
+def block_upload(talk: Conversation, block_size: int = MAX_BLOCK) -> Transfer[bytes]:
+    """Read an object by block transfer of up to `block_size` segments of seven bytes, with CRC where the server has it.
+
+    Segments lost within a block are asked for again by acknowledging the last one in sequence. Raises AbortError,
+    ProtocolError.
+    """
+    threshold = 0  # the server is not asked to switch protocols; one that does so all the same is followed
+    request = bytes((0xA4,)) + talk.mux + bytes((block_size, threshold, 0, 0))
+    answer = yield from talk.initiate(request, answers=(BLOCK_UPLOAD, UPLOAD))
+    if answer[0] & 0xE0 == UPLOAD:
+        return (yield from _rest_of_upload(talk, answer))
+    with_crc = bool(answer[0] & 0x04)
+    size = struct.unpack_from("<I", answer, 4)[0] if answer[0] & 0x02 else None
+    data = bytearray()
+    frames: Frames = (bytes((0xA3, 0, 0, 0, 0, 0, 0, 0)),)
+    finished = False
+    while not finished:
+        expected = 1
+        while True:
+            before, answer = answer, (yield frames)
+            frames = ()
+            # the last segment of the block before, delivered twice, would look like a block that lost all others
+            if len(answer) != 8 or (answer == before and expected == 1 < block_size):
+                talk.skipped += 1
+                continue
+            if answer[0] == ABORT and answer[1:4] in (talk.mux, b"\0\0\0"):
+                talk.raise_abort(answer)
+            sequence = answer[0] & 0x7F
+            if sequence == expected:
+                data += answer[1:]
+                expected += 1
+                finished = bool(answer[0] & 0x80)
+            if finished or sequence >= block_size or answer[0] & 0x80:
+                break
+        frames = (bytes((0xA2, expected - 1, block_size, 0, 0, 0, 0, 0)),)
+    answer = yield from talk.segment(*frames, after=answer)
+    if answer[0] & 0xE3 != 0xC1:
+        talk.fail(f"end of block upload is command {answer[0]:02X}h", ABORT_COMMAND)
+    unused = answer[0] >> 2 & 0x07
+    if unused:
+        del data[-unused:]
+    if with_crc and struct.unpack_from("<H", answer, 1)[0] != crc16(bytes(data)):
+        talk.fail("CRC of the block does not match", ABORT_CRC)
+    if size is not None and size != len(data):
+        talk.fail(f"{len(data)} bytes came, {size} were announced", ABORT_LENGTH)
+    talk.farewell = (bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)),)
+    return bytes(data)
+
+
+def block_download(talk: Conversation, data: bytes) -> Transfer[None]:
+    """Write an object by block transfer, with CRC when the server supports it. Raises AbortError, ProtocolError."""
+    request = bytes((0xC6,)) + talk.mux + struct.pack("<I", len(data))
+    answer = yield from talk.initiate(request, answers=(BLOCK_DOWNLOAD,))
+    with_crc = bool(answer[0] & 0x04)
+    block_size = answer[4]
+    segments = [data[start : start + SEGMENT] for start in range(0, len(data), SEGMENT)] or [b""]
+    done = 0
+    while done < len(segments):
+        if not 1 <= block_size <= MAX_BLOCK:
+            talk.fail(f"block size {block_size}", 0x05040002)
+        block = segments[done : done + block_size]
+        frames = []
+        for number, part in enumerate(block, start=1):
+            last = done + number == len(segments)
+            frames.append(bytes((number | (0x80 if last else 0),)) + part.ljust(SEGMENT, b"\0"))
+        answer = yield from talk.segment(*frames)
+        if answer[0] & 0xE3 != 0xA2:
+            talk.fail(f"block answered with command {answer[0]:02X}h", ABORT_COMMAND)
+        if answer[1] > len(block):
+            talk.fail(f"{answer[1]} segments acknowledged of {len(block)}", ABORT_SEQUENCE)
+        done += answer[1]
+        block_size = answer[2]
+    unused = SEGMENT - len(segments[-1])
+    crc = crc16(data) if with_crc else 0
+    answer = yield from talk.segment(struct.pack("<BH5x", 0xC1 | unused << 2, crc))
+    if answer[0] & 0xE3 != 0xA1:
+        talk.fail(f"end of block download answered with command {answer[0]:02X}h", ABORT_COMMAND)

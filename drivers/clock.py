@@ -1,0 +1,59 @@
+"""Time as something one is given, never something one looks up.
+
+Every wait and every time-out of the project goes through a `Clock`, so that the same procedure runs on a machine in real
+time and on the bench as fast as the processor allows (`sim_backends.clock` advances the plant instead of waiting).
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+
+NS_PER_S = 1_000_000_000
+
+
+class Clock(ABC):
+    """A monotonic clock in nanoseconds; its zero means nothing."""
+
+    @abstractmethod
+    def now_ns(self) -> int:
+        """Monotonic time in ns."""
+
+    @abstractmethod
+    def sleep_until_ns(self, time_ns: int) -> None:
+        """Return once `now_ns() >= time_ns`; at once when that is past."""
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Sleep for a duration in seconds, counted from now."""
+        self.sleep_until_ns(self.now_ns() + round(duration_s * NS_PER_S))
+
+    def deadline(self, duration_s: float) -> Deadline:
+        """A deadline `duration_s` seconds from now."""
+        return Deadline(self, self.now_ns() + round(duration_s * NS_PER_S))
+
+
+class WallClock(Clock):
+    """Real time."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def sleep_until_ns(self, time_ns: int) -> None:
+        while (left_ns := time_ns - time.monotonic_ns()) > 0:
+            time.sleep(left_ns / NS_PER_S)
+
+
+class Deadline:
+    """A moment by which something must have happened."""
+
+    def __init__(self, clock: Clock, end_ns: int) -> None:
+        self._clock = clock
+        self.end_ns = end_ns
+
+    def remaining_s(self) -> float:
+        """Seconds left, 0.0 when it is over."""
+        return max(0, self.end_ns - self._clock.now_ns()) / NS_PER_S
+
+    @property
+    def expired(self) -> bool:
+        return self._clock.now_ns() >= self.end_ns

@@ -1,0 +1,216 @@
+"""ServoDrive: the one abstraction of a drive that moves one axis.
+
+Backends (CANopen, Modbus, the in-process virtual drive) implement the underscored methods; the public ones check limits and
+states first, so that no backend can move an axis outside its limits or enable it unsafely. All calls are synchronous and
+short: a motion is *started*, and whoever started it watches samples (see `hil.procedures.session`). Positions are load mm as
+the motor encoder sees them (`scaling` converts); what the table really did only an instrument can tell.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Self
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import CapabilityError, DriveFaultError, LimitError, MotionTimeoutError, StateError
+from drivers.scaling import AxisScaling, ReportedScaling
+
+
+class DriveState(Enum):
+    """What the power stage does, in the terms of CiA-402; every backend maps its own states onto these."""
+
+    UNKNOWN = "unknown"  # nothing heard yet
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    ENABLED = "operation enabled"
+    QUICK_STOP = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+
+
+class Capability(Enum):
+    """What a drive may or may not be able to do; asked before moving, so that a refusal comes before motion."""
+
+    PROFILE_POSITION = "profile position"
+    PROFILE_VELOCITY = "profile velocity"
+    HOMING = "homing"
+    STREAMING = "cyclic synchronous position"
+    TORQUE_ACTUAL = "torque actual value"
+    TOUCH_PROBE = "touch probe"
+    PARAMETERS = "parameter access"
+    STORE = "store parameters"
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """What the axis file allows; a target outside is refused, never clipped. mm, mm/s, mm/s²."""
+
+    travel_min_mm: float
+    travel_max_mm: float
+    max_velocity_mm_s: float
+    max_acceleration_mm_s2: float
+
+    def check_target(self, position_load_mm: float) -> None:
+        """Raise LimitError unless the position lies within the travel (NaN lies nowhere)."""
+        if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
+            raise LimitError(
+                f"target {position_load_mm:.6f} mm is outside the travel"
+                f" {self.travel_min_mm:g} to {self.travel_max_mm:g} mm"
+            )
+
+    def check_velocity(self, velocity_mm_s: float) -> None:
+        """Raise LimitError unless 0 < velocity <= max."""
+        if not 0 < velocity_mm_s <= self.max_velocity_mm_s:
+            raise LimitError(f"velocity {velocity_mm_s:g} mm/s, allowed is 0 < v <= {self.max_velocity_mm_s:g} mm/s")
+
+
+@dataclass(frozen=True)
+class DriveSample:
+    """One reading of the drive. What a backend cannot tell is None, never a made-up zero.
+
+    time_ns is the clock's time when the values were received; `age_ns` is what a user checks before trusting them.
+    """
+
+    time_ns: int
+    state: DriveState
+    position_load_mm: float
+    target_reached: bool
+    velocity_mm_s: float | None = None
+    torque_percent: float | None = None
+    following_error_mm: float | None = None
+    homed: bool | None = None
+    fault_code: int | None = None
+
+    def age_ns(self, now_ns: int) -> int:
+        return now_ns - self.time_ns
+
+
+class ServoDrive(ABC):
+    """One axis's drive. notes: what `open` found worth telling an engineer, one sentence each."""
+
+    notes: Sequence[str] = ()
+
+    def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
+        self.name = name
+        self.scaling = scaling
+        self.limits = limits
+        self.clock = clock
+
+    # -- connection ------------------------------------------------------------------------------------------------
+    @abstractmethod
+    def open(self) -> None:
+        """Connect and read what is needed; moves nothing, enables nothing, writes no motion parameter."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the wire; never raises for a link that is already dead. An enabled axis is disabled first."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    @property
+    @abstractmethod
+    def capabilities(self) -> frozenset[Capability]:
+        """What this drive can do."""
+
+    def require(self, *capabilities: Capability) -> None:
+        """Raise CapabilityError naming what is missing."""
+        missing = [capability.value for capability in capabilities if capability not in self.capabilities]
+        if missing:
+            raise CapabilityError(f"drive {self.name} cannot do: {', '.join(missing)}")
+
+    # -- reading ---------------------------------------------------------------------------------------------------
+    @abstractmethod
+    def sample(self) -> DriveSample:
+        """A fresh sample, asked for now."""
+
+    def reported_scaling(self) -> tuple[ReportedScaling, ...]:
+        """What the drive itself says of its units, asked now: each way in which it may be meant, the likeliest first.
+
+        Raises as reading a parameter does. A backend whose drive has a word for them overrides this.
+        """
+        return ()
+
+    # -- states ----------------------------------------------------------------------------------------------------
+    def enable(self) -> None:
+        """Target := actual position, then power on, until ENABLED.
+
+        Raises DriveFaultError from a fault state: a fault is reset by its own call and by someone's decision.
+        """
+        state = self.sample()
+        if state.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            raise DriveFaultError(
+                f"drive {self.name} is in {state.state.value}; reset the fault before enabling", state.fault_code
+            )
+        self._enable()
+
+    @abstractmethod
+    def _enable(self) -> None: ...
+
+    @abstractmethod
+    def disable(self) -> None:
+        """Stop if moving, then power off, until no longer ENABLED."""
+
+    @abstractmethod
+    def quick_stop(self) -> None:
+        """Decelerate as fast as the drive is set up to. Must work, as far as the wire allows, from any state."""
+
+    @abstractmethod
+    def reset_fault(self) -> None:
+        """Acknowledge a fault; leaves the axis disabled."""
+
+    # -- motion ----------------------------------------------------------------------------------------------------
+    def start_homing(self) -> None:
+        """Start the drive's own homing; `sample().homed` tells when it is done."""
+        self.require(Capability.HOMING)
+        self._require_enabled("home")
+        self._start_homing()
+
+    @abstractmethod
+    def _start_homing(self) -> None: ...
+
+    def start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        """Start a profile move to an absolute position; returns once the drive has acknowledged the set-point.
+
+        Raises LimitError outside the limits, StateError unless enabled. `sample().target_reached` turns False before this
+        returns and True again when the move is over.
+        """
+        self.limits.check_target(position_load_mm)
+        self.limits.check_velocity(velocity_mm_s)
+        self._require_enabled("move")
+        self._start_move(position_load_mm, velocity_mm_s)
+
+    @abstractmethod
+    def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None: ...
+
+    def _require_enabled(self, verb: str) -> None:
+        sample = self.sample()
+        if sample.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            raise DriveFaultError(f"drive {self.name} cannot {verb}: {sample.state.value}", sample.fault_code)
+        if sample.state is not DriveState.ENABLED:
+            raise StateError(f"drive {self.name} cannot {verb}: it is {sample.state.value}")
+
+    # -- waiting, for backends and simple scripts --------------------------------------------------------------------
+    def wait_for(
+        self, condition: Callable[[DriveSample], bool], timeout_s: float, what: str, *, poll_s: float = 0.01
+    ) -> DriveSample:
+        """Sample every `poll_s` until the condition holds; MotionTimeoutError naming `what` after `timeout_s`."""
+        deadline = self.clock.deadline(timeout_s)
+        while True:
+            sample = self.sample()
+            if condition(sample):
+                return sample
+            if deadline.expired:
+                raise MotionTimeoutError(
+                    f"drive {self.name}: {what} not within {timeout_s:g} s, it is {sample.state.value}"
+                )
+            self.clock.sleep_until_ns(min(deadline.end_ns, self.clock.now_ns() + round(poll_s * NS_PER_S)))

@@ -1,0 +1,115 @@
+"""One tree of errors; the branch says whose fault it is.
+
+    BridgeError
+    ├── TransportError        the wire: nobody answered, the port is gone
+    │   ├── NoAnswerError         a request was not answered in time (it may or may not have been carried out)
+    │   └── LinkLostError         the bus or port itself went away, or a heartbeat stopped
+    ├── RemoteError           the device answered, and said no
+    │   ├── AbortError            a parameter access was refused (SDO abort, Modbus exception)
+    │   ├── DriveFaultError       the drive is in a fault state
+    │   └── ProtocolError         the device answered something that its protocol does not allow
+    ├── LocalError            us, or what we were given
+    │   ├── InputError            a file or an argument is wrong; carries place, value and what was expected
+    │   ├── CapabilityError       this drive or instrument cannot do what was asked
+    │   └── StateError            a call that does not fit the present state (moving while not enabled)
+    └── SafetyError           motion was refused or stopped
+        ├── LimitError            a target or speed outside the axis file's limits
+        ├── MotionTimeoutError    a motion did not end in its time
+        ├── FollowingErrorError   the axis is not where it was told to be
+        └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
+
+Callers catch the branch they can do something about; `hil.cli` turns each into one line on stderr.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class BridgeError(Exception):
+    """Root of every error this project raises on purpose."""
+
+
+class TransportError(BridgeError):
+    """The wire."""
+
+
+class NoAnswerError(TransportError):
+    """A request was not answered in time; whether it was carried out is unknown."""
+
+
+class LinkLostError(TransportError):
+    """The bus or port went away, or a heartbeat stopped."""
+
+
+class RemoteError(BridgeError):
+    """The device answered, and said no."""
+
+
+class AbortError(RemoteError):
+    """A parameter access was refused.
+
+    `code` is the SDO abort code or the Modbus exception code.
+    """
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class DriveFaultError(RemoteError):
+    """The drive is in a fault state; `code` is its error code (603Fh) where it gave one."""
+
+    def __init__(self, message: str, code: int | None = None) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class ProtocolError(RemoteError):
+    """The device answered something that its protocol does not allow."""
+
+
+class LocalError(BridgeError):
+    """Us, or what we were given."""
+
+
+class InputError(LocalError):
+    """A file or an argument is wrong.
+
+    The message is one line: `place: what is wrong, value, what was expected`.
+    """
+
+    def __init__(self, what: str, *, path: str | Path | None = None, line: int | None = None) -> None:
+        self.what = what
+        self.path = None if path is None else str(path)
+        self.line = line
+        place = "" if path is None else f"{path}:{line}: " if line is not None else f"{path}: "
+        super().__init__(f"{place}{what}")
+
+
+class CapabilityError(LocalError):
+    """This drive or instrument cannot do what was asked."""
+
+
+class StateError(LocalError):
+    """The call does not fit the present state."""
+
+
+class SafetyError(BridgeError):
+    """Motion was refused or stopped."""
+
+
+class LimitError(SafetyError):
+    """A target or a speed lies outside the axis file's limits."""
+
+
+class MotionTimeoutError(SafetyError):
+    """A motion did not end in its time."""
+
+
+class FollowingErrorError(SafetyError):
+    """The axis is not where it was told to be."""
+
+
+class MeasurementLostError(SafetyError):
+    """The instrument's signal is gone: beam lost, or no fresh reading."""

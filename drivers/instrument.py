@@ -1,0 +1,84 @@
+"""DistanceInstrument: what measures the table itself, and the environment sensors beside it.
+
+An instrument is *polled*: `poll()` returns whatever arrived since the last call, without waiting, so one thread can watch
+drive and instrument together and no reading is ever waited for while an axis moves unwatched. Every reading carries its status
+and the time it arrived; a reading without a good status has no position.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Self
+
+
+class ReadingStatus(Enum):
+    GOOD = "good"
+    BEAM_LOST = "beam lost"
+    HEAD_ERROR = "head error"
+    OVERSPEED = "overspeed"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading of the displacement.
+
+    position_mm is in the instrument's own frame (its zero, its direction) and None unless the status is GOOD;
+    sequence counts the instrument's samples, and lost_before how many are missing just before this one.
+    """
+
+    time_ns: int
+    status: ReadingStatus
+    position_mm: float | None
+    sequence: int
+    lost_before: int = 0
+
+
+@dataclass(frozen=True)
+class Environment:
+    """The latest of every environment channel; None is 'never heard', a place is what the axis file calls it."""
+
+    time_ns: int
+    air_temp_c: float | None = None
+    air_pressure_hpa: float | None = None
+    air_humidity_percent: float | None = None
+    place_temps_c: dict[str, float] = field(default_factory=dict)
+
+
+class DistanceInstrument(ABC):
+    """A laser interferometer, length gauge or scale that reads the load's position."""
+
+    name: str
+
+    @abstractmethod
+    def open(self) -> None:
+        """Connect. Does not change the instrument's zero."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go; never raises for a link that is already dead."""
+
+    @abstractmethod
+    def poll(self) -> Sequence[Reading]:
+        """All readings that arrived since the last call, oldest first; empty when none did. Never waits.
+
+        Raises LinkLostError when the port is gone.
+        """
+
+    @abstractmethod
+    def environment(self) -> Environment:
+        """The latest environment values heard, possibly none."""
+
+    @property
+    @abstractmethod
+    def sample_rate_hz(self) -> float | None:
+        """Readings per second as the instrument states it, None while unknown."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
