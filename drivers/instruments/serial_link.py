@@ -1,0 +1,73 @@
+"""A serial port that is only ever looked at: whatever arrived is taken, nothing is waited for.
+
+The one module of the instruments that touches pyserial; protocols stay free of I/O.
+"""
+
+from __future__ import annotations
+
+import serial
+
+from drivers.errors import LinkLostError
+
+MAX_READ_BYTES = 65536  # per call, so that a babbling device cannot hold the caller
+
+
+class SerialLink:
+    """Bytes from a port. Opening and reading raise LinkLostError naming the port; closing never raises."""
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        baudrate: int = 115200,
+        bytesize: int = serial.EIGHTBITS,
+        parity: str = serial.PARITY_NONE,
+        stopbits: float = serial.STOPBITS_ONE,
+    ) -> None:
+        self.port = port
+        self._baudrate = baudrate
+        self._framing = (bytesize, parity, stopbits)
+        self._serial: serial.Serial | None = None
+
+    @property
+    def is_open(self) -> bool:
+        return self._serial is not None
+
+    def open(self) -> None:
+        """Open exclusively."""
+        if self._serial is not None:
+            return
+        try:
+            self._serial = serial.Serial(
+                self.port, self._baudrate, *self._framing, timeout=0, write_timeout=1.0, exclusive=True
+            )
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise LinkLostError(f"port {self.port} cannot be opened: {error}") from error
+
+    def close(self) -> None:
+        port, self._serial = self._serial, None
+        if port is not None:
+            try:
+                port.close()
+            except (serial.SerialException, OSError):
+                return  # it is gone, which is what was wanted
+
+    def read_waiting(self) -> bytes:
+        """What has arrived, possibly nothing; at most MAX_READ_BYTES."""
+        if self._serial is None:
+            raise LinkLostError(f"port {self.port} is not open")
+        try:
+            data: bytes = self._serial.read(MAX_READ_BYTES)
+        except (serial.SerialException, OSError, TypeError) as error:
+            # pyserial's POSIX read raises TypeError when the port is closed under it
+            raise LinkLostError(f"port {self.port} is gone: {error}") from error
+        return data
+
+    def write(self, data: bytes) -> None:
+        """For instruments that have to be asked."""
+        if self._serial is None:
+            raise LinkLostError(f"port {self.port} is not open")
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise LinkLostError(f"port {self.port} is gone: {error}") from error

@@ -1,0 +1,151 @@
+"""A drive's parameters by name: checked before they are written, proven after, and sparing its EEPROM.
+
+What moves the axis is not a parameter: registers that commands, targets and modes use are refused here.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from drivers.clock import Clock
+from drivers.drive import DriveState
+from drivers.errors import AbortError, CapabilityError, MotionTimeoutError, ProtocolError, StateError
+from drivers.modbus.codec import OrderMatch, decode, encode, probe_order
+from drivers.modbus.drive_map import DriveMap, Ratio, all_hold
+from drivers.modbus.register_access import RegisterAccess
+from drivers.modbus.register_map import Memory, Register, Value
+from drivers.modbus.wear import WearLedger
+from drivers.scaling import ReportedScaling
+
+_SETTLE_S = 0.5  # a drive may take this long to show a parameter that it has saved
+_POLL_S = 0.02
+
+
+class ModbusParameters:
+    """Parameter access of one drive."""
+
+    def __init__(self, drive: str, drive_map: DriveMap, access: RegisterAccess, clock: Clock, wear: WearLedger) -> None:
+        self._drive = drive
+        self._map = drive_map
+        self._access = access
+        self._clock = clock
+        self.wear = wear
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All registers that can be read."""
+        return tuple(name for name, register in self._access.registers.registers.items() if register.readable)
+
+    @property
+    def writable_names(self) -> tuple[str, ...]:
+        """Those that are the user's to change."""
+        moving = self._map.moving()
+        return tuple(
+            name
+            for name, register in self._access.registers.registers.items()
+            if register.readable and register.writable and name not in moving
+        )
+
+    def register(self, name: str) -> Register:
+        """What the map says of a register. Raises InputError for a name the map does not have."""
+        return self._access.registers[name]
+
+    def read(self, name: str) -> Value:
+        """One parameter in its unit. Raises InputError for a name the map does not have."""
+        return self.read_many((name,))[name]
+
+    def read_many(self, names: tuple[str, ...]) -> dict[str, Value]:
+        """Several parameters, grouped into as few requests as the wire is best served with."""
+        return {name: self._access.registers[name].value_of(raw) for name, raw in self._access.read(names).items()}
+
+    def write(self, name: str, value: Value) -> bool:
+        """Write one parameter and read it back; True when the drive was written to, False when it held the value already.
+
+        Raises InputError outside the map's limits or for an unknown name, CapabilityError for what is read only or moves the axis,
+        StateError when its EEPROM budget is used up, AbortError when the drive refuses, ProtocolError when it took the value but
+        shows another.
+        """
+        register = self._access.registers[name]
+        if name in self._map.moving():
+            raise CapabilityError(f"drive {self._drive}: {name} moves the axis and is no parameter")
+        if name not in self.writable_names:
+            raise CapabilityError(f"drive {self._drive}: {name} cannot be written and read back")
+        raw = register.raw_of(value)
+        words = encode(raw, register.layout)
+        if self._access.words((name,))[name] == words:
+            return False
+        if register.memory is Memory.EEPROM:
+            self.wear.charge(self._drive, name, register.wear_budget)
+        try:
+            self._access.write({name: raw})
+        except AbortError as error:
+            raise AbortError(f"drive {self._drive} refuses {name} = {value}: {error}", error.code) from error
+        self._prove(name, words)
+        return True
+
+    def _prove(self, name: str, words: tuple[int, ...]) -> None:
+        deadline = self._clock.deadline(_SETTLE_S)
+        while (seen := self._access.words((name,))[name]) != words:
+            if deadline.expired:
+                layout = self._access.registers[name].layout
+                raise ProtocolError(
+                    f"drive {self._drive}: {name} was written as {decode(words, layout)!r}"
+                    f" and reads {decode(seen, layout)!r} (raw)"
+                )
+            self._clock.sleep_s(_POLL_S)
+
+    def store(self, state: DriveState) -> None:
+        """Have the drive save its parameters for the next power-up; `state` is its present one.
+
+        Raises CapabilityError when the map has no such command, StateError while enabled, MotionTimeoutError when it does not end.
+        """
+        store = self._map.store
+        if store is None:
+            raise CapabilityError(f"drive {self._drive}: its register map has no command to store parameters")
+        if state is DriveState.ENABLED:
+            raise StateError(f"drive {self._drive} is enabled; disable it before storing parameters")
+        for write in store.writes:
+            self._access.command(write)
+        deadline = self._clock.deadline(store.timeout_s)
+        while not all_hold(store.done, self._access.of_conditions(store.done)):
+            if deadline.expired:
+                raise MotionTimeoutError(f"drive {self._drive}: storing not over within {store.timeout_s:g} s")
+            self._clock.sleep_s(_POLL_S)
+
+    def reported_scaling(self) -> ReportedScaling:
+        """The drive's own units, exact."""
+        scaling = self._map.scaling
+        return ReportedScaling(
+            self._ratio(scaling.encoder_counts_per_motor_rev),
+            self._ratio(scaling.motor_revs_per_shaft_rev),
+            self._ratio(scaling.feed_mm_per_shaft_rev),
+        )
+
+    def _ratio(self, ratio: Ratio | None) -> Fraction | None:
+        if ratio is None or ratio.register is None:
+            return None if ratio is None else ratio.constant
+        above = self._exact(ratio.register)
+        below = Fraction(1) if ratio.per is None else self._exact(ratio.per)
+        if below == 0:
+            raise ProtocolError(f"drive {self._drive}: {ratio.per} is 0, {ratio.register} is to be divided by it")
+        return above / below
+
+    def _exact(self, name: str) -> Fraction:
+        register = self._access.registers[name]
+        raw = self._access.read((name,))[name]
+        return Fraction(str(raw)) * Fraction(str(register.scale)) + Fraction(str(register.offset))
+
+    def probe_order(self, name: str, known_value: float, *, tolerance: float = 0.0) -> tuple[OrderMatch, ...]:
+        """Every type and order in which the registers at and around `name` hold the value the drive's own display shows.
+
+        known_value and tolerance in the register's unit; offset 0 of a match is the mapped address, ±1 a base that is off by one.
+        """
+        register = self._access.registers[name]
+        try:
+            before, words = self._access.neighbourhood(name, 1)
+        except AbortError:
+            before, words = self._access.neighbourhood(name, 0)  # no such neighbours
+        matches = probe_order(words, known_value - register.offset, scale=register.scale, tolerance=tolerance)
+        return tuple(
+            OrderMatch(match.offset - before, match.layout, match.value + register.offset) for match in matches
+        )

@@ -1,0 +1,132 @@
+"""A drive's registers by name, over a link: grouped reads, grouped writes, masked writes.
+
+Between the link, which knows units and addresses, and the drive, which knows states and motion. Values here are raw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from drivers.errors import CapabilityError, InputError
+from drivers.modbus.codec import Raw, decode, encode
+from drivers.modbus.drive_map import Condition, Write
+from drivers.modbus.link import Doubt, ModbusLink
+from drivers.modbus.plan import ReadPlan, Span, group_writes, plan_reads
+from drivers.modbus.register_map import Register, RegisterMap
+
+
+class RegisterAccess:
+    """The registers of one unit on a link."""
+
+    def __init__(self, link: ModbusLink, unit: int, registers: RegisterMap) -> None:
+        self.link = link
+        self.unit = unit
+        self.registers = registers
+        self._plans: dict[tuple[str, ...], ReadPlan] = {}
+
+    def plan(self, names: Sequence[str]) -> ReadPlan:
+        """The requests that read these registers, and the predicted wire time."""
+        key = tuple(names)
+        if key not in self._plans:
+            self._plans[key] = plan_reads(
+                [self._readable(name).place for name in key],
+                self.link.cost,
+                gaps_readable=self.registers.gaps_readable,
+                avoid=[register.place for register in self.registers.registers.values() if not register.readable],
+                max_registers=self.registers.max_read,
+            )
+        return self._plans[key]
+
+    def read(self, names: Sequence[str], *, urgent: bool = False) -> dict[str, Raw]:
+        """Raw values by name, in as few requests as the wire is best served with."""
+        return {
+            name: decode(words, self.registers[name].layout) for name, words in self.words(names, urgent=urgent).items()
+        }
+
+    def words(self, names: Sequence[str], *, urgent: bool = False) -> dict[str, tuple[int, ...]]:
+        """The registers' words by name."""
+        answers = [
+            (request, self.link.read(self.unit, request.table, request.span, urgent=urgent))
+            for request in self.plan(names).requests
+        ]
+        words: dict[str, tuple[int, ...]] = {}
+        for name in names:
+            register = self.registers[name]
+            for request, values in answers:
+                if request.table is register.table and request.span.covers(register.span):
+                    first = register.span.start - request.span.start
+                    words[name] = values[first : first + register.span.count]
+                    break
+        return words
+
+    def integers(self, names: Iterable[str], *, urgent: bool = False) -> dict[str, int]:
+        """Raw values of whole-number registers."""
+        raw = self.read(tuple(dict.fromkeys(names)), urgent=urgent)
+        return {name: whole(value, name) for name, value in raw.items()}
+
+    def of_conditions(self, conditions: Sequence[Condition]) -> dict[str, int]:
+        """Raw values of all registers that conditions speak of."""
+        return self.integers(condition.register for condition in conditions)
+
+    def write(self, values: Mapping[str, Raw]) -> None:
+        """Write raw values in the order given, neighbours together in one request; each is certain when this returns."""
+        names = list(values)
+        places = [self._writable(name).place for name in names]
+        for group in group_writes(places, max_registers=self.registers.max_write):
+            words = tuple(
+                word for index in group for word in encode(values[names[index]], self.registers[names[index]].layout)
+            )
+            table, first = places[group[0]]
+            provable = all(self.registers[names[index]].readable for index in group)
+            self.link.write(
+                self.unit,
+                table,
+                first.start,
+                words,
+                doubt=Doubt.READ_BACK if provable else Doubt.RAISE,
+                single=self.registers.single_writes,
+            )
+
+    def command(self, write: Write, *, urgent: bool = False) -> None:
+        """One write of a command; `urgent` ones are repeated without asking what became of the first, and ignore back-off."""
+        register = self._writable(write.register)
+        value = write.value
+        if write.mask is not None:
+            before = self.integers([register.name], urgent=urgent)[register.name]
+            value = (before & ~write.mask) | write.value
+        doubt = Doubt.READ_BACK if register.readable and not register.self_clearing else Doubt.RAISE
+        self.link.write(
+            self.unit,
+            register.table,
+            register.span.start,
+            encode(value, register.layout),
+            doubt=Doubt.REPEAT if urgent else doubt,
+            single=self.registers.single_writes,
+            urgent=urgent,
+        )
+
+    def neighbourhood(self, name: str, around: int) -> tuple[int, tuple[int, ...]]:
+        """The words from `around` registers before to `around` after; returns how many precede the register's own, and the words."""
+        register = self._readable(name)
+        first = max(0, register.span.start - around)
+        last = min(0x10000, register.span.end + around)
+        return register.span.start - first, self.link.read(self.unit, register.table, Span(first, last - first))
+
+    def _readable(self, name: str) -> Register:
+        register = self.registers[name]
+        if not register.readable:
+            raise CapabilityError(f"register {name} is write only")
+        return register
+
+    def _writable(self, name: str) -> Register:
+        register = self.registers[name]
+        if not register.writable:
+            raise CapabilityError(f"register {name} is read only")
+        return register
+
+
+def whole(value: Raw, name: str) -> int:
+    """The raw value as the whole number that it is."""
+    if not isinstance(value, int):
+        raise InputError(f"register {name} holds {value!r}, expected a whole number")
+    return value

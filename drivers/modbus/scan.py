@@ -1,0 +1,101 @@
+"""Who is on a Modbus line: each unit is asked for one register. Nothing is ever written.
+
+Any answer counts, a refusal too: a unit that has no such register is there nevertheless. With a register map a drive's state and
+position are read as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from drivers.drive import DriveState
+from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.modbus.codec import Raw
+from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.link import LinkPolicy, ModbusLink
+from drivers.modbus.plan import Span, Table
+from drivers.modbus.register_access import RegisterAccess
+
+POLICY = LinkPolicy(read_retries=0, quiet_s=0.02)
+"""Of a link to scan with: a silent unit is asked once."""
+
+_GATEWAY = (10, 11)  # exceptions of a gateway, which speaks for a unit that does not
+
+
+@dataclass(frozen=True)
+class FoundUnit:
+    """One unit that answered. refusal: how it refused the register that was asked for, "" when it did not.
+
+    With a register map: state, raw position, fault code; problem: why these could not be read.
+    """
+
+    unit: int
+    refusal: str = ""
+    state: DriveState | None = None
+    position_raw: Raw | None = None
+    fault_code: Raw | None = None
+    problem: str = ""
+
+
+def scan(
+    link: ModbusLink,
+    units: Iterable[int],
+    drive_map: DriveMap | None = None,
+    *,
+    progress: Callable[[int], None] = lambda _done: None,
+) -> list[FoundUnit]:
+    """Ask each unit for holding register 0; reads only. The link is open, and best made with `POLICY`.
+
+    Raises LinkLostError when the connection is lost and cannot be had again.
+    """
+    found: list[FoundUnit] = []
+    for done, unit in enumerate(units, start=1):
+        refusal = _ask(link, unit)
+        if refusal is not None:
+            found.append(FoundUnit(unit, refusal) if drive_map is None else _drive(link, unit, refusal, drive_map))
+        progress(done)
+    return found
+
+
+def _ask(link: ModbusLink, unit: int) -> str | None:
+    """None: nobody there; else how it refused, "" when it gave the register."""
+    try:
+        link.read(unit, Table.HOLDING, Span(0, 1), urgent=True)
+    except AbortError as error:
+        return None if error.code in _GATEWAY else str(error).rpartition(": ")[2]
+    except ProtocolError as error:
+        return f"answers what is no answer: {error}"
+    except NoAnswerError:
+        return None
+    except LinkLostError:
+        link.close()  # some servers hang up on a unit they do not have; raises when they do not take us back
+        link.open()
+        return None
+    return ""
+
+
+def _drive(link: ModbusLink, unit: int, refusal: str, drive_map: DriveMap) -> FoundUnit:
+    """A unit read by a register map, as far as that goes."""
+    access = RegisterAccess(link, unit, drive_map.registers)
+    names = [rule.condition.register for rule in drive_map.states]
+    names += [name for name in (drive_map.position, drive_map.fault_code) if name is not None]
+    try:
+        raw = access.read(tuple(dict.fromkeys(names)))
+    except BridgeError as error:
+        return FoundUnit(unit, refusal, problem=f"does not fit the register map: {error}")
+    return FoundUnit(
+        unit,
+        refusal,
+        state=_state(drive_map, raw),
+        position_raw=raw[drive_map.position],
+        fault_code=None if drive_map.fault_code is None else raw[drive_map.fault_code] or None,
+    )
+
+
+def _state(drive_map: DriveMap, raw: dict[str, Raw]) -> DriveState:
+    for rule in drive_map.states:
+        value = raw[rule.condition.register]
+        if isinstance(value, int) and rule.condition.holds(value):
+            return rule.state
+    return DriveState.UNKNOWN

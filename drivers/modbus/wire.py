@@ -1,0 +1,424 @@
+"""One Modbus request and its reply, through pymodbus, with every way of failing turned into one typed error.
+
+Nothing here repeats, waits or remembers: that is `drivers.modbus.link`. What pymodbus leaves open is closed here: it reports
+failures as exceptions *or* as replies for which isError() holds; it repeats requests by itself (switched off: a repeated start
+bit is a second move); it does not compare function code, count or echo of a reply with the request; it names the unit differently
+from release to release; a reply cut short on TCP leaves its tail in the stream (the connection is then given up).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol
+from urllib.parse import parse_qs, urlsplit
+
+import serial
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
+
+from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, Span, Table, WireCost
+
+
+class Function(IntEnum):
+    """Function codes (Modbus application protocol V1.1b3, section 6)."""
+
+    READ_COILS = 1
+    READ_DISCRETE = 2
+    READ_HOLDING = 3
+    READ_INPUT = 4
+    WRITE_COIL = 5
+    WRITE_REGISTER = 6
+    WRITE_COILS = 15
+    WRITE_REGISTERS = 16
+
+    @property
+    def is_write(self) -> bool:
+        return self in (Function.WRITE_COIL, Function.WRITE_REGISTER, Function.WRITE_COILS, Function.WRITE_REGISTERS)
+
+    @property
+    def is_bits(self) -> bool:
+        return self in (Function.READ_COILS, Function.READ_DISCRETE, Function.WRITE_COIL, Function.WRITE_COILS)
+
+
+_READ = {
+    Table.COIL: Function.READ_COILS,
+    Table.DISCRETE: Function.READ_DISCRETE,
+    Table.HOLDING: Function.READ_HOLDING,
+    Table.INPUT: Function.READ_INPUT,
+}
+_METHODS = {
+    Function.READ_COILS: "read_coils",
+    Function.READ_DISCRETE: "read_discrete_inputs",
+    Function.READ_HOLDING: "read_holding_registers",
+    Function.READ_INPUT: "read_input_registers",
+    Function.WRITE_COIL: "write_coil",
+    Function.WRITE_REGISTER: "write_register",
+    Function.WRITE_COILS: "write_coils",
+    Function.WRITE_REGISTERS: "write_registers",
+}
+EXCEPTION_NAMES = {
+    1: "illegal function",
+    2: "illegal data address",
+    3: "illegal data value",
+    4: "device failure",
+    5: "acknowledge, still working",
+    6: "device busy",
+    8: "memory parity error",
+    10: "gateway path unavailable",
+    11: "gateway target does not respond",
+}
+BUSY = 6
+_GATEWAY_NO_RESPONSE = 11
+
+
+@dataclass(frozen=True)
+class Request:
+    """A request; `address` is the 0-based PDU address, `values` what is written (bits as 0 or 1)."""
+
+    function: Function
+    address: int
+    count: int
+    values: tuple[int, ...] = ()
+
+    @classmethod
+    def read(cls, table: Table, span: Span) -> Request:
+        limit = MAX_READ_BITS if table.is_bits else MAX_READ_REGISTERS
+        if span.count > limit:
+            raise InputError(f"{span.count} values in one request, expected at most {limit}")
+        return cls(_READ[table], span.start, span.count)
+
+    @classmethod
+    def write(cls, table: Table, start: int, values: tuple[int, ...], *, single: bool = True) -> Request:
+        """single: one value goes with function 5 or 6 rather than 15 or 16."""
+        if not table.is_writable:
+            raise InputError(f"table {table.value} cannot be written")
+        if single and len(values) == 1:
+            function = Function.WRITE_COIL if table.is_bits else Function.WRITE_REGISTER
+        else:
+            function = Function.WRITE_COILS if table.is_bits else Function.WRITE_REGISTERS
+        return cls(function, start, len(values), values)
+
+    @property
+    def echo(self) -> tuple[object, ...]:
+        """All of its reply that can be known beforehand: two requests of one echo cannot be told apart by their replies."""
+        if self.function in (Function.WRITE_COIL, Function.WRITE_REGISTER):
+            return self.function, self.address, self.values
+        if self.function.is_write:
+            return self.function, self.address, self.count
+        return self.function, (self.count + 7) // 8 if self.function.is_bits else self.count
+
+    def __str__(self) -> str:
+        verb = "write" if self.function.is_write else "read"
+        what = "bit" if self.function.is_bits else "register"
+        places = (
+            f"{what} {self.address}"
+            if self.count == 1
+            else f"{what}s {self.address} to {self.address + self.count - 1}"
+        )
+        return f"{verb} of {places} (function {int(self.function)})"
+
+
+@dataclass(frozen=True)
+class TcpEndpoint:
+    """A Modbus TCP server; timeout_s holds for connecting and for each reply."""
+
+    host: str
+    port: int = 502
+    timeout_s: float = 1.0
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    @property
+    def cost(self) -> WireCost:
+        return WireCost.tcp()
+
+
+@dataclass(frozen=True)
+class RtuEndpoint:
+    """A serial line. The standard's line is 19200 8E1 (Modbus over serial line V1.02, 2.5.1)."""
+
+    device: str
+    baud: int = 19200
+    parity: str = "E"
+    stop_bits: int = 1
+    timeout_s: float = 0.5
+
+    def __str__(self) -> str:
+        return self.device
+
+    @property
+    def cost(self) -> WireCost:
+        return WireCost.rtu(self.baud)
+
+
+Endpoint = TcpEndpoint | RtuEndpoint
+
+
+def parse_endpoint(url: str, *, baud: int = 19200) -> Endpoint:
+    """`tcp://host:port` or a serial device, each with `?timeout_s=…`, the device also with `&parity=N&stop_bits=2`.
+
+    Raises InputError naming the part that is wrong.
+    """
+    parts = urlsplit(url)
+    options = {name: values[-1] for name, values in parse_qs(parts.query, keep_blank_values=True).items()}
+    timeout = _option(options, "timeout_s", float, "seconds > 0", lambda value: 0 < value < 3600)
+    settings: dict[str, Any] = {} if timeout is None else {"timeout_s": timeout}
+    endpoint: Endpoint
+    if parts.scheme == "tcp":
+        try:
+            port = parts.port
+        except ValueError as error:
+            raise InputError(f"address {url!r}: port is not a number 0 to 65535") from error
+        if not parts.hostname:
+            raise InputError(f"address {url!r} lacks a host, expected tcp://host:port")
+        endpoint = TcpEndpoint(parts.hostname, 502 if port is None else port, **settings)
+    elif parts.scheme in ("", "rtu") and parts.path:
+        parity = _option(options, "parity", str.upper, "N, E or O", lambda value: value in ("N", "E", "O"))
+        stop_bits = _option(options, "stop_bits", int, "1 or 2", lambda value: value in (1, 2))
+        settings |= {} if parity is None else {"parity": parity}
+        settings |= {} if stop_bits is None else {"stop_bits": stop_bits}
+        endpoint = RtuEndpoint(parts.path, baud, **settings)
+    else:
+        raise InputError(f"address {url!r}, expected tcp://host:port or a serial device")
+    for name in options:
+        raise InputError(f"address {url!r}: unknown option {name}")
+    return endpoint
+
+
+def _option(
+    options: dict[str, str], name: str, convert: Callable[[str], Any], expected: str, good: Callable[[Any], bool]
+) -> Any:
+    if name not in options:
+        return None
+    text = options.pop(name)
+    try:
+        value = convert(text)
+    except ValueError as error:
+        raise InputError(f"address option {name} is {text!r}, expected {expected}") from error
+    if not good(value):
+        raise InputError(f"address option {name} is {text!r}, expected {expected}")
+    return value
+
+
+class Wire(Protocol):
+    """One connection that carries one request at a time."""
+
+    @property
+    def connected(self) -> bool: ...
+    def connect(self) -> None:
+        """Raises LinkLostError."""
+
+    def disconnect(self) -> None: ...
+    def discard(self, silence_s: float) -> None:
+        """Throw away what still comes in, until nothing has come for silence_s of real time. TCP has no need of it."""
+
+    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+        """The values read, () for a write.
+
+        Raises NoAnswerError, LinkLostError (the connection is then gone), AbortError (the device refused) and ProtocolError (a
+        reply that is none to this request).
+        """
+
+
+def _serial_errors() -> tuple[type[Exception], ...]:
+    """What pyserial raises; where there are terminals it lets their own kind of error through."""
+    try:
+        import termios  # noqa: PLC0415
+    except ImportError:
+        return (OSError,)
+    return (OSError, termios.error)
+
+
+_MOST_DISCARDS = 64
+_SERIAL_ERRORS = _serial_errors()
+_OPEN_ERRORS: tuple[type[Exception], ...] = (ValueError, *_SERIAL_ERRORS)
+_OTHER_ERRORS: tuple[type[Exception], ...] = (ModbusException, *_SERIAL_ERRORS)
+
+
+class _SerialClient(ModbusSerialClient):
+    """pymodbus's client, with the reason kept when a port cannot be opened, and told of bytes when they come.
+
+    pymodbus's own wait looks twice, milliseconds apart, before it believes that a reply is there.
+    """
+
+    reason = ""
+
+    def connect(self) -> bool:
+        """Open the port; False with `reason` when that fails."""
+        if self.socket is not None:
+            return True
+        settings = self.comm_params
+        try:
+            self.socket = serial.Serial(
+                settings.host,
+                baudrate=settings.baudrate,
+                bytesize=settings.bytesize,
+                parity=settings.parity,
+                stopbits=settings.stopbits,
+                timeout=settings.timeout_connect,
+                write_timeout=settings.timeout_connect,
+                exclusive=True,
+            )
+        except _OPEN_ERRORS as error:
+            self.reason = f": {error}"
+            return False
+        self.reason = ""
+        return True
+
+    def discard(self, silence_s: float) -> None:
+        """Read and forget until the line has been silent; a port that is gone is left to the next request."""
+        if self.socket is None:
+            return
+        with contextlib.suppress(*_SERIAL_ERRORS):
+            self.socket.timeout = silence_s
+            try:
+                for _ in range(_MOST_DISCARDS):  # a line that never falls silent is not waited out
+                    if not self.socket.read(256):
+                        break
+            finally:
+                self.socket.timeout = self.comm_params.timeout_connect
+
+    def recv(self, size: int | None) -> bytes:
+        """Whatever has arrived, b"" when nothing did within the time-out. The framer waits for the rest of a frame."""
+        del size
+        if self.socket is None:
+            raise ConnectionException(str(self))
+        try:
+            first: bytes = self.socket.read(1)
+            return first + self.socket.read(self.socket.in_waiting) if first else b""
+        except _SERIAL_ERRORS as error:
+            self.close()  # type: ignore[no-untyped-call]
+            raise ConnectionException(str(self)) from error
+
+
+class PymodbusWire:
+    """`Wire` over pymodbus's synchronous clients."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        logger = logging.getLogger("pymodbus")
+        if not logger.handlers:  # its complaints come back as errors; without a handler they would also go to stderr
+            logger.addHandler(logging.NullHandler())
+        self._received = 0
+        self._client: ModbusTcpClient | ModbusSerialClient
+        if isinstance(endpoint, TcpEndpoint):
+            self._client = ModbusTcpClient(
+                endpoint.host, port=endpoint.port, timeout=endpoint.timeout_s, retries=0, trace_packet=self._count_bytes
+            )
+        else:
+            self._client = _SerialClient(
+                endpoint.device,
+                baudrate=endpoint.baud,
+                parity=endpoint.parity,
+                stopbits=endpoint.stop_bits,
+                timeout=endpoint.timeout_s,
+                retries=0,
+                trace_packet=self._count_bytes,
+            )
+        self._unit_keyword = unit_keyword(self._client.read_holding_registers)
+
+    def _count_bytes(self, sending: bool, data: bytes) -> bytes:
+        self._received = 0 if sending else len(data)
+        return data
+
+    @property
+    def connected(self) -> bool:
+        return self._client.connected
+
+    def connect(self) -> None:
+        if not self._client.connected and not self._client.connect():
+            reason = self._client.reason if isinstance(self._client, _SerialClient) else ""
+            raise LinkLostError(f"Modbus {self.endpoint} cannot be opened{reason}")
+
+    def disconnect(self) -> None:
+        with contextlib.suppress(OSError):  # a port that is gone cannot be closed any better
+            self._client.close()  # type: ignore[no-untyped-call]
+
+    def discard(self, silence_s: float) -> None:
+        if isinstance(self._client, _SerialClient):
+            self._client.discard(silence_s)
+
+    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+        what = f"Modbus {self.endpoint} unit {unit}, {request}"
+        self._received = 0
+        try:
+            reply = self._send(unit, request)
+        except ConnectionException as error:
+            self.disconnect()
+            raise LinkLostError(f"{what}: connection lost") from error
+        except ModbusIOException as error:
+            raise self._unanswered(what, error) from error
+        except _OTHER_ERRORS as error:
+            self.disconnect()
+            raise LinkLostError(f"{what}: {error}") from error
+        if reply.isError():
+            raise _refusal(what, request, reply)
+        return _checked(what, request, reply)
+
+    def _unanswered(self, what: str, error: ModbusIOException) -> NoAnswerError | ProtocolError:
+        if "No response received" not in str(error):
+            self._drop_broken_stream()
+            return ProtocolError(f"{what}: reply cannot be understood")
+        if not self._received:
+            return NoAnswerError(f"{what}: no answer within {self.endpoint.timeout_s:g} s")
+        self._drop_broken_stream()
+        return NoAnswerError(f"{what}: {self._received} bytes of a damaged or foreign reply, no answer to this request")
+
+    def _drop_broken_stream(self) -> None:
+        """On TCP the rest of a broken reply would be taken for the head of the next; on RTU silence ends a frame."""
+        if isinstance(self.endpoint, TcpEndpoint):
+            self.disconnect()
+
+    def _send(self, unit: int, request: Request) -> Any:
+        method = getattr(self._client, _METHODS[request.function])
+        to = {self._unit_keyword: unit}
+        if not request.function.is_write:
+            return method(request.address, count=request.count, **to)
+        values = [bool(value) for value in request.values] if request.function.is_bits else list(request.values)
+        one = request.function in (Function.WRITE_COIL, Function.WRITE_REGISTER)
+        return method(request.address, values[0] if one else values, **to)
+
+
+def unit_keyword(method: Callable[..., object]) -> str:
+    """What this release of pymodbus calls the unit id: device_id, before that slave, before that unit."""
+    parameters = inspect.signature(method).parameters
+    for name in ("device_id", "slave", "unit"):
+        if name in parameters:
+            return name
+    raise CapabilityError(f"this pymodbus has no known name for the unit id among {', '.join(parameters)}")
+
+
+def _refusal(what: str, request: Request, reply: Any) -> AbortError | NoAnswerError | ProtocolError:
+    if reply.function_code & 0x7F != request.function:
+        return ProtocolError(f"{what}: exception reply to function {reply.function_code & 0x7F}")
+    code = int(reply.exception_code)
+    text = f"{what}: {EXCEPTION_NAMES.get(code, 'unknown exception')} (exception {code})"
+    return NoAnswerError(text) if code == _GATEWAY_NO_RESPONSE else AbortError(text, code)
+
+
+def _checked(what: str, request: Request, reply: Any) -> tuple[int, ...]:
+    """The reply's values, once everything in it that mirrors the request has been compared."""
+    if reply.function_code != request.function:
+        raise ProtocolError(f"{what}: reply to function {reply.function_code}")
+    if request.function.is_write:
+        if reply.address != request.address:
+            raise ProtocolError(f"{what}: reply names address {reply.address}")
+        if request.function is Function.WRITE_REGISTER and tuple(reply.registers) != request.values:
+            raise ProtocolError(f"{what}: reply echoes {reply.registers[0]}, expected {request.values[0]}")
+        if request.function is Function.WRITE_COIL and tuple(map(int, reply.bits)) != request.values:
+            raise ProtocolError(f"{what}: reply echoes {int(reply.bits[0])}, expected {request.values[0]}")
+        if request.function in (Function.WRITE_COILS, Function.WRITE_REGISTERS) and reply.count != request.count:
+            raise ProtocolError(f"{what}: reply counts {reply.count}, expected {request.count}")
+        return ()
+    values = reply.bits if request.function.is_bits else reply.registers
+    expected = (request.count + 7) // 8 * 8 if request.function.is_bits else request.count
+    if len(values) != expected:
+        raise ProtocolError(f"{what}: reply holds {len(values)} values, expected {expected}")
+    return tuple(int(value) for value in values[: request.count])
