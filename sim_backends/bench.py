@@ -1,0 +1,139 @@
+"""The bench: clock, feed axis, servo and laser put together in the right order from one frozen description.
+
+What a test or a demonstration needs of the simulated side. Faces of the servo on a wire are attached to `clock` by their owners.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from drivers.drive import DriveLimits
+from drivers.errors import InputError
+from drivers.scaling import AxisScaling
+from sim_backends import laser_effects
+from sim_backends.clock import SimClock
+from sim_backends.faults import Fault
+from sim_backends.laser import LaserParameters, SimulatedLaser
+from sim_backends.plant import switches
+from sim_backends.plant.axis import FeedAxis
+from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis
+from sim_backends.servo import ServoParameters, SimulatedServo
+
+
+@dataclass(frozen=True)
+class BenchParameters:
+    """Everything seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm)."""
+
+    plant: PlantParameters = field(default_factory=lambda: typical_axis(1))
+    servo: ServoParameters = field(default_factory=ServoParameters)
+    laser: LaserParameters = field(default_factory=LaserParameters)
+    laser_faults: tuple[Fault, ...] = ()
+    servo_faults: tuple[Fault, ...] = ()
+    step_s: float = 0.005
+
+    def __post_init__(self) -> None:
+        end_mm = self.servo.positive_limit_counts / self.servo.counts_per_rev * self.plant.screw.lead_mm
+        if end_mm < self.plant.length_mm:
+            raise InputError(
+                f"bench: positive limit switch at {end_mm:g} mm, expected beyond the travel of {self.plant.length_mm:g} mm"
+            )
+
+    @property
+    def scaling(self) -> AxisScaling:
+        """What a drive on this bench has to be told."""
+        return AxisScaling(self.servo.counts_per_rev, self.plant.screw.lead_mm)
+
+    @property
+    def limits(self) -> DriveLimits:
+        """The axis's travel and speeds, for a drive on this bench."""
+        lead_mm = self.plant.screw.lead_mm
+        return DriveLimits(
+            travel_min_mm=-2.0,
+            travel_max_mm=self.plant.length_mm + 2.0,
+            max_velocity_mm_s=min(250.0, self.servo.max_velocity_rev_s * lead_mm),
+            max_acceleration_mm_s2=self.servo.max_acceleration_rev_s2 * lead_mm,
+        )
+
+    @property
+    def objects(self) -> dict[tuple[int, int], int]:
+        """What a CiA-402 drive of this machine leaves its builder with: (index, subindex) -> value.
+
+        Encoder, gear, feed per shaft revolution in units of position, and that unit (60A8h) as a power of ten of a metre where
+        the count is one, else as increments (B5h); stopping and homing fit for this motor.
+        """
+        counts, servo = self.servo.counts_per_rev, self.servo
+        exponent = math.log10(self.plant.screw.lead_mm * 1e-3 / counts)
+        is_length = abs(exponent - round(exponent)) < 1e-9
+        return {
+            (0x608F, 1): counts,
+            (0x608F, 2): 1,
+            (0x6091, 1): 1,
+            (0x6091, 2): 1,
+            (0x6092, 1): counts,
+            (0x6092, 2): 1,
+            (0x60A8, 0): (round(exponent) & 0xFF) << 24 | 0x01 << 16 if is_length else 0xB5 << 16,
+            (0x6085, 0): round(servo.max_acceleration_rev_s2 * counts),
+            (0x6099, 1): round(2.0 * counts),
+            (0x6099, 2): round(0.1 * counts),
+        }
+
+    @property
+    def micrometre_objects(self) -> dict[tuple[int, int], int]:
+        """The same for a drive whose feed per revolution is in µm, whatever its position unit."""
+        own = self.objects
+        del own[(0x60A8, 0)]
+        return {**own, (0x6092, 1): round(self.plant.screw.lead_mm * 1000.0)}
+
+
+def known_bench(kind: str, seed: int) -> BenchParameters:
+    """A bench by the name of its machine: ideal, geometric or typical. Raises InputError for another."""
+    plants = {"ideal": lambda _seed: ideal_axis(), "geometric": geometric_axis, "typical": typical_axis}
+    if kind not in plants:
+        raise InputError(f"machine {kind!r}, expected one of {', '.join(plants)}")
+    return BenchParameters(plant=plants[kind](seed))
+
+
+class Bench:
+    """A running bench. Use as a context manager: the laser's terminal is closed at the end.
+
+    wait_for_arrival False is for readers in other threads or processes (real time), who may take bytes while they are waited for.
+    """
+
+    def __init__(self, parameters: BenchParameters | None = None, *, wait_for_arrival: bool = True) -> None:
+        self.parameters = p = parameters or BenchParameters()
+        self.clock = SimClock(p.step_s)
+        self.plant = FeedAxis(p.plant, p.servo.start_counts / p.servo.counts_per_rev)
+        self.servo = SimulatedServo(self.plant, p.servo, p.servo_faults)
+        self.laser = SimulatedLaser(self.plant, p.laser, p.laser_faults, wait_for_arrival=wait_for_arrival)
+        self.clock.attach(self.servo.advance, bearable=self.servo.bearable)
+        self.clock.attach(self.laser.advance, bearable=self.laser.bearable, settle=self.laser.settle)
+
+    def switch_on(self, effect: str, size_um: float) -> None:
+        """From now on the machine or its instrument has one more effect, by its id in the catalogue; for what `size_um` means see
+        `plant.switches` and `laser_effects`. Raises InputError for an unknown id."""
+        if effect in laser_effects.SWITCHES:
+            laser_effects.switch_on(self.laser, self.plant, effect, size_um)
+        elif effect in switches.SWITCHES:
+            switches.switch_on(self.plant, effect, size_um)
+        else:
+            known = ", ".join([*switches.SWITCHES, *laser_effects.SWITCHES])
+            raise InputError(f"effect {effect!r} cannot be switched on in the bench, expected one of {known}")
+
+    @property
+    def laser_path(self) -> str:
+        """The port that a reader opens."""
+        return self.laser.path
+
+    def close(self) -> None:
+        self.laser.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,95 @@
+"""The smallest CANopen bench: bare motors on a simulated wire, for whatever is about the bus and not about the machine.
+
+What may go in: putting clock, servos, wire and drives together in the right order. A machine with screw, table and laser is
+`sim_backends.bench`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from sim_backends.canopen_drive import CanOpenSlave, attach_to_wire
+from sim_backends.canopen_faults import CanFault
+from sim_backends.canopen_store import Flash
+from sim_backends.canopen_wire import SimWire, WirePort
+from sim_backends.clock import SimClock
+from sim_backends.faults import Fault
+from sim_backends.servo import ServoParameters, SimulatedServo
+
+
+class BareShaft:
+    """A motor that turns nothing but some friction."""
+
+    def __init__(self, friction_permille: float = 40.0) -> None:
+        self._at_rev = 0.0
+        self._friction = friction_permille
+        self.friction_permille = 0.0
+
+    def step(self, motor_rev: float, dt_s: float) -> None:
+        """The shaft went to `motor_rev`."""
+        del dt_s
+        if motor_rev != self._at_rev:
+            self.friction_permille = math.copysign(self._friction, motor_rev - self._at_rev)
+        self._at_rev = motor_rev
+
+
+SMALL_SERVO = ServoParameters(
+    counts_per_rev=100_000,
+    negative_limit_counts=-3_200_000.0,
+    positive_limit_counts=3_200_000.0,
+    negative_stop_counts=-3_300_000.0,
+    positive_stop_counts=3_300_000.0,
+)
+"""100 000 counts per revolution, ±32 revolutions between the limit switches."""
+
+
+@dataclass
+class CanBench:
+    """Drives with the given node ids on one wire. bitrate None: frames take no time.
+
+    faults: {node id: what goes wrong with it}; parameters: laid over every drive's defaults.
+    """
+
+    node_ids: Sequence[int] = (5,)
+    bitrate: int | None = None
+    faults: Mapping[int, Sequence[CanFault]] = field(default_factory=dict)
+    parameters: Mapping[tuple[int, int], int] = field(default_factory=dict)
+    servo_parameters: ServoParameters = SMALL_SERVO
+    servo_faults: Sequence[Fault] = ()
+    flash: Flash | None = None  # of the drive (all of them share it): what it kept from a life before
+
+    def __post_init__(self) -> None:
+        self.clock = SimClock()
+        self.servos: dict[int, SimulatedServo] = {}
+        for node_id in self.node_ids:
+            servo = SimulatedServo(BareShaft(), self.servo_parameters, tuple(self.servo_faults))
+            self.clock.attach(servo.advance, bearable=servo.bearable)
+            self.servos[node_id] = servo
+        self.wire = SimWire(self.clock, self.bitrate)
+        self.slaves: dict[int, CanOpenSlave] = {
+            node_id: attach_to_wire(
+                self.wire,
+                servo,
+                node_id,
+                parameters=self.parameters,
+                faults=tuple(self.faults.get(node_id, ())),
+                flash=self.flash,
+            )
+            for node_id, servo in self.servos.items()
+        }
+
+    @property
+    def servo(self) -> SimulatedServo:
+        """The first servo."""
+        return self.servos[self.node_ids[0]]
+
+    @property
+    def slave(self) -> CanOpenSlave:
+        """The first drive."""
+        return self.slaves[self.node_ids[0]]
+
+    def port(self) -> WirePort:
+        """A further place on the bus, for a master."""
+        return self.wire.port()

@@ -1,0 +1,424 @@
+"""A CiA-402 drive on a CAN bus, over a simulated servo: the network side of it (CiA-301).
+
+What may go in: NMT, heartbeat, SYNC, EMCY and the ways to put the drive on a bus. SDO, PDO, dictionary and device profile have a
+module each. Frames come in through `on_frame`, time through `tick`, frames leave through the `send` it was given; there is no
+thread and no clock inside, so the same drive runs on the simulated wire, on python-can's virtual bus and on a real one.
+"""
+
+from __future__ import annotations
+
+import select
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+
+import can
+from can.interfaces.virtual import VirtualBus
+
+from drivers.clock import NS_PER_S, Clock, WallClock
+from drivers.errors import InputError
+from sim_backends.canopen_dictionary import Dictionary, RefusedError, load_items
+from sim_backends.canopen_faults import CanFault, FaultLayer
+from sim_backends.canopen_pdo_engine import PdoEngine
+from sim_backends.canopen_profile import DriveProfile
+from sim_backends.canopen_sdo_server import SdoServer
+from sim_backends.canopen_store import Flash, ParameterStore
+from sim_backends.canopen_wire import SimWire
+from sim_backends.clock import SimClock
+from sim_backends.servo import Servo
+
+EDS = Path(__file__).with_name("servo_drive.eds")
+PDO_LENGTH_ERROR = 0x8210
+HEARTBEAT_ERROR = 0x8130
+SYNC_ERROR = 0x8700
+MISSING_SYNCS = 5
+_SUPERVISION_NS = 20_000_000  # how long the drive's firmware may go without looking at the servo
+
+Send = Callable[[int, bytes], None]
+
+
+class NmtState(IntEnum):
+    """As the heartbeat shows it."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+class CanOpenSlave:
+    """One simulated drive with its node id.
+
+    send(cob_id, data): puts a frame on the bus. parameters: {(index, subindex): value} laid over the EDS's defaults, the way a
+    drive leaves its factory for a certain machine. flash: what it keeps without power; a fresh one where None.
+    """
+
+    def __init__(
+        self,
+        servo: Servo,
+        node_id: int,
+        send: Send,
+        *,
+        parameters: Mapping[tuple[int, int], int] | None = None,
+        eds: Path = EDS,
+        flash: Flash | None = None,
+    ) -> None:
+        if not 1 <= node_id <= 127:
+            raise InputError(f"node id is {node_id}, expected 1 to 127")
+        self.servo = servo
+        self.node_id = node_id
+        self.dictionary = Dictionary(load_items(eds, node_id))
+        for (index, subindex), value in (parameters or {}).items():
+            self.dictionary.set_number(index, subindex, value)
+        self._send = send
+        self.nmt_state = NmtState.BOOT_UP
+        self.profile = DriveProfile(self.dictionary, servo, self.emergency)
+        self.pdos = PdoEngine(self.dictionary, self._transmit, lambda: self.emergency(PDO_LENGTH_ERROR))
+        self.sdo = SdoServer(self.dictionary)
+        self.store = ParameterStore(self.dictionary, flash if flash is not None else Flash(), lambda: not servo.powered)
+        self._owed: list[tuple[int, bytes]] = []  # answers that wait until the memory is written
+        self._now_ns = 0
+        self._heartbeat_ns: int | None = None
+        self._sync_ns: int | None = None  # when the last SYNC came
+        self._guarded: dict[int, int] = {}  # node id -> when its last heartbeat came
+        self._guard_lost: set[int] = set()
+        self._error_register = 0
+        self.dictionary.on_read(0x1001, 0, lambda: self._error_register)
+        self.dictionary.on_write(0x1003, 0, self._clear_history)
+        self.dictionary.on_write(0x1017, 0, self._restart_heartbeat)
+        for index in (0x1006, 0x6060):
+            self.dictionary.on_write(index, 0, self._restart_sync_watch)
+
+    # -- life ----------------------------------------------------------------------------------------------------------
+    def boot(self, now_ns: int) -> None:
+        """Power came on, or a reset: boot-up message, then pre-operational."""
+        self._now_ns = now_ns
+        self.sdo.reset()
+        self._owed.clear()
+        storage_error = self.store.start()
+        self.profile.reset()
+        self.pdos.reload()
+        self._guarded.clear()
+        self._guard_lost.clear()
+        self._error_register = 0
+        self._transmit(0x700 + self.node_id, bytes((NmtState.BOOT_UP,)))
+        self.nmt_state = NmtState.PRE_OPERATIONAL
+        self._restart_heartbeat(self.dictionary.number(0x1017))
+        if storage_error:
+            self.emergency(storage_error)
+
+    def lose_power(self, now_ns: int) -> None:
+        """The supply is gone until `boot`: the axis coasts, a store under way stays as far as it has come."""
+        self.store.tick(now_ns)
+        self.store.power_lost()
+        self._owed.clear()
+        self.profile.lose_power()
+
+    def tick(self, now_ns: int) -> None:
+        """Time has moved on: supervise, send what is due."""
+        self._now_ns = now_ns
+        self.profile.tick(now_ns)
+        self.store.tick(now_ns)
+        while self._owed and not self.store.busy:
+            self._transmit(*self._owed.pop(0))
+        if self.nmt_state is NmtState.OPERATIONAL:
+            self.pdos.tick(now_ns)
+        while self._heartbeat_ns is not None and now_ns >= self._heartbeat_ns:
+            self._heartbeat_ns += 1_000_000 * max(1, self.dictionary.number(0x1017))
+            self._transmit(0x700 + self.node_id, bytes((self.nmt_state,)))
+        if self._guarded:
+            self._watch_heartbeats()
+        if self._sync_ns is not None and self.profile.cyclic:
+            self._watch_sync(self._sync_ns)
+
+    def due_ns(self) -> int | None:
+        """When `tick` should be called at the latest, None when nothing is scheduled."""
+        times = [self._heartbeat_ns, self.store.due_ns()]
+        period_ns = 1000 * self.dictionary.number(0x1006)
+        if period_ns and self._sync_ns is not None and self.profile.cyclic:
+            times.append(self._sync_ns + (MISSING_SYNCS + 1) * period_ns)
+        return min((time_ns for time_ns in times if time_ns is not None), default=None)
+
+    def bypass(self, send: Send) -> None:
+        """Send straight onto the bus from now on."""
+        self._send = send
+
+    def _transmit(self, cob_id: int, data: bytes) -> None:
+        self._send(cob_id, data)
+
+    # -- frames --------------------------------------------------------------------------------------------------------
+    def on_frame(self, cob_id: int, data: bytes, now_ns: int) -> None:
+        """A frame from the bus."""
+        if now_ns > self._now_ns:
+            self.tick(now_ns)
+        if cob_id == 0x000:
+            self._on_nmt(data)
+        elif cob_id == self.dictionary.number(0x1005) & 0x7FF:
+            self._sync_ns = now_ns
+            if self.nmt_state is NmtState.OPERATIONAL:
+                self.pdos.on_sync(now_ns)
+        elif cob_id == 0x600 + self.node_id:
+            if self.nmt_state is not NmtState.STOPPED:
+                for answer in self.sdo.handle(data):
+                    if self.store.busy:
+                        self._owed.append((0x580 + self.node_id, answer))
+                    else:
+                        self._transmit(0x580 + self.node_id, answer)
+        elif cob_id & 0x780 == 0x700:
+            self._on_heartbeat(cob_id & 0x7F)
+        elif self.nmt_state is NmtState.OPERATIONAL:
+            self.pdos.on_frame(cob_id, data)
+
+    def _on_nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in (0, self.node_id):
+            return
+        command = data[0]
+        if command == 0x01:
+            self.nmt_state = NmtState.OPERATIONAL
+        elif command == 0x02:
+            self.nmt_state = NmtState.STOPPED
+            self.profile.abort_connection()
+        elif command == 0x80:
+            self.nmt_state = NmtState.PRE_OPERATIONAL
+        elif command in (0x81, 0x82):
+            self.boot(self._now_ns)
+
+    # -- heartbeats ----------------------------------------------------------------------------------------------------
+    def _restart_heartbeat(self, period_ms: int) -> None:
+        self._heartbeat_ns = self._now_ns + 1_000_000 * period_ms if period_ms else None
+
+    def _on_heartbeat(self, node_id: int) -> None:
+        for subindex in (1, 2):
+            if self.dictionary.number(0x1016, subindex) >> 16 & 0x7F == node_id:
+                self._guarded[node_id] = self._now_ns
+                self._guard_lost.discard(node_id)
+
+    def _watch_heartbeats(self) -> None:
+        for subindex in (1, 2):
+            setting = self.dictionary.number(0x1016, subindex)
+            node_id, time_ns = setting >> 16 & 0x7F, 1_000_000 * (setting & 0xFFFF)
+            heard_ns = self._guarded.get(node_id)
+            if not time_ns or heard_ns is None or node_id in self._guard_lost:
+                continue
+            if self._now_ns - heard_ns > time_ns:
+                self._guard_lost.add(node_id)
+                self.emergency(HEARTBEAT_ERROR)
+                self.profile.abort_connection()
+
+    def _restart_sync_watch(self, _value: int) -> None:
+        """A new period or mode: SYNC is missed only after it has come once."""
+        self._sync_ns = None
+
+    def _watch_sync(self, last_ns: int) -> None:
+        """Set-points that stop coming: with 1006h set, a drive in a cyclic mode notices and faults (8700h, sync controller)."""
+        period_ns = 1000 * self.dictionary.number(0x1006)
+        if period_ns and self._now_ns - last_ns > MISSING_SYNCS * period_ns:
+            self._sync_ns = None
+            self.servo.raise_fault(SYNC_ERROR)
+
+    # -- emergencies ---------------------------------------------------------------------------------------------------
+    def emergency(self, code: int) -> None:
+        """Send an EMCY and keep it in 1003h; code 0 says that the error is gone."""
+        self._error_register = 0 if code == 0 else 0x01 | _register_bit(code)
+        if code:
+            count = min(8, self.dictionary.number(0x1003, 0) + 1)
+            for subindex in range(count, 1, -1):
+                self.dictionary.set_number(0x1003, subindex, self.dictionary.number(0x1003, subindex - 1))
+            self.dictionary.set_number(0x1003, 1, code)
+            self.dictionary.set_number(0x1003, 0, count)
+        cob_id = self.dictionary.number(0x1014)
+        if not cob_id & 0x80000000 and self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+            self._transmit(cob_id & 0x7FF, code.to_bytes(2, "little") + bytes((self._error_register,)) + bytes(5))
+
+    def _clear_history(self, value: int) -> None:
+        if value:
+            raise RefusedError(0x06090030)
+        for subindex in range(1, 9):
+            self.dictionary.set_number(0x1003, subindex, 0)
+
+
+def _register_bit(code: int) -> int:
+    """Error register 1001h: the bit of the error code's class (CiA-301, 7.5.2.2)."""
+    classes = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10}
+    if code >> 8 == 0x86:
+        return 0x20  # motion errors are device profile specific
+    return classes.get(code >> 12, 0x80 if code >> 12 == 0xF else 0)
+
+
+def with_faults(
+    servo: Servo,
+    node_id: int,
+    send: Send,
+    faults: Iterable[CanFault],
+    *,
+    parameters: Mapping[tuple[int, int], int] | None = None,
+    flash: Flash | None = None,
+) -> tuple[CanOpenSlave, FaultLayer]:
+    """A drive with a fault layer between it and the bus: frames and time go through the layer."""
+    layer = FaultLayer(faults, node_id)
+    slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash)
+    layer.wire(
+        send=send,
+        handle=slave.on_frame,
+        tick=slave.tick,
+        due_ns=slave.due_ns,
+        boot=slave.boot,
+        emergency=slave.emergency,
+        lose_power=slave.lose_power,
+        profile=slave.profile,
+    )
+    return slave, layer
+
+
+def attach_to_wire(
+    wire: SimWire,
+    servo: Servo,
+    node_id: int = 1,
+    *,
+    parameters: Mapping[tuple[int, int], int] | None = None,
+    faults: Iterable[CanFault] = (),
+    flash: Flash | None = None,
+) -> CanOpenSlave:
+    """Put a drive on the simulated wire and boot it; the servo is attached to the clock by whoever made it, before."""
+    node = wire.add_node()
+    faults = tuple(faults)
+    slave, layer = with_faults(servo, node_id, node.send, faults, parameters=parameters, flash=flash)
+    if faults:
+        node.connect(layer.on_frame, layer.tick, layer.due_ns)
+    else:
+        slave.bypass(node.send)
+        node.connect(slave.on_frame, slave.tick, slave.due_ns)
+    slave.boot(wire.clock.now_ns())
+    return slave
+
+
+@contextmanager
+def served(
+    servo: Servo,
+    clock: Clock,
+    *,
+    channel: str | int,
+    interface: str = "virtual",
+    node_id: int = 1,
+    bitrate: int | None = None,
+    parameters: Mapping[tuple[int, int], int] | None = None,
+    faults: Iterable[CanFault] = (),
+    options: Mapping[str, object] | None = None,
+    step_s: float = 0.001,
+) -> Iterator[CanOpenSlave]:
+    """Serve a drive on any python-can interface in a thread of its own, until the block ends.
+
+    options: the interface's own settings, such as host and port of a socketcand.
+
+    With a SimClock the thread answers at once in real time, and simulated time moves when its owner sleeps: what was sent before
+    is handled before time moves on. With a WallClock the thread also advances the servo, every `step_s` seconds.
+    """
+    settings: dict[str, object] = {**(options or {})} if bitrate is None else {**(options or {}), "bitrate": bitrate}
+    bus = can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
+    try:
+        service = _Service(bus, clock, servo, node_id, parameters=parameters, faults=faults, step_s=step_s)
+        try:
+            yield service.slave
+        finally:
+            service.stop()
+    finally:
+        bus.shutdown()
+
+
+class _Service:
+    """The thread behind `served`, and the lock that makes receive-and-handle one step."""
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        clock: Clock,
+        servo: Servo,
+        node_id: int,
+        *,
+        parameters: Mapping[tuple[int, int], int] | None,
+        faults: Iterable[CanFault],
+        step_s: float,
+    ) -> None:
+        self._bus = bus
+        self._clock = clock
+        self._servo = servo
+        self._step_ns = round(step_s * NS_PER_S)
+        self._advanced_ns = clock.now_ns()
+        self._lock = threading.RLock()
+        self._stopping = threading.Event()
+        self._error: BaseException | None = None
+        self.slave, self._layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)
+        self.slave.boot(clock.now_ns())
+        if isinstance(clock, SimClock):
+            clock.attach(self._on_simulated_time, bearable=self._bearable)
+        self._thread = threading.Thread(target=self._run, name=f"canopen drive {node_id}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; raises what it died of."""
+        self._stopping.set()
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def _handle(self, timeout_s: float) -> bool:
+        message = self._bus.recv(timeout_s)
+        if message is None:
+            return False
+        if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+            self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
+        return True
+
+    def _run(self) -> None:
+        try:
+            if isinstance(self._clock, WallClock):
+                self._run_in_real_time()
+            else:
+                self._run_on_request()
+        except BaseException as error:
+            self._error = error
+            raise
+
+    def _run_on_request(self) -> None:
+        while not self._stopping.is_set():
+            if _readable(self._bus, 0.05):
+                with self._lock:
+                    self._handle(0.0)
+
+    def _run_in_real_time(self) -> None:
+        while not self._stopping.is_set():
+            left_ns = self._advanced_ns + self._step_ns - self._clock.now_ns()
+            # on a slow host the servo alone may take longer than a step: answer one frame in each all the same
+            if self._handle(max(0, left_ns) / NS_PER_S) and left_ns > 0:
+                continue
+            now_ns = self._clock.now_ns()
+            self._servo.advance(now_ns, (now_ns - self._advanced_ns) / NS_PER_S)
+            self._advanced_ns = now_ns
+            self._layer.tick(now_ns)
+
+    def _bearable(self, now_ns: int) -> int:
+        """For SimClock: up to what is due next, and often enough to supervise the servo."""
+        due_ns = self.slave.due_ns()
+        return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
+
+    def _on_simulated_time(self, now_ns: int, _dt_s: float) -> None:
+        if self._stopping.is_set():
+            return
+        with self._lock:
+            while self._handle(0.0):
+                pass
+            self._layer.tick(now_ns)
+
+
+def _readable(bus: can.BusABC, timeout_s: float) -> bool:
+    """Wait until a frame can be taken, and leave it where it is: taking and handling must be one step under the lock."""
+    if isinstance(bus, VirtualBus):
+        frames = bus.queue
+        with frames.not_empty:
+            return frames.not_empty.wait_for(lambda: len(frames.queue) > 0, timeout_s)
+    return bool(select.select([bus.fileno()], [], [], timeout_s)[0])

@@ -1,0 +1,303 @@
+"""What can go wrong with a CANopen drive, and when, as data; and the layer between drive and bus that makes it happen.
+
+What may go in: faults of the wire, of the drive's communication and of its firmware. Faults of motor and mechanics are the servo's
+(`sim_backends.faults`). Nothing is random here: a campaign draws its schedule from a seed and hands it over.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.clock import NS_PER_S
+from sim_backends.canopen_profile import Defect, DriveProfile
+
+
+class CanFaultKind(Enum):
+    """`size` means what is said here; kinds without it ignore it."""
+
+    # SDO
+    SDO_LATE = "SDO answers come late"  # size: s
+    SDO_LOST = "SDO answers are lost"
+    SDO_REQUEST_LOST = "SDO requests are lost"
+    SDO_ABORTED = "SDO requests are refused"  # size: abort code
+    SDO_WRITE_ABORTED = "SDO writes are refused"  # size: abort code
+    SDO_WRONG_INDEX = "SDO answers name another index"
+    SDO_GARBAGE = "SDO answers carry an impossible command"
+    SDO_SHORT = "SDO answers are cut short"
+    # PDO and SYNC
+    TPDO_LOST = "TPDOs are lost"
+    TPDO_LATE = "TPDOs come late"  # size: s
+    TPDO_SHORT = "TPDOs are cut short"
+    RPDO_LOST = "RPDOs are lost"
+    SYNC_LOST = "SYNC is not received"
+    # supervision
+    HEARTBEAT_STOPS = "the heartbeat stops"
+    EMCY_BURST = "a burst of emergencies"  # size: how many
+    DUPLICATES = "every frame is sent twice"
+    # the node
+    NODE_DEAD = "the node is cut off from the bus: it neither sends nor receives"
+    REBOOT = "the node restarts by itself"
+    POWER_CUT = "the drive loses its supply and starts again"
+    NMT_STOPPED = "another master stops the node"
+    NMT_PRE_OPERATIONAL = "another master takes the node out of operation"
+    FOREIGN_CONTROLWORD = "another master writes the controlword"  # size: the word
+    # the firmware
+    SAFE_TORQUE_OFF = "safe torque off is active"
+    BRAKE_STUCK = "the brake never opens"
+    SETPOINT_NOT_TAKEN = "the set-point is never acknowledged"
+    ACKNOWLEDGE_STUCK = "the acknowledge bit stays set"
+    NEVER_ARRIVES = "target reached is never shown"
+    MODE_STUCK = "the mode of operation does not change"
+    LOCAL_CONTROL = "the drive does not listen to the controlword"
+    STATUS_IMPOSSIBLE = "the statusword is one that the standard does not have"
+    FAULT_STAYS = "a fault cannot be reset"
+    DRIVE_FAULT = "the drive goes into a fault"  # size: error code
+
+
+@dataclass(frozen=True)
+class CanFault:
+    """In force from at_s for duration_s (0: for good), for the first `count` occasions only (0: for all), after `skip` of them."""
+
+    kind: CanFaultKind
+    at_s: float = 0.0
+    duration_s: float = 0.0
+    size: float = 0.0
+    count: int = 0
+    skip: int = 0
+
+
+_K = CanFaultKind
+_DEFECTS: dict[CanFaultKind, Defect] = {
+    _K.SAFE_TORQUE_OFF: Defect.SAFE_TORQUE_OFF,
+    _K.BRAKE_STUCK: Defect.BRAKE_STUCK,
+    _K.SETPOINT_NOT_TAKEN: Defect.SETPOINT_NOT_TAKEN,
+    _K.ACKNOWLEDGE_STUCK: Defect.ACKNOWLEDGE_STUCK,
+    _K.NEVER_ARRIVES: Defect.NEVER_ARRIVES,
+    _K.MODE_STUCK: Defect.MODE_STUCK,
+    _K.LOCAL_CONTROL: Defect.LOCAL_CONTROL,
+    _K.STATUS_IMPOSSIBLE: Defect.STATUS_IMPOSSIBLE,
+    _K.FAULT_STAYS: Defect.FAULT_STAYS,
+}
+_DEAD = (_K.NODE_DEAD, _K.POWER_CUT)
+_EVENTS = (_K.EMCY_BURST, _K.REBOOT, _K.NMT_STOPPED, _K.NMT_PRE_OPERATIONAL, _K.FOREIGN_CONTROLWORD, _K.DRIVE_FAULT)
+
+SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
+TPDOS = (0x180, 0x280, 0x380, 0x480)
+RPDOS = (0x200, 0x300, 0x400, 0x500)
+
+
+@dataclass
+class _Armed:
+    """A fault with its state."""
+
+    fault: CanFault
+    seen: int = 0
+    began: bool = False
+    ended: bool = False
+
+    @property
+    def start_ns(self) -> int:
+        return round(self.fault.at_s * NS_PER_S)
+
+    @property
+    def end_ns(self) -> int | None:
+        return round((self.fault.at_s + self.fault.duration_s) * NS_PER_S) if self.fault.duration_s else None
+
+    def in_force(self, now_ns: int) -> bool:
+        end_ns = self.end_ns
+        return now_ns >= self.start_ns and (end_ns is None or now_ns < end_ns)
+
+    def strikes(self, now_ns: int) -> bool:
+        """Whether this occasion is one of those meant; counts it."""
+        if not self.in_force(now_ns):
+            return False
+        self.seen += 1
+        after = self.seen - self.fault.skip
+        return after > 0 and (not self.fault.count or after <= self.fault.count)
+
+
+class FaultLayer:
+    """Sits between one drive and its bus. Build it with the faults, then `wire` it to both sides.
+
+    Frames of the bus come in by `on_frame`, the drive's by `from_drive`; `tick` and `due_ns` carry time.
+    """
+
+    def __init__(self, faults: Iterable[CanFault], node_id: int) -> None:
+        self._faults = [_Armed(fault) for fault in faults]
+        self._node_id = node_id
+        self._now_ns = 0
+        self._delayed: list[tuple[int, int, int, bytes]] = []
+        self._order = 0
+        self._dead = False  # cut off from the bus
+        self._unpowered = False
+        self._send: Callable[[int, bytes], None] = lambda _cob_id, _data: None
+        self._handle: Callable[[int, bytes, int], None] = lambda _cob_id, _data, _now_ns: None
+        self._tick: Callable[[int], None] = lambda _now_ns: None
+        self._due_ns: Callable[[], int | None] = lambda: None
+        self._boot: Callable[[int], None] = lambda _now_ns: None
+        self._emergency: Callable[[int], None] = lambda _code: None
+        self._lose_power: Callable[[int], None] = lambda _now_ns: None
+        self._profile: DriveProfile | None = None
+
+    def wire(
+        self,
+        *,
+        send: Callable[[int, bytes], None],
+        handle: Callable[[int, bytes, int], None],
+        tick: Callable[[int], None],
+        due_ns: Callable[[], int | None],
+        boot: Callable[[int], None],
+        emergency: Callable[[int], None],
+        lose_power: Callable[[int], None],
+        profile: DriveProfile,
+    ) -> None:
+        """Connect the bus (`send`) and the drive (the rest)."""
+        self._send, self._handle, self._tick, self._due_ns = send, handle, tick, due_ns
+        self._boot, self._emergency, self._lose_power, self._profile = boot, emergency, lose_power, profile
+
+    def _strikes(self, *kinds: CanFaultKind) -> _Armed | None:
+        for armed in self._faults:
+            if armed.fault.kind in kinds and armed.strikes(self._now_ns):
+                return armed
+        return None
+
+    # -- frames --------------------------------------------------------------------------------------------------------
+    def on_frame(self, cob_id: int, data: bytes, now_ns: int) -> None:
+        """A frame from the bus on its way to the drive."""
+        self._advance(now_ns)
+        if self._dead:
+            return
+        node_function = cob_id - self._node_id
+        if cob_id == 0x080 and self._strikes(_K.SYNC_LOST):
+            return
+        if node_function in RPDOS and self._strikes(_K.RPDO_LOST):
+            return
+        if node_function == SDO_REQUEST and data:
+            if self._strikes(_K.SDO_REQUEST_LOST):
+                return
+            refused = self._strikes(_K.SDO_ABORTED)
+            if refused is None and data[0] >> 5 == 1:
+                refused = self._strikes(_K.SDO_WRITE_ABORTED)
+            if refused is not None:
+                code = int(refused.fault.size).to_bytes(4, "little")
+                self._send(SDO_ANSWER + self._node_id, b"\x80" + data[1:4] + code)
+                return
+        self._handle(cob_id, data, now_ns)
+
+    def from_drive(self, cob_id: int, data: bytes) -> None:
+        """A frame of the drive on its way to the bus."""
+        if self._dead:
+            return
+        node_function = cob_id - self._node_id
+        delay_s = 0.0
+        if node_function == SDO_ANSWER:
+            if self._strikes(_K.SDO_LOST):
+                return
+            data = self._spoil_sdo(data)
+            late = self._strikes(_K.SDO_LATE)
+            delay_s = late.fault.size if late is not None else 0.0
+        elif node_function in TPDOS:
+            if self._strikes(_K.TPDO_LOST):
+                return
+            if self._strikes(_K.TPDO_SHORT):
+                data = data[:-1]
+            late = self._strikes(_K.TPDO_LATE)
+            delay_s = late.fault.size if late is not None else 0.0
+        elif node_function == HEARTBEAT and self._strikes(_K.HEARTBEAT_STOPS):
+            return
+        copies = 2 if self._strikes(_K.DUPLICATES) else 1
+        for _ in range(copies):
+            if delay_s:
+                self._order += 1
+                heapq.heappush(self._delayed, (self._now_ns + round(delay_s * NS_PER_S), self._order, cob_id, data))
+            else:
+                self._send(cob_id, data)
+
+    def _spoil_sdo(self, data: bytes) -> bytes:
+        if self._strikes(_K.SDO_WRONG_INDEX):
+            return data[:1] + bytes((data[1] ^ 0x01,)) + data[2:]
+        if self._strikes(_K.SDO_GARBAGE):
+            return b"\xe0" + data[1:]
+        if self._strikes(_K.SDO_SHORT):
+            return data[:5]
+        return data
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+    def tick(self, now_ns: int) -> None:
+        """Time has moved on, for the faults and for the drive behind."""
+        self._advance(now_ns)
+        if not self._unpowered:
+            self._tick(now_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        self._now_ns = max(now_ns, self._now_ns)
+        for armed in self._faults:
+            if not armed.began and self._now_ns >= armed.start_ns:
+                armed.began = True
+                self._begin(armed)
+            end_ns = armed.end_ns
+            if armed.began and not armed.ended and end_ns is not None and self._now_ns >= end_ns:
+                armed.ended = True
+                self._end(armed)
+        while self._delayed and self._delayed[0][0] <= self._now_ns:
+            _, _, cob_id, data = heapq.heappop(self._delayed)
+            if not self._dead:
+                self._send(cob_id, data)
+
+    def due_ns(self) -> int | None:
+        """When `tick` is needed at the latest."""
+        times = [] if self._unpowered else [self._due_ns()]
+        if self._delayed:
+            times.append(self._delayed[0][0])
+        for armed in self._faults:
+            if not armed.began:
+                times.append(armed.start_ns)
+            elif not armed.ended:
+                times.append(armed.end_ns)
+        return min((time_ns for time_ns in times if time_ns is not None), default=None)
+
+    def _begin(self, armed: _Armed) -> None:
+        fault, profile = armed.fault, self._profile
+        if profile is None:
+            return
+        if fault.kind in _DEFECTS:
+            profile.defects.add(_DEFECTS[fault.kind])
+        elif fault.kind in _DEAD:
+            self._dead = True
+            self._delayed.clear()
+            if fault.kind is _K.POWER_CUT:
+                self._unpowered = True
+                self._lose_power(self._now_ns)
+        elif fault.kind in _EVENTS:
+            self._happen(fault, profile)
+
+    def _happen(self, fault: CanFault, profile: DriveProfile) -> None:
+        if fault.kind is _K.EMCY_BURST:
+            for number in range(int(fault.size)):
+                self._emergency(0xFF00 | number & 0xFF)
+        elif fault.kind is _K.REBOOT:
+            self._boot(self._now_ns)
+        elif fault.kind is _K.NMT_STOPPED:
+            self._handle(0x000, bytes((0x02, self._node_id)), self._now_ns)
+        elif fault.kind is _K.NMT_PRE_OPERATIONAL:
+            self._handle(0x000, bytes((0x80, self._node_id)), self._now_ns)
+        elif fault.kind is _K.DRIVE_FAULT:
+            profile.servo.raise_fault(int(fault.size))
+        else:
+            word = int(fault.size).to_bytes(2, "little")
+            request = b"\x2b\x40\x60\x00" + word + b"\0\0"
+            self._handle(SDO_REQUEST + self._node_id, request, self._now_ns)
+
+    def _end(self, armed: _Armed) -> None:
+        profile = self._profile
+        if profile is None:
+            return
+        if armed.fault.kind in _DEFECTS:
+            profile.defects.discard(_DEFECTS[armed.fault.kind])
+        elif armed.fault.kind in _DEAD:
+            self._dead = self._unpowered = False
+            if armed.fault.kind is _K.POWER_CUT:
+                self._boot(self._now_ns)

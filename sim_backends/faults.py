@@ -1,0 +1,69 @@
+"""What can go wrong, and when, as data: a simulated part is given a schedule of faults and acts on those of its kinds.
+
+Times are seconds of simulated time since the clock's zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+
+class FaultKind(Enum):
+    # of the interferometer's signal
+    BEAM_LOST = "beam lost"  # the count runs away while it lasts
+    HEAD_ERROR = "head error"
+    OVERSPEED = "overspeed"
+    GLITCH = "glitch"  # size µm on every sample while it lasts
+    # of its line
+    SILENCE = "silence"  # samples are taken and numbered, but not sent
+    HALF_LINE = "half line"  # a line breaks off in the middle
+    GARBAGE = "garbage"  # size bytes of noise after the line (8 when 0)
+    LINE_ENDS = "other line ends"  # LF, CR and CR LF in turn
+    RESTART = "restart"  # numbers and counts begin anew
+    # of the drive
+    DRIVE_FAULT = "drive fault"  # size = error code
+    JAM = "jam"  # the shaft is blocked
+    TORQUE_NOISE = "torque noise"  # size: additional noise, 0.1 %
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong from at_s on for duration_s; with duration 0 it happens once."""
+
+    kind: FaultKind
+    at_s: float
+    duration_s: float = 0.0
+    size: float = 0.0
+
+
+class FaultSchedule:
+    """The faults of one part, asked as time goes by. A fault of duration 0 is delivered exactly once."""
+
+    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+        self._faults = sorted(faults, key=lambda fault: fault.at_s)
+        self._done: set[int] = set()
+        self.next_s = self._faults[0].at_s if self._faults else math.inf
+
+    def active(self, time_s: float) -> list[Fault]:
+        """Those in force at this time, the single ones only at the first call after their moment."""
+        if time_s < self.next_s:
+            return []
+        found = []
+        for number, fault in enumerate(self._faults):
+            if fault.at_s > time_s:
+                break
+            if fault.duration_s == 0.0:
+                if number not in self._done:
+                    self._done.add(number)
+                    found.append(fault)
+            elif time_s < fault.at_s + fault.duration_s:
+                found.append(fault)
+        return found
+
+    def next_change_s(self, time_s: float) -> float:
+        """When a fault begins or ends next after this time; inf when none does."""
+        changes = [f.at_s for f in self._faults] + [f.at_s + f.duration_s for f in self._faults]
+        return min((change for change in changes if change > time_s), default=math.inf)

@@ -1,0 +1,256 @@
+"""A simulated µMD interferometer: looks at the feed axis's true position and sends lines over a pseudo-terminal.
+
+Optics, air and set-up errors are in `interferometer`; the line is formatted here and not with anything of the decoder's, which it is
+there to prove. In simulated time (`SimulatedLaser` attached to a SimClock) what was sampled during a sleep is on the wire when the
+sleeper wakes: written, and waited for until the kernel shows it at the reader's end. Nobody reading never blocks it: when the
+terminal is full, lines are lost and leave a gap in the sequence.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import struct
+import termios
+import time
+import tty
+from dataclasses import dataclass
+
+from sim_backends.faults import Fault, FaultKind, FaultSchedule
+from sim_backends.interferometer import Interferometer, LaserParameters
+from sim_backends.plant.axis import FeedAxis
+
+__all__ = ["Interferometer", "LaserCounters", "LaserParameters", "SimulatedLaser"]
+
+PTY_CAPACITY_BYTES = 4000  # a terminal's line discipline holds 4095; beyond that order and loss are the kernel's choice
+_ARRIVAL_BOUND_S = 0.25  # real time to wait at most for the kernel to hand bytes over
+_NS = 1_000_000_000
+_ERROR_WORD = {FaultKind.HEAD_ERROR: 0x400, FaultKind.BEAM_LOST: 0x800}
+
+
+@dataclass(slots=True)
+class LaserCounters:
+    """What was sent and what was not."""
+
+    samples: int = 0
+    dropped_lines: int = 0
+    late_arrivals: int = 0
+
+
+@dataclass
+class _Line:
+    """Faults in force for one line."""
+
+    head: bool = False
+    beam: bool = False
+    overspeed: bool = False
+    extra_um: float = 0.0
+    silent: bool = False
+    half: bool = False
+    garbage: int = 0
+    line_end: bytes = b"\r\n"
+
+
+class SimulatedLaser:
+    """The instrument on its pseudo-terminal. Use `serve.laser_pty` or the context manager; `path` is what a reader opens."""
+
+    def __init__(
+        self,
+        axis: FeedAxis,
+        parameters: LaserParameters | None = None,
+        faults: tuple[Fault, ...] = (),
+        *,
+        start_ns: int = 0,
+        wait_for_arrival: bool = True,
+    ) -> None:
+        self.parameters = parameters or LaserParameters()
+        self.interferometer = Interferometer(axis, self.parameters)
+        self.counters = LaserCounters()
+        self._axis = axis
+        self._faults = FaultSchedule(faults)
+        self._garbage = random.Random(self.parameters.seed + 1)
+        self._start_ns = start_ns
+        self._taken = 0
+        self._sequence = 0
+        self._displacement = 0
+        self._runaway = 0  # counts gained or lost while the beam was away
+        self._pending: list[bytes] = []
+        self._pending_bytes = 0
+        self._unsent = b""
+        self._wait = wait_for_arrival
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self._next_ns = self._due_ns(1)
+
+    def close(self) -> None:
+        """Close the terminal; readers then see the port vanish."""
+        if self._master >= 0:
+            os.close(self._slave)
+            os.close(self._master)
+            self._master = self._slave = -1
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the terminal is still there."""
+        return self._master >= 0
+
+    def configure(self, parameters: LaserParameters) -> None:
+        """Exchange the set-up while it runs; the rate stays."""
+        self.parameters = parameters
+        self.interferometer.configure(parameters)
+
+    def schedule(self, faults: tuple[Fault, ...]) -> None:
+        """Replace the schedule of faults."""
+        self._faults = FaultSchedule(faults)
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+    def _due_ns(self, number: int) -> int:
+        return self._start_ns + round(number * _NS / self.parameters.rate_hz)
+
+    def bearable(self, now_ns: int) -> int:
+        """For SimClock: until the next sample, so that it is taken at its moment."""
+        return self._next_ns - now_ns if self._master >= 0 else _NS
+
+    def advance(self, now_ns: int, dt_s: float) -> None:
+        """Take the samples that are due."""
+        if self._master < 0:
+            return
+        while self._next_ns <= now_ns:
+            self._taken += 1
+            self._sample(self._next_ns)
+            self._next_ns = self._due_ns(self._taken + 1)
+
+    def _sample(self, time_ns: int) -> None:
+        time_s = time_ns / _NS
+        self.counters.samples += 1
+        self._sequence += 1
+        line = _Line() if time_s < self._faults.next_s else self._line_faults(time_s)
+        p = self.parameters
+        reference = round(p.reference_hz / p.rate_hz)
+        units = self.interferometer.units(time_s, line.extra_um)
+        if line.beam or line.head:
+            self._runaway -= reference
+        nearest = round(units)
+        displacement = nearest + self._runaway
+        change = displacement - self._displacement
+        self._displacement = displacement
+        phase = round((units - nearest) * 256.0) & 0x1FF
+        measured = max(0, reference + change)
+        if line.head:
+            reference, measured, phase = 0, 0, _ERROR_WORD[FaultKind.HEAD_ERROR]
+        elif line.beam:
+            measured, phase = 0, _ERROR_WORD[FaultKind.BEAM_LOST]
+        elif line.overspeed:
+            measured = 2 * reference + 1
+        code, data = self._slow()
+        text = b"%d %d %d %d %d %d %d %d" % (
+            reference,
+            measured,
+            displacement,
+            change,
+            phase,
+            self._sequence,
+            code,
+            data,
+        )
+        if line.half:
+            text = text[: len(text) * 2 // 3]
+        text += line.line_end
+        if line.garbage:
+            text += self._garbage.randbytes(line.garbage)
+        if not line.silent:
+            self._put(text)
+
+    def _line_faults(self, time_s: float) -> _Line:
+        line = _Line()
+        for fault in self._faults.active(time_s):
+            if fault.kind is FaultKind.BEAM_LOST:
+                line.beam = True
+            elif fault.kind is FaultKind.HEAD_ERROR:
+                line.head = True
+            elif fault.kind is FaultKind.OVERSPEED:
+                line.overspeed = True
+            elif fault.kind is FaultKind.GLITCH:
+                line.extra_um += fault.size
+            elif fault.kind is FaultKind.SILENCE:
+                line.silent = True
+            elif fault.kind is FaultKind.HALF_LINE:
+                line.half = True
+            elif fault.kind is FaultKind.GARBAGE:
+                line.garbage = int(fault.size) or 8
+            elif fault.kind is FaultKind.LINE_ENDS:
+                line.line_end = (b"\n", b"\r", b"\r\n")[self._sequence % 3]
+            elif fault.kind is FaultKind.RESTART:
+                self._sequence = 1
+                self._runaway = -round(self.interferometer.units(time_s))
+        return line
+
+    def _slow(self) -> tuple[int, int]:
+        """One slow value per line, in turn as the firmware sends them."""
+        turn = self._sequence & 0x1F
+        if turn == 1:
+            return 10, 5704
+        if turn == 2:
+            return 8, round(self.parameters.rate_hz * 100.0)
+        if 3 <= turn <= 6:
+            return turn, self._sensor(turn) if self.parameters.sensors_fitted else -1
+        return 0, 0
+
+    def _sensor(self, code: int) -> int:
+        readings = self._axis.sensors.readings
+        if code == 3:
+            return round(readings.air_c * 100.0)
+        if code == 4:
+            return round(readings.temps_c[self.parameters.material_place] * 100.0)
+        return round(readings.air_pressure_hpa * 100.0) if code == 5 else round(readings.air_humidity_percent * 10.0)
+
+    # -- wire ----------------------------------------------------------------------------------------------------------
+    def _put(self, text: bytes) -> None:
+        if self._pending_bytes + len(text) > PTY_CAPACITY_BYTES:
+            self.counters.dropped_lines += 1
+            return
+        self._pending.append(text)
+        self._pending_bytes += len(text)
+
+    def _waiting_bytes(self) -> int:
+        """What lies at the reader's end, unread."""
+        return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0])
+
+    def settle(self) -> None:
+        """Send what was sampled since the last time; return once it lies at the reader's end."""
+        if self._master < 0 or not (self._pending or self._unsent):
+            return
+        before = self._waiting_bytes()
+        room = PTY_CAPACITY_BYTES - before - len(self._unsent)
+        out = [self._unsent] if self._unsent else []
+        for text in self._pending:
+            if len(text) > room:
+                self.counters.dropped_lines += 1
+                room = 0  # none that comes after may overtake it
+            else:
+                room -= len(text)
+                out.append(text)
+        self._pending.clear()
+        self._pending_bytes = 0
+        data = b"".join(out)
+        if not data:
+            return
+        try:
+            written = os.write(self._master, data)
+        except BlockingIOError:
+            written = 0
+        self._unsent = data[written:]
+        if self._wait and written:
+            self._wait_for(before + written)
+
+    def _wait_for(self, expected_bytes: int) -> None:
+        """The kernel hands bytes over in its own time; another thread that reads meanwhile ends the wait by its bound only."""
+        deadline = time.monotonic() + _ARRIVAL_BOUND_S
+        while self._waiting_bytes() < expected_bytes:
+            if time.monotonic() > deadline:
+                self.counters.late_arrivals += 1
+                return
+            os.sched_yield()

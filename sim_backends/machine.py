@@ -1,0 +1,138 @@
+"""A simulated machine as a process of its own, in real time: its drive on a real bus or line, its laser on a terminal, one plant.
+
+What may go in: how a running bench is shown to other processes. What it consists of is `bench`'s, who may hear it `reach`'s.
+"""
+
+from __future__ import annotations
+
+import os
+import tty
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import can
+
+from drivers.clock import Clock
+from drivers.errors import InputError, LinkLostError
+from sim_backends.bench import Bench
+from sim_backends.canopen_drive import with_faults
+from sim_backends.canopen_faults import CanFault
+from sim_backends.modbus_cia402 import Cia402Registers
+from sim_backends.modbus_drive import ModbusServer
+from sim_backends.modbus_faults import WireFault
+from sim_backends.modbus_registers import Face
+from sim_backends.modbus_vendor import VendorRegisters
+from sim_backends.serve import Pace
+from sim_backends.slcan import SlcanDevice
+
+MODBUS_SHAPES = ("cia402", "vendor")
+_SUPERVISION_NS = 20_000_000  # how long the drive's firmware may go without looking at the servo
+_MOST_FRAMES = 64  # handled in a row before anything else gets its turn
+
+
+def open_bus(interface: str, channel: str, bitrate: int | None) -> can.BusABC:
+    """A python-can bus, or, for "slcan-pty", an adapter on a new terminal. Raises LinkLostError."""
+    if interface == "slcan-pty":
+        return SlcanDevice()
+    settings: dict[str, object] = {} if bitrate is None else {"bitrate": bitrate}
+    try:
+        return can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
+    except (can.CanError, OSError, ValueError) as error:
+        raise LinkLostError(f"CAN {interface} {channel} cannot be opened: {error}") from error
+
+
+class CanDrive:
+    """The bench's servo as a CANopen node; frames are handled by the thread that lets time pass, so nothing is shared.
+
+    Use `serve` where that thread would sleep.
+    """
+
+    def __init__(
+        self, bench: Bench, pace: Pace, bus: can.BusABC, node_id: int, *, faults: tuple[CanFault, ...] = ()
+    ) -> None:
+        self._bus = bus
+        self._clock = bench.clock
+        self._pace = pace
+        self.slave, self._layer = with_faults(
+            bench.servo, node_id, self._send, faults, parameters=bench.parameters.objects
+        )
+        bench.clock.attach(lambda now_ns, _dt_s: self._layer.tick(now_ns), bearable=self._bearable)
+        self.slave.boot(bench.clock.now_ns())
+
+    def _bearable(self, now_ns: int) -> int:
+        due_ns = self._layer.due_ns()
+        return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        try:
+            self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+        except (can.CanError, OSError) as error:
+            raise LinkLostError(f"CAN bus {self._bus.channel_info} does not take a frame: {error}") from error
+
+    def serve(self, timeout_s: float) -> None:
+        """Wait for a frame, `timeout_s` at most; handle it and what came with it, each at its time."""
+        for _ in range(_MOST_FRAMES):
+            try:
+                message = self._bus.recv(timeout_s)
+            except (can.CanError, OSError) as error:
+                raise LinkLostError(f"CAN bus {self._bus.channel_info} is gone: {error}") from error
+            if message is None:
+                return
+            self._pace.catch_up()
+            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
+            timeout_s = 0.0
+
+
+def modbus_face(bench: Bench, shape: str) -> Face:
+    """The bench's servo as registers: "cia402" (objects in blocks of holding registers) or "vendor" (coils and a trigger register)."""
+    if shape == "vendor":
+        return VendorRegisters(bench.servo, counts_per_rev=bench.parameters.servo.counts_per_rev)
+    if shape == "cia402":
+        return Cia402Registers(bench.servo, parameters=bench.parameters.micrometre_objects)
+    raise InputError(f"Modbus shape {shape!r}, expected one of {', '.join(MODBUS_SHAPES)}")
+
+
+@contextmanager
+def modbus_server(
+    bench: Bench,
+    wall: Clock,
+    faces: Mapping[int, Face],
+    *,
+    tcp: tuple[str, int] | None,
+    faults: tuple[WireFault, ...] = (),
+) -> Iterator[tuple[Pace, str]]:
+    """Serve units on a TCP address, or on a new terminal when `tcp` is None; yields the pace to keep and the place to connect to.
+
+    Requests are answered by a thread of the server's; the pace holds its lock while time moves.
+    """
+    for unit in faces:
+        if tcp is None and not 1 <= unit <= 247:
+            raise InputError(f"unit id is {unit}, expected 1 to 247 on a serial line")
+    server = ModbusServer(faces, faults)
+    master, slave = os.openpty() if tcp is None else (-1, -1)
+    try:
+        if tcp is None:
+            tty.setraw(slave)
+            server.serve_terminal(master)
+            place = os.ttyname(slave)
+        else:
+            place = f"tcp://{tcp[0]}:{_listen(server, *tcp)}"
+        server.advance(bench.clock.now_ns(), 0.0)
+        bench.clock.attach(server.advance, bearable=server.bearable, settle=server.settle)
+        guarded = server.guard(lambda time_ns, _dt_s: bench.clock.sleep_until_ns(time_ns))
+        try:
+            yield Pace(bench.clock, wall, sleep=lambda time_ns: guarded(time_ns, 0.0)), place
+        finally:
+            server.stop()
+    finally:
+        for handle in (slave, master):
+            if handle >= 0:
+                os.close(handle)
+
+
+def _listen(server: ModbusServer, host: str, port: int) -> int:
+    try:
+        return server.listen(host, port)
+    except OSError as error:
+        raise LinkLostError(f"Modbus TCP {host}:{port} cannot be served: {error.strerror}") from error

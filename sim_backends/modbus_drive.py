@@ -1,0 +1,350 @@
+"""Simulated drives on a real Modbus wire: a TCP server on loopback, or a slave on a pseudo-terminal.
+
+What may go in: ports, the one thread behind them, and the faults of the wire. Frames are `modbus_framing`'s, registers the faces'.
+One lock makes receive-and-handle one step, so that everything received before simulated time moves on has been handled by then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import os
+import select
+import socket
+import threading
+import tty
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import InputError
+from sim_backends.clock import Advance, SimClock
+from sim_backends.modbus_faults import WireFault, WireFaultKind, WireFaultPlan
+from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
+from sim_backends.modbus_registers import GATEWAY_NO_RESPONSE, Face, answer
+
+_SILENCE_S = 0.02  # real time without a byte that ends an RTU frame whose length its function does not tell
+_FOREVER_NS = 3600 * NS_PER_S
+
+
+@dataclass
+class _Port:
+    """A descriptor that requests come in on."""
+
+    handle: int
+    send: Callable[[bytes], None]
+    hang_up: Callable[[], None]
+    decoder: TcpDecoder | RtuDecoder
+    held: bytes = b""  # leaves before whatever is sent next
+
+    @property
+    def serial(self) -> bool:
+        return isinstance(self.decoder, RtuDecoder)
+
+
+@dataclass(order=True)
+class _Late:
+    due_ns: int
+    number: int
+    port: _Port = field(compare=False)
+    data: bytes = field(compare=False)
+
+
+class ModbusServer:
+    """Units behind one wire. faces: unit id -> `Face`. Start it with `tcp_server` or `rtu_slave` below.
+
+    `faults.add(...)` arms a fault at any time; `requests` counts what was received, `advance` is for the clock.
+    """
+
+    def __init__(self, faces: Mapping[int, Face], faults: Iterable[WireFault] = ()) -> None:
+        self.faces = dict(faces)
+        self.faults = WireFaultPlan(faults)
+        self.requests = 0
+        self.seen: list[tuple[int, bytes]] = []  # (unit, PDU) of every request, for tests
+        self._now_ns = 0
+        self._lock = threading.RLock()
+        self._ports: dict[int, _Port] = {}
+        self._listener: socket.socket | None = None
+        self._late: list[_Late] = []
+        self._numbers = itertools.count()
+        self._stopping = False
+        self._error: BaseException | None = None
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
+
+    # -- life ----------------------------------------------------------------------------------------------------------
+    def listen(self, host: str = "127.0.0.1", port: int = 0) -> int:
+        """Serve TCP; returns the port."""
+        self._listener = socket.create_server((host, port))
+        self._listener.setblocking(False)
+        self._start()
+        return int(self._listener.getsockname()[1])
+
+    def serve_terminal(self, master: int) -> None:
+        """Serve RTU on the master side of a pseudo-terminal, which stays its owner's to close."""
+        os.set_blocking(master, False)
+
+        def send(data: bytes) -> None:
+            with contextlib.suppress(BlockingIOError):  # nobody reads: a wire forgets
+                os.write(master, data)
+
+        self._ports[master] = _Port(master, send, lambda: None, RtuDecoder())
+        self._start()
+
+    def _start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and close what is open; raises what the thread died of."""
+        self._stopping = True
+        os.write(self._wake_write, b"x")
+        self._thread.join()
+        with self._lock:
+            for port in list(self._ports.values()):
+                port.hang_up()
+            self._ports.clear()
+            if self._listener is not None:
+                self._listener.close()
+                self._listener = None
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+        if self._error is not None:
+            raise self._error
+
+    def drop_connections(self) -> None:
+        """Close every TCP connection, as a server that restarts does."""
+        with self._lock:
+            for port in [port for port in self._ports.values() if not port.serial]:
+                self._hang_up(port)
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+    def advance(self, now_ns: int, _dt_s: float) -> None:
+        """Bring the faces to now_ns, after handling what has been received, and send replies that were held back until now."""
+        if self._stopping:
+            return
+        with self._lock:
+            self._pump()
+            self._now_ns = now_ns
+            for face in self.faces.values():
+                face.tick(now_ns)
+            while self._late and self._late[0].due_ns <= now_ns:
+                late = heapq.heappop(self._late)
+                if late.port.handle in self._ports:
+                    late.port.send(late.data)
+
+    def bearable(self, now_ns: int) -> int:
+        """For SimClock."""
+        with self._lock:
+            longest = self._late[0].due_ns - now_ns if self._late else _FOREVER_NS
+            return max(1, min([longest, *(face.bearable(now_ns) for face in self.faces.values())]))
+
+    def settle(self) -> None:
+        """For SimClock: a sleep is over."""
+        if not self._stopping:
+            with self._lock:
+                self._pump()
+
+    def guard(self, advance: Advance) -> Advance:
+        """`advance` under this server's lock: for a servo that is advanced while other processes send requests."""
+
+        def guarded(now_ns: int, dt_s: float) -> None:
+            with self._lock:
+                advance(now_ns, dt_s)
+
+        return guarded
+
+    # -- receiving -----------------------------------------------------------------------------------------------------
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):
+            os.write(self._wake_write, b"x")
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping:
+                with self._lock:
+                    handles = [self._wake_read, *self._ports]
+                    if self._listener is not None:
+                        handles.append(self._listener.fileno())
+                    waiting = any(
+                        isinstance(port.decoder, RtuDecoder) and port.decoder.waiting for port in self._ports.values()
+                    )
+                try:
+                    ready = select.select(handles, [], [], _SILENCE_S if waiting else None)[0]
+                except (OSError, ValueError):
+                    continue  # a port was closed between the two lines
+                with self._lock:
+                    if ready:
+                        self._pump()
+                    else:
+                        self._silence()
+        except BaseException as error:
+            self._error = error
+            raise
+
+    def _pump(self) -> None:
+        """Take and handle everything that is there, without waiting."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake_read, 64)
+        if self._listener is not None:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    self._accept(self._listener.accept()[0])
+        for port in list(self._ports.values()):
+            self._receive(port)
+
+    def _accept(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        handle = connection.fileno()
+
+        def send(data: bytes) -> None:
+            with contextlib.suppress(OSError):  # the peer is gone: its next read says so
+                connection.send(data)
+
+        self._ports[handle] = _Port(handle, send, connection.close, TcpDecoder())
+        self._wake()  # the thread is to watch it too, whoever accepted it
+
+    def _receive(self, port: _Port) -> None:
+        while port.handle in self._ports:
+            try:
+                data = os.read(port.handle, 4096)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._hang_up(port)
+                return
+            for frame in port.decoder.feed(data):
+                self._handle(port, frame)
+            if isinstance(port.decoder, TcpDecoder) and port.decoder.broken:
+                self._hang_up(port)
+
+    def _silence(self) -> None:
+        for port in list(self._ports.values()):
+            if isinstance(port.decoder, RtuDecoder):
+                for frame in port.decoder.silence():
+                    self._handle(port, frame)
+
+    def _hang_up(self, port: _Port) -> None:
+        if self._ports.pop(port.handle, None) is not None:
+            port.hang_up()
+
+    # -- answering -----------------------------------------------------------------------------------------------------
+    def _handle(self, port: _Port, request: Frame) -> None:
+        if port.handle not in self._ports:
+            return
+        self.requests += 1
+        self.seen.append((request.unit, request.pdu))
+        function = request.pdu[0] if request.pdu else 0
+        fault = self.faults.hit_by(request.unit, function)
+        face = self.faces.get(request.unit)
+        if face is None:
+            if not port.serial:  # a gateway says so; on a serial line nobody speaks up
+                self._reply(port, request.with_pdu(bytes((function | 0x80, GATEWAY_NO_RESPONSE))), fault)
+            return
+        if fault is not None and fault.kind in (WireFaultKind.LOST_REQUEST, WireFaultKind.DROP_REQUEST):
+            if fault.kind is WireFaultKind.DROP_REQUEST and not port.serial:
+                self._hang_up(port)
+            return
+        if fault is not None and fault.kind is WireFaultKind.EXCEPTION:
+            self._reply(port, request.with_pdu(bytes((function | 0x80, fault.code))), None)
+            return
+        self._reply(port, request.with_pdu(answer(face, request.pdu)), fault)
+
+    def _reply(self, port: _Port, reply: Frame, fault: WireFault | None) -> None:
+        pack = pack_rtu if port.serial else pack_tcp
+        if port.held:
+            port.send(port.held)
+            port.held = b""
+        if fault is None:
+            port.send(pack(reply))
+        elif fault.kind is WireFaultKind.DISPLACED:
+            port.held = pack(reply)
+        elif fault.kind is WireFaultKind.LATE_REPLY:
+            due_ns = self._now_ns + round(fault.delay_s * NS_PER_S)
+            heapq.heappush(self._late, _Late(due_ns, next(self._numbers), port, pack(reply)))
+        elif fault.kind is WireFaultKind.BAD_CRC:
+            data = bytearray(pack(reply))
+            data[-1 if port.serial else 2] ^= 0x01
+            port.send(bytes(data))
+        elif fault.kind in (WireFaultKind.TRUNCATED, WireFaultKind.TORN):
+            whole = pack(reply)
+            half = len(whole) // 2 + 1
+            port.send(whole[:half])
+            port.held = whole[half:] if fault.kind is WireFaultKind.TORN else b""
+        elif fault.kind is WireFaultKind.WRONG_UNIT:
+            port.send(pack(Frame(reply.unit % 247 + 1, reply.pdu, reply.transaction)))
+        elif fault.kind is WireFaultKind.WRONG_FUNCTION:
+            other = b"\x04" if reply.pdu[:1] == b"\x03" else b"\x03"
+            port.send(pack(reply.with_pdu(other + b"\x02\0\0")))
+        elif fault.kind is WireFaultKind.WRONG_ECHO:
+            port.send(pack(reply.with_pdu(_misplaced(reply.pdu))))
+        elif fault.kind is WireFaultKind.SHORT_DATA:
+            port.send(pack(reply.with_pdu(_shortened(reply.pdu))))
+        elif fault.kind is WireFaultKind.DROP and not port.serial:
+            self._hang_up(port)
+
+
+def _shortened(pdu: bytes) -> bytes:
+    """A reply to a read with one register (or byte of bits) fewer."""
+    less = 2 if pdu[0] in (3, 4) else 1
+    if pdu[0] not in (1, 2, 3, 4) or pdu[1] < less:
+        return pdu
+    return bytes((pdu[0], pdu[1] - less)) + pdu[2:-less]
+
+
+def _misplaced(pdu: bytes) -> bytes:
+    """A reply to a write that names the next address."""
+    if pdu[0] not in (5, 6, 15, 16):
+        return pdu
+    return pdu[:1] + ((int.from_bytes(pdu[1:3], "big") + 1) & 0xFFFF).to_bytes(2, "big") + pdu[3:]
+
+
+def _attach(server: ModbusServer, clock: Clock) -> None:
+    if isinstance(clock, SimClock):
+        server.advance(clock.now_ns(), 0.0)
+        clock.attach(server.advance, bearable=server.bearable, settle=server.settle)
+
+
+@contextmanager
+def tcp_server(
+    faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = (), port: int = 0
+) -> Iterator[tuple[ModbusServer, int]]:
+    """Serve units on 127.0.0.1 until the block ends; yields the server and its port (0 asks for a free one).
+
+    With a SimClock the faces live in its time (attach the servo before); with another clock whoever runs the servo calls `advance`.
+    """
+    server = ModbusServer(faces, faults)
+    number = server.listen(port=port)
+    _attach(server, clock)
+    try:
+        yield server, number
+    finally:
+        server.stop()
+
+
+@contextmanager
+def rtu_slave(
+    faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = ()
+) -> Iterator[tuple[ModbusServer, str]]:
+    """Serve units on a new pseudo-terminal until the block ends; yields the server and the path of the port to open."""
+    for unit in faces:
+        if not 1 <= unit <= 247:
+            raise InputError(f"unit id is {unit}, expected 1 to 247 on a serial line")
+    master, slave = os.openpty()
+    try:
+        tty.setraw(slave)
+        server = ModbusServer(faces, faults)
+        server.serve_terminal(master)
+        _attach(server, clock)
+        try:
+            yield server, os.ttyname(slave)
+        finally:
+            server.stop()
+    finally:
+        os.close(slave)
+        os.close(master)

@@ -1,0 +1,102 @@
+"""Guideway, load and set-up: everything that moves the measured point without turning the screw.
+
+Small frozen terms, each a pure function of what the machine is doing; all of them zero unless asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from sim_backends.plant.shapes import SmoothShape
+
+
+@dataclass(frozen=True)
+class Guideway:
+    """Angular errors of the table and the arms at which they show: error = pitch·arm_z − yaw·arm_y (Abbe).
+
+    pitch_urad, yaw_urad: shapes over the position; arms in mm from the measuring line to the point that matters.
+    """
+
+    pitch_urad: SmoothShape = field(default_factory=SmoothShape)
+    yaw_urad: SmoothShape = field(default_factory=SmoothShape)
+    arm_z_mm: float = 0.0
+    arm_y_mm: float = 0.0
+
+    def error_um(self, x_mm: float) -> float:
+        error = 0.0
+        if self.arm_z_mm:
+            error += math.tan(self.pitch_urad.value(x_mm) * 1e-6) * self.arm_z_mm
+        if self.arm_y_mm:
+            error -= math.tan(self.yaw_urad.value(x_mm) * 1e-6) * self.arm_y_mm
+        return error * 1000.0
+
+
+@dataclass(frozen=True)
+class LoadDeflection:
+    """The table sits back under load, less than in proportion; the more, the further it is from the bearing.
+
+    compliance_um_per_100kg at small loads; saturation_kg where half of the proportional deflection is lost;
+    growth: relative increase of the deflection over the length; windup_per_100kg: relative increase of the reversal's half widths.
+    """
+
+    compliance_um_per_100kg: float = 0.0
+    saturation_kg: float = 1500.0
+    growth: float = 0.4
+    length_mm: float = 500.0
+    windup_per_100kg: float = 0.0
+
+    def error_um(self, x_mm: float, load_kg: float) -> float:
+        if self.compliance_um_per_100kg == 0.0:
+            return 0.0
+        soft = load_kg / (1.0 + abs(load_kg) / self.saturation_kg)
+        return -self.compliance_um_per_100kg * soft / 100.0 * (1.0 + self.growth * x_mm / self.length_mm)
+
+
+@dataclass(frozen=True)
+class CrossAxis:
+    """Another axis's position bends the structure: proportional, with a bow, and stronger towards the far end.
+
+    um_per_mm of the other axis at x = 0; bow: relative, quadratic over reach_mm; growth over length_mm of this axis.
+    """
+
+    um_per_mm: float = 0.0
+    bow: float = 0.15
+    reach_mm: float = 400.0
+    growth: float = 0.25
+    length_mm: float = 500.0
+
+    def error_um(self, x_mm: float, other_mm: float) -> float:
+        if self.um_per_mm == 0.0:
+            return 0.0
+        s = other_mm / self.reach_mm
+        return self.um_per_mm * other_mm * (1.0 + self.bow * s * s) * (1.0 + self.growth * x_mm / self.length_mm)
+
+
+@dataclass(frozen=True)
+class VelocityLag:
+    """The table trails the motor while it moves: nearly proportional to the velocity, a little less at speed."""
+
+    um_per_mm_s: float = 0.0
+    bend_mm_s: float = 400.0
+
+    def error_um(self, velocity_mm_s: float) -> float:
+        if self.um_per_mm_s == 0.0:
+            return 0.0
+        return -self.um_per_mm_s * velocity_mm_s / math.sqrt(1.0 + (velocity_mm_s / self.bend_mm_s) ** 2)
+
+
+@dataclass(frozen=True)
+class MountSlip:
+    """The reflector's (or nut's) mount slips once: most of it at one moment, the rest as it settles."""
+
+    amount_um: float = 0.0
+    at_s: float = math.inf
+    settling: float = 0.1
+    settle_s: float = 25.0
+
+    def error_um(self, time_s: float) -> float:
+        since = time_s - self.at_s
+        if self.amount_um == 0.0 or since < 0.0:
+            return 0.0
+        return self.amount_um * (1.0 - self.settling / (1.0 + since / self.settle_s))

@@ -1,0 +1,47 @@
+"""Smooth random curves along an axis, as a machine has them: sums of a few incommensurate waves, seeded.
+
+For curves that depend on the position only (pitch error, guideway angles). Deliberately neither polynomials nor splines, so that
+nothing that is fitted elsewhere can reproduce them by being the same formula.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+from functools import cached_property
+
+
+@dataclass(frozen=True)
+class SmoothShape:
+    """value(x) = slope·x + Σ a·sin(k·x + φ) − its value at 0; x in mm, value in whatever unit the amplitudes are in."""
+
+    slope_per_mm: float = 0.0
+    waves: tuple[tuple[float, float, float], ...] = ()  # (amplitude, wave number in rad/mm, phase in rad)
+
+    @classmethod
+    def random(
+        cls, seed: int, peak: float, length_mm: float, *, slope_per_mm: float = 0.0, waves: int = 5, finest: float = 2.5
+    ) -> SmoothShape:
+        """A shape whose waves alone deviate by `peak` at most within 0…length; `finest` waves per length at most."""
+        if peak == 0.0:
+            return cls(slope_per_mm)
+        rng = random.Random(seed)
+        raw = []
+        for order in range(1, waves + 1):
+            cycles = finest * (order - rng.random() * 0.8) / waves
+            raw.append((rng.gauss(0.0, 1.0) / order**0.7, math.tau * cycles / length_mm, rng.uniform(0.0, math.tau)))
+        unscaled = cls(0.0, tuple(raw))
+        largest = max(abs(unscaled.value(length_mm * i / 200)) for i in range(201))
+        return cls(slope_per_mm, tuple((a * peak / largest, k, phase) for a, k, phase in raw))
+
+    def value(self, x_mm: float) -> float:
+        """The curve at x, in its own unit; 0 at x = 0."""
+        total = self.slope_per_mm * x_mm - self._at_zero
+        for amplitude, k, phase in self.waves:
+            total += amplitude * math.sin(k * x_mm + phase)
+        return total
+
+    @cached_property
+    def _at_zero(self) -> float:
+        return sum(amplitude * math.sin(phase) for amplitude, _, phase in self.waves)

@@ -1,0 +1,85 @@
+"""Simulated parts on real interfaces, as context managers that clean up, and simulated time tied to real time.
+
+A test sleeps on the SimClock and reads in its own thread. For readers in other processes `run_in_real_time` lets the same SimClock,
+with everything attached to it, follow the wall clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from drivers.clock import NS_PER_S, Clock
+from sim_backends.clock import SimClock
+from sim_backends.faults import Fault
+from sim_backends.laser import LaserParameters, SimulatedLaser
+from sim_backends.plant.axis import FeedAxis
+
+
+@contextmanager
+def laser_pty(
+    clock: SimClock,
+    axis: FeedAxis,
+    parameters: LaserParameters | None = None,
+    faults: tuple[Fault, ...] = (),
+    *,
+    wait_for_arrival: bool = True,
+) -> Iterator[SimulatedLaser]:
+    """A simulated µMD laser attached to a clock (after what moves the axis); a reader opens its `path`. Closed at the end."""
+    laser = SimulatedLaser(axis, parameters, faults, start_ns=clock.now_ns(), wait_for_arrival=wait_for_arrival)
+    clock.attach(laser.advance, bearable=laser.bearable, settle=laser.settle)
+    try:
+        yield laser
+    finally:
+        laser.close()
+
+
+class Pace:
+    """Simulated time that follows a real clock, however irregularly it is looked at.
+
+    A host that was away is caught up with by `catch_up_s` at most; the rest is forgotten, so that a machine that was suspended does
+    not race through hours. sleep: what to advance simulated time with, where that takes a lock. Lasers on this clock need
+    wait_for_arrival=False.
+    """
+
+    def __init__(
+        self, sim: SimClock, wall: Clock, *, catch_up_s: float = 1.0, sleep: Callable[[int], None] | None = None
+    ) -> None:
+        self.wall = wall
+        self._sim = sim
+        self._sleep = sim.sleep_until_ns if sleep is None else sleep
+        self._offset_ns = sim.now_ns() - wall.now_ns()
+        self._catch_up_ns = round(catch_up_s * NS_PER_S)
+
+    def catch_up(self) -> None:
+        """Bring simulated time to the present."""
+        due_ns = self.wall.now_ns() + self._offset_ns
+        behind_ns = due_ns - self._sim.now_ns()
+        if behind_ns > self._catch_up_ns:
+            self._offset_ns -= behind_ns - self._catch_up_ns
+            due_ns = self._sim.now_ns() + self._catch_up_ns
+        self._sleep(due_ns)
+
+
+def run_in_real_time(
+    pace: Pace,
+    *,
+    keep_running: Callable[[], bool],
+    period_s: float = 0.005,
+    idle: Callable[[float], None] | None = None,
+) -> None:
+    """Keep the pace until `keep_running()` says no (asked every period).
+
+    idle: what to do with the seconds left until the next look, instead of sleeping; may return early.
+    """
+    wall, period_ns = pace.wall, round(period_s * NS_PER_S)
+    next_ns = wall.now_ns()
+    while keep_running():
+        pace.catch_up()
+        now_ns = wall.now_ns()
+        if now_ns >= next_ns:
+            next_ns = max(next_ns + period_ns, now_ns)
+        if idle is None:
+            wall.sleep_until_ns(next_ns)
+        else:
+            idle((next_ns - now_ns) / NS_PER_S)

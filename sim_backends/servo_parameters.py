@@ -1,0 +1,87 @@
+"""A drive with its motor and its switches as one frozen description, and what the switches say at a place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.errors import InputError
+from sim_backends.homing import HomingSensor
+
+
+@dataclass(frozen=True)
+class ServoParameters:
+    """A drive, its motor and its switches. Places are shaft counts, in the frame in which the axis's nominal zero is 0.
+
+    position_gain_per_s and feed_forward (0…1) make the lag (1 − feed_forward)·v/gain; the window and time-outs supervise it.
+    home_switch_counts: the switch is active below. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s².
+    """
+
+    counts_per_rev: int = 1_000_000
+    start_counts: float = 0.0
+    max_velocity_rev_s: float = 40.0
+    max_acceleration_rev_s2: float = 400.0
+    position_gain_per_s: float = 60.0
+    feed_forward: float = 0.9
+    following_window_counts: float = 200_000.0
+    following_timeout_s: float = 0.05
+    position_window_counts: float = 3.0
+    position_window_s: float = 0.02
+    negative_limit_counts: float = -500_000.0
+    positive_limit_counts: float = 50_500_000.0
+    negative_stop_counts: float = -1_000_000.0
+    positive_stop_counts: float = 51_000_000.0
+    home_switch_counts: float = -200_000.0
+    index_offset_counts: float = 0.0
+    homing_acceleration_rev_s2: float = 100.0
+    coast_rev_s2: float = 8.0
+    default_cycle_s: float = 0.002
+    motor_friction_permille: float = 15.0
+    viscous_permille: float = 2.0
+    inertia_permille: float = 0.4
+    cogging_permille: float = 0.6
+    cogging_per_rev: int = 8
+    torque_noise_permille: float = 1.0
+    seed: int = 7
+
+    def __post_init__(self) -> None:
+        for name in ("counts_per_rev", "max_velocity_rev_s", "max_acceleration_rev_s2", "position_gain_per_s"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"servo parameter {name} is {getattr(self, name)}, expected > 0")
+
+
+class Switches:
+    """Limit and home switches and the encoder's index, asked at places in shaft counts."""
+
+    def __init__(self, parameters: ServoParameters) -> None:
+        self._p = parameters
+
+    def positive_limit(self, at: float) -> bool:
+        return at >= self._p.positive_limit_counts
+
+    def negative_limit(self, at: float) -> bool:
+        return at <= self._p.negative_limit_counts
+
+    def home(self, at: float) -> bool:
+        return at < self._p.home_switch_counts
+
+    def active(self, sensor: HomingSensor, at: float) -> bool:
+        if sensor is HomingSensor.HOME:
+            return self.home(at)
+        return self.negative_limit(at) if sensor is HomingSensor.NEGATIVE_LIMIT else self.positive_limit(at)
+
+    def edge(self, sensor: HomingSensor) -> float:
+        """Where a switch changes."""
+        p = self._p
+        if sensor is HomingSensor.HOME:
+            return p.home_switch_counts
+        return p.negative_limit_counts if sensor is HomingSensor.NEGATIVE_LIMIT else p.positive_limit_counts
+
+    def index_between(self, start: float, end: float) -> float | None:
+        """The first index pulse met on the way from start to end."""
+        turn, offset = float(self._p.counts_per_rev), self._p.index_offset_counts
+        if end > start:
+            pulse = math.floor((start - offset) / turn + 1.0) * turn + offset
+            return pulse if pulse <= end else None
+        pulse = math.ceil((start - offset) / turn - 1.0) * turn + offset
+        return pulse if pulse >= end else None

@@ -1,0 +1,156 @@
+"""The in-process drive: `ServoDrive` straight over the servo firmware, no wire in between.
+
+For procedures' tests and for demonstrations of everything but the wire. It keeps the promises of every abstract method itself
+(demand := actual before power, target_reached false at once), as a drive on a wire has to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from drivers.clock import Clock
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.errors import CapabilityError, DriveFaultError, InputError, LinkLostError, MotionTimeoutError, StateError
+from drivers.scaling import AxisScaling
+from sim_backends.servo import Servo
+
+
+@dataclass(frozen=True)
+class VirtualDriveSettings:
+    """What a drive on a wire would keep in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
+
+    acceleration_mm_s2: float = 400.0
+    quick_stop_mm_s2: float = 2000.0
+    homing_method: int = 21
+    homing_speed_switch_mm_s: float = 20.0
+    homing_speed_zero_mm_s: float = 1.0
+    home_position_mm: float = -2.0
+    stop_timeout_s: float = 5.0
+    missing: frozenset[Capability] = field(default_factory=frozenset)  # capabilities this one lacks, for tests
+
+
+_CAPABILITIES = frozenset({Capability.PROFILE_POSITION, Capability.HOMING, Capability.TORQUE_ACTUAL})
+
+
+class VirtualDrive(ServoDrive):
+    """A drive without a wire. Simulated time must be running (`SimClock` with the servo attached)."""
+
+    def __init__(
+        self,
+        servo: Servo,
+        scaling: AxisScaling,
+        limits: DriveLimits,
+        clock: Clock,
+        *,
+        name: str = "virtual",
+        settings: VirtualDriveSettings | None = None,
+    ) -> None:
+        super().__init__(name, scaling, limits, clock)
+        self._servo = servo
+        self.settings = settings or VirtualDriveSettings()
+        if scaling.motor_revs_per_shaft_rev != Fraction(1):
+            raise InputError(
+                f"drive {name}: gear ratio is {scaling.motor_revs_per_shaft_rev}, the virtual drive expects 1 (direct)"
+            )
+        self._open = False
+        self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
+
+    # -- connection ------------------------------------------------------------------------------------------------
+    def open(self) -> None:
+        self._open = True
+
+    def close(self) -> None:
+        if not self._open:
+            return
+        try:
+            self.disable()
+        except MotionTimeoutError:
+            self._servo.power_off()
+        self._open = False
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        return _CAPABILITIES - self.settings.missing
+
+    # -- reading ---------------------------------------------------------------------------------------------------
+    def sample(self) -> DriveSample:
+        self._require_open()
+        servo, counts_per_mm = self._servo, self._counts_per_mm
+        return DriveSample(
+            time_ns=self.clock.now_ns(),
+            state=self._state(),
+            position_load_mm=servo.position_actual_counts / counts_per_mm,
+            target_reached=servo.target_reached,
+            velocity_mm_s=servo.velocity_actual_counts_s / counts_per_mm,
+            torque_percent=self.scaling.direction * servo.torque_actual_permille / 10.0,
+            following_error_mm=servo.following_error_counts / counts_per_mm,
+            homed=servo.homed,
+            fault_code=servo.fault_code or None,
+        )
+
+    def _state(self) -> DriveState:
+        servo = self._servo
+        if servo.fault_code:
+            return DriveState.FAULT
+        if not servo.powered:
+            return DriveState.SWITCH_ON_DISABLED
+        return DriveState.QUICK_STOP if servo.stopping else DriveState.ENABLED
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise LinkLostError(f"drive {self.name} is not open")
+
+    def _counts_s2(self, acceleration_mm_s2: float) -> int:
+        return self.scaling.motor_counts_per_s(acceleration_mm_s2)
+
+    # -- states ----------------------------------------------------------------------------------------------------
+    def _enable(self) -> None:
+        self._require_open()
+        if self._servo.powered and self._servo.stopping:
+            raise StateError(f"drive {self.name} cannot enable: it is held by a quick stop, disable it first")
+        self._servo.power_on()  # sets the demand to the actual position before the loop closes
+
+    def disable(self) -> None:
+        """Stop if moving, then power off. Raises MotionTimeoutError when the axis does not come to rest (it is then still on)."""
+        self._require_open()
+        servo = self._servo
+        if not servo.powered:
+            return
+        servo.halt(self._counts_s2(self.settings.acceleration_mm_s2))
+        self.wait_for(
+            lambda sample: sample.velocity_mm_s == 0.0 or sample.state is not DriveState.QUICK_STOP,
+            self.settings.stop_timeout_s,
+            "standstill before power off",
+        )
+        servo.power_off()
+
+    def quick_stop(self) -> None:
+        self._require_open()
+        self._servo.quick_stop(self._counts_s2(self.settings.quick_stop_mm_s2))
+
+    def reset_fault(self) -> None:
+        self._require_open()
+        self._servo.power_off()
+        self._servo.reset_fault()
+
+    # -- motion ----------------------------------------------------------------------------------------------------
+    def _start_homing(self) -> None:
+        settings, scaling = self.settings, self.scaling
+        self._servo.start_homing(
+            settings.homing_method,
+            scaling.motor_counts_per_s(settings.homing_speed_switch_mm_s),
+            scaling.motor_counts_per_s(settings.homing_speed_zero_mm_s),
+            scaling.motor_counts(settings.home_position_mm),
+        )
+        if self._servo.homing_error:
+            raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
+
+    def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        self._servo.move_absolute(
+            self.scaling.motor_counts(position_load_mm),
+            self.scaling.motor_counts_per_s(velocity_mm_s),
+            self._counts_s2(self.settings.acceleration_mm_s2),
+        )
+        if self._servo.fault_code:
+            raise DriveFaultError(f"drive {self.name} went into a fault", self._servo.fault_code)
