@@ -1,0 +1,128 @@
+"""The compensation engine: from a target and what is known when it is issued, to the command the drive is given.
+
+Pure functions over frozen values: tables, effect terms, the motion so far. command = target + correction, and the correction is that
+of the tables for the direction of arrival minus what the effect terms say the error will be. No I/O, no clock, no memory: the
+motion so far is a value (`MotionHistory`) that the caller carries from set-point to set-point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from drivers.errors import InputError, StateError
+from hil.records import UM_PER_MM, Floats
+from hil.tables import TableSet
+
+Columns = Mapping[str, Floats]
+
+LONG_STROKE_MM = 1e6
+"""Stands for 'long enough to wind everything up' where the stroke before the first reversal is not known."""
+
+
+class ErrorTerm(Protocol):
+    """An effect with its fitted parameters, as the engine needs it (`hil.effects`)."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The columns it reads; the engine refuses to run a term whose columns it cannot give."""
+
+    def error_um(self, columns: Columns) -> Floats:
+        """The error the effect causes, µm, shape (n,)."""
+
+
+@dataclass(frozen=True)
+class MotionHistory:
+    """The commanded motion so far, as far as corrections depend on it.
+
+    position_mm: last target
+    direction: sign of the last commanded motion, 0 while unknown (after power-on, before the first motion)
+    since_reversal_mm: travel since the last reversal, with the motion that ends on `position_mm` included
+    stroke_mm: length of the stroke before that reversal; None while there was none
+    """
+
+    position_mm: float
+    direction: int = 0
+    since_reversal_mm: float = 0.0
+    stroke_mm: float | None = None
+
+    @property
+    def stroke_or_long_mm(self) -> float:
+        return LONG_STROKE_MM if self.stroke_mm is None else self.stroke_mm
+
+    def moved_to(self, target_mm: float) -> MotionHistory:
+        """The history after a straight motion to a target; a motion of no length changes nothing."""
+        travel = target_mm - self.position_mm
+        if travel == 0.0:
+            return self
+        direction = 1 if travel > 0 else -1
+        if direction == self.direction:
+            return replace(self, position_mm=target_mm, since_reversal_mm=self.since_reversal_mm + abs(travel))
+        stroke = self.since_reversal_mm if self.direction else None
+        return MotionHistory(target_mm, direction, abs(travel), stroke)
+
+
+@dataclass(frozen=True)
+class Command:
+    """One corrected set-point."""
+
+    target_mm: float
+    command_mm: float
+    correction_um: float
+    history: MotionHistory
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What is in force: tables, and the effects that the tables lack."""
+
+    tables: TableSet
+    terms: tuple[ErrorTerm, ...] = field(default=())
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Columns the terms read beyond target and direction."""
+        return frozenset(name for term in self.terms for name in term.needs) - {"target_mm", "direction"}
+
+    def correction_um(self, columns: Columns) -> Floats:
+        """The correction for each row, µm, shape (n,).
+
+        columns: `target_mm`, `direction` and what the terms need, each of shape (n,).
+        Raises StateError when a term needs a column that is not there.
+        """
+        missing = [name for name in sorted(self.needs) if name not in columns]
+        if missing:
+            raise StateError(f"the model in force needs {', '.join(missing)}, which this set-up does not provide")
+        correction = self.tables.correction_um(columns["target_mm"], columns["direction"])
+        for term in self.terms:
+            correction = correction - term.error_um(columns)
+        return correction
+
+    def command(self, target_mm: float, history: MotionHistory, known: Mapping[str, float]) -> Command:
+        """The command for a motion to a target.
+
+        known: sensor values and the like at the moment the set-point is issued (`time_s`, `velocity_mm_s`, `temp_screw_c` …)
+        Raises InputError for a target that is no position, StateError while the direction of arrival is unknown: a correction
+        for a guessed direction may be wrong by the whole backlash.
+        """
+        if not math.isfinite(target_mm):
+            raise InputError(f"target is {target_mm} mm, expected a finite position")
+        after = history.moved_to(target_mm)
+        if after.direction == 0:
+            raise StateError(
+                f"direction of arrival at {target_mm:g} mm is unknown: the axis has not moved since it was switched on"
+            )
+        values = dict(known)
+        values.update(
+            target_mm=target_mm,
+            direction=float(after.direction),
+            since_reversal_mm=after.since_reversal_mm,
+            stroke_mm=after.stroke_or_long_mm,
+        )
+        columns = {name: np.array([value], dtype=np.float64) for name, value in values.items()}
+        correction_um = float(self.correction_um(columns)[0])
+        return Command(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)

@@ -1,0 +1,62 @@
+"""The catalogue of effects: what can make an axis err, one file each behind one protocol.
+
+The registry is the explicit tuple `ALL`. A user's own effect is given beside it by hand (`hil diagnose --effects FILE.py`), never by a
+data file.
+"""
+
+from __future__ import annotations
+
+from hil.effects.abbe import Abbe
+from hil.effects.air_index import AirIndex
+from hil.effects.backlash import Backlash
+from hil.effects.backlash_position import BacklashPosition
+from hil.effects.base import Action, Columns, Effect, Estimate, Form, NonLinear, Rival, Term, term_from_json
+from hil.effects.beam_drift import BeamDrift
+from hil.effects.cosine import Cosine
+from hil.effects.cross_axis import CrossAxis
+from hil.effects.cyclic import Cyclic
+from hil.effects.datum_step import DatumStep
+from hil.effects.dead_path import DeadPath
+from hil.effects.load_deflection import LoadDeflection
+from hil.effects.local_wear import LocalWear
+from hil.effects.lost_motion import LostMotion
+from hil.effects.pitch_shape import PitchShape
+from hil.effects.survey import Survey, survey_of
+from hil.effects.thermal_drift import ThermalDrift
+from hil.effects.thermal_expansion import ThermalExpansion
+from hil.effects.velocity_lag import VelocityLag
+
+ALL: tuple[Effect, ...] = (
+    Cyclic(),
+    ThermalExpansion(),
+    ThermalDrift(),
+    Backlash(),
+    BacklashPosition(),
+    LostMotion(),
+    VelocityLag(),
+    LoadDeflection(),
+    Abbe(),
+    CrossAxis(),
+    LocalWear(),
+    PitchShape(),
+    DatumStep(),
+    DeadPath(),
+    AirIndex(),
+    Cosine(),
+    BeamDrift(),
+)
+
+__all__ = [
+    "ALL",
+    "Action",
+    "Columns",
+    "Effect",
+    "Estimate",
+    "Form",
+    "NonLinear",
+    "Rival",
+    "Survey",
+    "Term",
+    "survey_of",
+    "term_from_json",
+]

@@ -1,0 +1,52 @@
+"""Air index: an interferometer that is not (fully) compensated for the air reads x·Δn too much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from hil.effects.air import air_inputs, excess_ppm
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.survey import Survey
+
+INDEX = "air index"
+UM_PER_PPM_MM = 1e-3
+
+
+class AirIndex(Effect):
+    id: ClassVar[str] = "air_index"
+    title: ClassVar[str] = "air index not compensated"
+    action: ClassVar[Action] = Action.FIX_SETUP
+    rivals: ClassVar[tuple[Rival, ...]] = (
+        Rival("thermal_expansion", "vary the air and the screw temperature apart"),
+        Rival("dead_path", "compare both ends of the travel while the air changes"),
+    )
+
+    def forms(self, survey: Survey) -> tuple[Form, ...]:
+        inputs, constants = air_inputs(survey)
+        return (Form(self.id, INDEX, (*inputs, "target_mm"), constants),) if inputs else ()
+
+    def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        if form.name != INDEX:
+            raise KeyError(form.name)
+        excess = excess_ppm(form.inputs[:-1], form.constants, columns)
+        return np.asarray(columns["target_mm"] * excess * UM_PER_PPM_MM)[:, None]
+
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        return {"uncompensated_share": term.coefficient(0)}
+
+    def explain(self, term: Term) -> str:
+        return (
+            f"The reading follows position times the refractive index of the air, {term.coefficient(0)} of the full effect:"
+            " the instrument's air compensation is off or its sensors are wrong."
+        )
+
+    def implausible(self, term: Term) -> str | None:
+        share = term.coefficients[0]
+        return (
+            f"{share:.2g} times the full effect of the air is more than switching compensation off does"
+            if abs(share) > 3
+            else None
+        )

@@ -1,0 +1,264 @@
+"""The protocol of an effect: how a physical cause shows in measurement records, and what to do about it.
+
+What may go in: the values every effect file and the diagnosis share. An effect is linear in its coefficients and, at most, non-linear
+in a few bounded parameters: error_um = basis(columns, theta) @ coefficients. It says which *forms* given records allow (which
+temperature column, exponential or tanh …), and the diagnosis searches over forms and parameters.
+
+Evaluation is vectorised and causal: a row depends on what is known when its set-point is issued. What depends on the past is
+a column of its own (`time_s`, `since_reversal_mm`, `stroke_mm`; `hil.effects.history` makes those that can be made).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputError
+from hil.effects.survey import Survey
+
+Floats = NDArray[np.float64]
+Columns = Mapping[str, Floats]
+
+
+class Action(Enum):
+    """What follows from a finding."""
+
+    COMPENSATE = "compensate"  # the machine does it and will do it again: add it to the correction
+    FIX_SETUP = "fix-setup"  # the instrument or its mount does it: correct the set-up, never the machine
+    RE_MEASURE = "re-measure"  # it happened once: measure again
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard uncertainty."""
+
+    value: float
+    std: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ± {self.std:.2g}"
+
+
+@dataclass(frozen=True)
+class NonLinear:
+    """A parameter that the basis depends on non-linearly, with the bounds of what can be."""
+
+    name: str
+    lower: float
+    upper: float
+    logarithmic: bool = True
+    """Searched, and its spread stated, in its logarithm."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that can look the same, and the measurement that tells the two apart."""
+
+    effect: str
+    separate_by: str
+
+
+@dataclass(frozen=True)
+class Form:
+    """One way in which an effect can show in given records.
+
+    effect: id; name: of the variant ('temperature', 'tanh' …)
+    inputs: the columns it reads, in the order the effect's basis expects
+    constants: fixed numbers of the basis (centre and half span of the travel, a reference temperature …)
+    nonlinear: bounded parameters; starts: grid of them to search from, shape (g, len(nonlinear))
+    scan: whether it takes part in the first search; the others only refine an effect already found
+    exhaustive: the grid holds every parameter value that makes a difference
+    shrunk: many columns with one normal prior of unit variance ratio to be scaled, instead of free coefficients
+    """
+
+    effect: str
+    name: str
+    inputs: tuple[str, ...]
+    constants: Mapping[str, float] = field(default_factory=dict)
+    nonlinear: tuple[NonLinear, ...] = ()
+    starts: tuple[tuple[float, ...], ...] = ((),)
+    scan: bool = True
+    exhaustive: bool = False
+    shrunk: bool = False
+
+
+class Effect(ABC):
+    """One cause of error. Stateless; registered in an explicit tuple (`hil.effects.ALL`)."""
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    action: ClassVar[Action]
+    rivals: ClassVar[tuple[Rival, ...]] = ()
+    static: ClassVar[bool] = False
+    """A function of position and direction alone, which a table measured after it appeared holds already."""
+    log_odds: ClassVar[float] = 0.0
+    """Beforehand, against the other effects; it decides where the records cannot."""
+    least_over_noise: ClassVar[float] = 0.0
+    """RMS, over the noise's standard deviation, below which it is part of the noise and no finding."""
+
+    @abstractmethod
+    def forms(self, survey: Survey) -> tuple[Form, ...]:
+        """The forms these records allow, the simplest first; empty where the columns are missing or do not vary."""
+
+    @abstractmethod
+    def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        """Columns of the design matrix, shape (n, k), in µm per unit of each coefficient."""
+
+    @abstractmethod
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        """The fitted parameters under the names people use, each with its standard uncertainty."""
+
+    @abstractmethod
+    def explain(self, term: Term) -> str:
+        """One sentence: what it is, with figures and units."""
+
+    def implausible(self, term: Term) -> str | None:
+        """Why no machine does this (sign, range), or None. It lowers the weight of the effect, it does not forbid it."""
+        del term
+        return None
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect with fitted parameters: what a model holds and the engine evaluates.
+
+    theta: the non-linear parameters, in the order of form.nonlinear
+    coefficients: shape (k,); covariance: of (coefficients, theta), shape (k + t, k + t)
+    """
+
+    effect: Effect
+    form: Form
+    theta: tuple[float, ...]
+    coefficients: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The columns it reads."""
+        return self.form.inputs
+
+    def error_um(self, columns: Columns) -> Floats:
+        """The error the effect causes, µm, shape (n,). Raises InputError when a column is missing or not a number."""
+        for name in self.needs:
+            if name not in columns:
+                raise InputError(f"effect {self.effect.id} needs the column {name}, which is not there")
+            if not np.all(np.isfinite(columns[name])):
+                raise InputError(f"effect {self.effect.id} needs {name} in every row, but some are empty")
+        basis = self.effect.basis(self.form, self.theta, columns)
+        return np.asarray(basis @ np.array(self.coefficients), dtype=np.float64)
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        return self.effect.parameters(self)
+
+    def coefficient(self, index: int, scale: float = 1.0) -> Estimate:
+        """One linear coefficient times `scale`."""
+        return Estimate(
+            self.coefficients[index] * scale, math.sqrt(max(self.covariance[index][index], 0.0)) * abs(scale)
+        )
+
+    def nonlinear(self, index: int) -> Estimate:
+        """One non-linear parameter; its uncertainty is NaN where the fit gave none."""
+        k = len(self.coefficients)
+        return Estimate(self.theta[index], math.sqrt(max(self.covariance[k + index][k + index], 0.0)))
+
+    def amplitude(self, i: int, j: int) -> Estimate:
+        """hypot of two coefficients, with first-order uncertainty."""
+        a, b = self.coefficients[i], self.coefficients[j]
+        size = math.hypot(a, b)
+        if size == 0.0:
+            return Estimate(0.0, math.sqrt(max(self.covariance[i][i], 0.0)))
+        c = self.covariance
+        variance = (a * a * c[i][i] + 2 * a * b * c[i][j] + b * b * c[j][j]) / size**2
+        return Estimate(size, math.sqrt(max(variance, 0.0)))
+
+    def angle(self, i: int, j: int) -> Estimate:
+        """atan2(coefficient j, coefficient i) in rad, with first-order uncertainty."""
+        a, b = self.coefficients[i], self.coefficients[j]
+        size2 = a * a + b * b
+        if size2 == 0.0:
+            return Estimate(0.0, math.pi)
+        c = self.covariance
+        variance = (b * b * c[i][i] - 2 * a * b * c[i][j] + a * a * c[j][j]) / size2**2
+        return Estimate(math.atan2(b, a), math.sqrt(max(variance, 0.0)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; `term_from_json` reads them."""
+        return {
+            "effect": self.effect.id,
+            "form": self.form.name,
+            "inputs": list(self.form.inputs),
+            "constants": dict(self.form.constants),
+            "nonlinear": {p.name: value for p, value in zip(self.form.nonlinear, self.theta, strict=True)},
+            "coefficients": list(self.coefficients),
+            "covariance": [list(row) for row in self.covariance],
+        }
+
+
+def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
+    """A term from plain values. Raises InputError naming `where` for anything that is not exactly one."""
+    if not isinstance(obj, dict):
+        raise InputError(f"{where} is not an object")
+    expected = {"effect", "form", "inputs", "constants", "nonlinear", "coefficients", "covariance"}
+    if set(obj) != expected:
+        raise InputError(f"{where} has the keys {sorted(obj)}, expected {sorted(expected)}")
+    known = {effect.id: effect for effect in effects}
+    if obj["effect"] not in known:
+        raise InputError(f"{where} names the effect {obj['effect']!r}, which is not known; a user's own needs its file")
+    coefficients = numbers(obj["coefficients"], f"{where}.coefficients")
+    constants = _named_numbers(obj["constants"], f"{where}.constants")
+    nonlinear = _named_numbers(obj["nonlinear"], f"{where}.nonlinear")
+    inputs = obj["inputs"]
+    if not isinstance(inputs, list) or not all(isinstance(name, str) for name in inputs):
+        raise InputError(f"{where}.inputs is not a list of column names")
+    covariance = obj["covariance"]
+    size = len(coefficients) + len(nonlinear)
+    if not isinstance(covariance, list) or len(covariance) != size:
+        raise InputError(f"{where}.covariance is not {size} × {size}")
+    rows = tuple(numbers(row, f"{where}.covariance") for row in covariance)
+    if any(len(row) != size for row in rows):
+        raise InputError(f"{where}.covariance is not {size} × {size}")
+    form = Form(
+        effect=obj["effect"],
+        name=str(obj["form"]),
+        inputs=tuple(inputs),
+        constants=constants,
+        nonlinear=tuple(NonLinear(name, -math.inf, math.inf) for name in nonlinear),
+    )
+    term = Term(known[obj["effect"]], form, tuple(nonlinear.values()), coefficients, rows)
+    _try_out(term, where)
+    return term
+
+
+def _try_out(term: Term, where: str) -> None:
+    """One row of ones through the basis: a form the effect does not know, or a wrong number of coefficients, shows here."""
+    columns = {name: np.ones(1) for name in term.form.inputs}
+    try:
+        width = term.effect.basis(term.form, term.theta, columns).shape[1]
+    except (KeyError, IndexError, ValueError) as error:
+        raise InputError(f"{where}: effect {term.effect.id} does not know the form {term.form.name!r}") from error
+    if width != len(term.coefficients):
+        raise InputError(f"{where}: {len(term.coefficients)} coefficients, form {term.form.name!r} has {width}")
+
+
+def numbers(obj: object, where: str) -> tuple[float, ...]:
+    """A list of finite numbers. Raises InputError."""
+    if not isinstance(obj, list):
+        raise InputError(f"{where} is not a list")
+    for value in obj:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise InputError(f"{where} holds {value!r}, expected a finite number")
+    return tuple(float(value) for value in obj)
+
+
+def _named_numbers(obj: object, where: str) -> dict[str, float]:
+    if not isinstance(obj, dict):
+        raise InputError(f"{where} is not an object")
+    return dict(zip(obj, numbers(list(obj.values()), where), strict=True))

@@ -1,0 +1,52 @@
+"""Cosine error: a beam at an angle to the travel reads short, -x·θ²/2: a pure scale error, always of the same sign.
+
+From data alone it cannot be told from a lead error of the screw.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.survey import Survey
+
+SCALE = "scale"
+UM_PER_MM_PPM = 1e-3
+
+
+class Cosine(Effect):
+    id: ClassVar[str] = "cosine"
+    title: ClassVar[str] = "misaligned beam (cosine error)"
+    action: ClassVar[Action] = Action.FIX_SETUP
+    static: ClassVar[bool] = True
+    log_odds: ClassVar[float] = 0.5  # where a lead error would do as well, the set-up is looked at first
+    rivals: ClassVar[tuple[Rival, ...]] = (
+        Rival("pitch_shape", "realign the beam and repeat, or measure a reference artefact: data alone cannot tell"),
+        Rival("thermal_expansion", "repeat at another temperature"),
+    )
+
+    def forms(self, survey: Survey) -> tuple[Form, ...]:
+        return (Form(self.id, SCALE, ("target_mm",)),) if survey.has("target_mm") else ()
+
+    def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        if form.name != SCALE:
+            raise KeyError(form.name)
+        return np.asarray(columns["target_mm"] * -UM_PER_MM_PPM)[:, None]
+
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        scale = term.coefficient(0)
+        angle = math.sqrt(2e6 * max(scale.value, 0.0))
+        return {"scale_ppm": scale, "angle_urad": Estimate(angle, 1e6 * scale.std / max(angle, 1.0))}
+
+    def explain(self, term: Term) -> str:
+        return (
+            f"The reading is short by {term.coefficient(0)} ppm of the position, as a beam misaligned by"
+            f" {term.parameters['angle_urad']} µrad is; a lead error of the screw looks the same."
+        )
+
+    def implausible(self, term: Term) -> str | None:
+        return "a misaligned beam reads short, never long" if term.coefficients[0] < 0 else None

@@ -1,0 +1,99 @@
+"""Cyclic error: a sine of the position, from screw, coupling, encoder or the interferometer's sub-division.
+
+error = amplitude · sin(2π x / period + phase), x the target in mm, phase in rad. Refining forms add the second harmonic
+(period / 2) or let the amplitude change along the travel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.survey import Survey
+
+FUNDAMENTAL = "fundamental"
+HARMONICS = "with second harmonic"
+MODULATED = "amplitude changing along the travel"
+PER_DIRECTION = "different in each direction"
+
+LINES = 1500
+OVERSAMPLING = 3.0
+SHORTEST_MM = 0.5
+COMMON_MM = (0.5, 1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
+"""Usual screw pitches and scale periods, tried even where the even scan does not reach them."""
+
+
+def period_grid(survey: Survey) -> tuple[tuple[float, ...], ...]:
+    """Periods to scan, ascending, each as a one-element tuple: even in frequency, finer than the travel resolves."""
+    travel = 2 * survey.half_span_mm
+    longest = travel / 2
+    step = 1.0 / (OVERSAMPLING * travel)
+    count = int(min(LINES, (1.0 / SHORTEST_MM - 1.0 / longest) / step))
+    if count < 2:
+        return ()
+    frequencies = 1.0 / longest + step * np.arange(count)
+    periods = [float(1.0 / f) for f in frequencies]
+    known = {*COMMON_MM, *survey.pitches_mm, *(p / 2 for p in survey.pitches_mm)}
+    periods.extend(p for p in known if p < longest)
+    return tuple((p,) for p in sorted(set(periods)))
+
+
+class Cyclic(Effect):
+    id: ClassVar[str] = "cyclic"
+    title: ClassVar[str] = "cyclic error of screw, coupling or encoder"
+    action: ClassVar[Action] = Action.COMPENSATE
+    static: ClassVar[bool] = True
+    rivals: ClassVar[tuple[Rival, ...]] = (
+        Rival("pitch_shape", "a dense sweep over two periods, and targets at random offsets from the pitch"),
+        Rival("local_wear", "a dense sweep over two periods somewhere else on the travel"),
+    )
+
+    def forms(self, survey: Survey) -> tuple[Form, ...]:
+        grid = period_grid(survey)
+        if not grid:
+            return ()
+        period = NonLinear("period_mm", min(grid)[0] / 2, 2 * survey.half_span_mm)
+        constants = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
+        inputs = ("target_mm",)
+        return (
+            Form(self.id, FUNDAMENTAL, inputs, {}, (period,), grid),
+            Form(self.id, HARMONICS, inputs, {}, (period,), grid, scan=False),
+            Form(self.id, MODULATED, inputs, constants, (period,), grid, scan=False),
+            Form(self.id, PER_DIRECTION, (*inputs, "direction"), {}, (period,), grid, scan=False),
+        )
+
+    def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        x = columns["target_mm"]
+        angle = 2 * np.pi * x / theta[0]
+        sine, cosine = np.sin(angle), np.cos(angle)
+        if form.name == FUNDAMENTAL:
+            return np.column_stack([sine, cosine])
+        if form.name == HARMONICS:
+            return np.column_stack([sine, cosine, np.sin(2 * angle), np.cos(2 * angle)])
+        if form.name == MODULATED:
+            u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
+            return np.column_stack([sine, cosine, u * sine, u * cosine])
+        if form.name == PER_DIRECTION:
+            d = columns["direction"]
+            return np.column_stack([sine, cosine, d * sine, d * cosine])
+        raise KeyError(form.name)
+
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        found = {"period_mm": term.nonlinear(0), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
+        if term.form.name == HARMONICS:
+            found["second_harmonic_um"] = term.amplitude(2, 3)
+        elif term.form.name == MODULATED:
+            found["change_to_the_ends_um"] = term.amplitude(2, 3)
+        elif term.form.name == PER_DIRECTION:
+            found["half_difference_um"] = term.amplitude(2, 3)
+        return found
+
+    def explain(self, term: Term) -> str:
+        extra = "" if term.form.name == FUNDAMENTAL else f", {term.form.name}"
+        return (
+            f"The error repeats every {term.nonlinear(0)} mm of travel with an amplitude of"
+            f" {term.amplitude(0, 1)} µm{extra}: a part that turns or divides with that period is eccentric or misadjusted."
+        )

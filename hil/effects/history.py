@@ -1,0 +1,107 @@
+"""Columns that carry the past: time since the start, travel since the reversal, stroke before it, a sensor seen through a lag.
+
+What may go in: pure functions from columns to further columns, causal row by row. The streaming engine keeps the same
+values itself and gives them as columns; records that lack them get stand-ins here, and the result says which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Columns = Mapping[str, Floats]
+
+LONG_STROKE_MM = 1e6
+"""Stroke before the first reversal of a record, where nothing says how long it was."""
+
+
+def complete(columns: Columns) -> dict[str, Floats]:
+    """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm` and `command_mm` added where they are missing or not filled.
+
+    columns: at least `run`, `direction`, `target_mm`, each of shape (n,), rows in the order of time. `row_order` is what stands in
+    for `time_s` where that is missing (`time_column`).
+    """
+    full = dict(columns)
+    if "command_mm" not in full:
+        full["command_mm"] = full["target_mm"]
+    if "row_order" not in full:
+        full["row_order"] = row_order(full["run"])
+    if not _filled(full, "since_reversal_mm") or not _filled(full, "stroke_mm"):
+        since, stroke = reversals(full["target_mm"], full["direction"])
+        if not _filled(full, "since_reversal_mm"):
+            full["since_reversal_mm"] = since
+        if not _filled(full, "stroke_mm"):
+            full["stroke_mm"] = stroke
+    return full
+
+
+def time_column(columns: Columns) -> str:
+    """`time_s` where it is filled, else `row_order`."""
+    return "time_s" if _filled(columns, "time_s") else "row_order"
+
+
+def stand_ins(columns: Columns) -> tuple[str, ...]:
+    """Which columns `complete` has to make up, of those a reader would care about."""
+    return tuple(name for name in ("time_s", "since_reversal_mm", "stroke_mm") if not _filled(columns, name))
+
+
+def _filled(columns: Columns, name: str) -> bool:
+    return name in columns and bool(np.all(np.isfinite(columns[name])))
+
+
+def row_order(run: Floats) -> Floats:
+    """Row order as time, shape (n,): (run - 1) · rows of that run + row within the run.
+
+    So the later runs of a campaign stay later when they are read alone.
+    """
+    order = np.zeros(len(run))
+    seen: dict[float, int] = {}
+    counts = {float(r): int(c) for r, c in zip(*np.unique(run, return_counts=True), strict=True)}
+    for i, r in enumerate(run):
+        key = float(r)
+        row = seen.get(key, 0)
+        order[i] = (key - 1.0) * counts[key] + row
+        seen[key] = row + 1
+    return order
+
+
+def reversals(target_mm: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Travel since the last reversal and length of the stroke before it, both in mm, shape (n,), from targets alone.
+
+    The overrun before a reversal is not in the records, so the travel is a lower bound.
+    """
+    n = len(target_mm)
+    since, stroke = np.zeros(n), np.full(n, LONG_STROKE_MM)
+    travelled, before = 0.0, LONG_STROKE_MM
+    for i in range(1, n):
+        step = abs(float(target_mm[i] - target_mm[i - 1]))
+        if direction[i] == direction[i - 1]:
+            travelled += step
+        else:
+            before, travelled = travelled, step
+        since[i], stroke[i] = travelled, before
+    if n:
+        stroke[0] = LONG_STROKE_MM
+    return since, stroke
+
+
+def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
+    """`values` through a first-order lag of time constant tau_s, settled at the first row, shape (n,).
+
+    Exact for a value that changes linearly between rows. A single row gives the value itself.
+    """
+    out = np.array(values, dtype=np.float64)
+    if tau_s <= 0 or len(out) < 2:
+        return out
+    step = np.maximum(np.diff(time_s), 0.0)
+    ratio = step / tau_s
+    decay = np.exp(-ratio)
+    gain = np.divide(1.0 - decay, ratio, out=np.ones_like(ratio), where=ratio > 1e-9)
+    state = float(values[0])
+    for i in range(1, len(out)):
+        state = decay[i - 1] * state + (1.0 - gain[i - 1]) * values[i] + (gain[i - 1] - decay[i - 1]) * values[i - 1]
+        out[i] = state
+    return out

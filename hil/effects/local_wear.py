@@ -1,0 +1,65 @@
+"""Local wear: a zone of the travel where the error bulges, in both directions alike or against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.survey import Survey
+
+BUMP, REVERSAL, BOTH = "bump", "bump with direction", "bump in each direction"
+
+
+class LocalWear(Effect):
+    id: ClassVar[str] = "local_wear"
+    title: ClassVar[str] = "a worn zone"
+    action: ClassVar[Action] = Action.COMPENSATE
+    static: ClassVar[bool] = True
+    rivals: ClassVar[tuple[Rival, ...]] = (
+        Rival("pitch_shape", "a dense local pass over the zone"),
+        Rival("cyclic", "a dense pass over the zone and two periods beside it"),
+    )
+
+    def forms(self, survey: Survey) -> tuple[Form, ...]:
+        if not survey.has("target_mm"):
+            return ()
+        low = survey.centre_mm - survey.half_span_mm
+        high = survey.centre_mm + survey.half_span_mm
+        narrow = min(survey.spacing_mm / 2, survey.half_span_mm / 8)
+        centre = NonLinear("centre_mm", low, high, logarithmic=False)
+        width = NonLinear("width_mm", narrow / 2, survey.half_span_mm / 2)
+        starts = tuple(
+            (float(c), float(w))
+            for w in np.geomspace(narrow, survey.half_span_mm / 4, 5)
+            for c in np.minimum(np.arange(low, high + w / 2, w), high)
+        )
+        both = survey.has("direction")
+        inputs = ("target_mm", "direction")
+        forms = [Form(self.id, BUMP, inputs, {}, (centre, width), starts)]
+        if both:
+            forms.append(Form(self.id, REVERSAL, inputs, {}, (centre, width), starts))
+            forms.append(Form(self.id, BOTH, inputs, {}, (centre, width), starts, scan=False))
+        return tuple(forms)
+
+    def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        centre, width = theta
+        bump = np.exp(-0.5 * ((columns["target_mm"] - centre) / width) ** 2)
+        d = columns["direction"]
+        columns_of = {BUMP: [bump], REVERSAL: [d * bump], BOTH: [bump, d * bump]}
+        return np.column_stack(columns_of[form.name])
+
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        found = {"height_um": term.coefficient(0), "centre_mm": term.nonlinear(0), "width_mm": term.nonlinear(1)}
+        if term.form.name == BOTH:
+            found["height_with_direction_um"] = term.coefficient(1)
+        return found
+
+    def explain(self, term: Term) -> str:
+        sign = " of opposite sign in the two directions" if term.form.name == REVERSAL else ""
+        return (
+            f"Around {term.nonlinear(0)} mm, over ±{term.nonlinear(1)} mm, the error bulges by"
+            f" {term.coefficient(0)} µm{sign}: a worn or damaged zone."
+        )

@@ -1,0 +1,67 @@
+"""Lost motion after a reversal: the table follows only after some travel, an error that fades with the travel since the reversal.
+
+error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reversal_mm`. What is left when s is long is a constant
+per direction, and the table's. (The two-stage running form of a controller lives in the procedure that measures a reversal densely.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.survey import Survey
+
+EXPONENTIAL = "exponential"
+TANH = "tanh"
+TWO_STAGE = "two lengths"
+
+
+class LostMotion(Effect):
+    id: ClassVar[str] = "lost_motion"
+    title: ClassVar[str] = "lost motion after a reversal"
+    action: ClassVar[Action] = Action.COMPENSATE
+    rivals: ClassVar[tuple[Rival, ...]] = (
+        Rival("backlash_position", "approach the same targets after different travel since the reversal"),
+        Rival("backlash", "approach the same targets after different travel since the reversal"),
+        Rival("velocity_lag", "approach the same targets at three feeds, at rest when captured"),
+    )
+
+    def forms(self, survey: Survey) -> tuple[Form, ...]:
+        if not survey.has("since_reversal_mm", "direction"):
+            return ()
+        low, high = survey.spacing_mm / 8, 2 * survey.half_span_mm
+        length = NonLinear("length_mm", low / 4, high)
+        starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 12))
+        second = NonLinear("second_length_mm", low / 4, high)
+        pairs = tuple((a[0], b[0]) for a in starts[::3] for b in starts[::3] if b[0] > 2 * a[0])
+        inputs = ("since_reversal_mm", "direction")
+        return (
+            Form(self.id, EXPONENTIAL, inputs, {}, (length,), starts),
+            Form(self.id, TANH, inputs, {}, (length,), starts),
+            Form(self.id, TWO_STAGE, inputs, {}, (length, second), pairs, scan=False),
+        )
+
+    def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        s, d = columns["since_reversal_mm"], columns["direction"]
+        if form.name == EXPONENTIAL:
+            return np.asarray(d * np.exp(-s / theta[0]))[:, None]
+        if form.name == TANH:
+            return np.asarray(d * (1.0 - np.tanh(s / theta[0])))[:, None]
+        if form.name == TWO_STAGE:
+            return np.column_stack([d * np.exp(-s / theta[0]), d * np.exp(-s / theta[1])])
+        raise KeyError(form.name)
+
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        found = {"amount_um": term.coefficient(0), "length_mm": term.nonlinear(0)}
+        if term.form.name == TWO_STAGE:
+            found |= {"second_amount_um": term.coefficient(1), "second_length_mm": term.nonlinear(1)}
+        return found
+
+    def explain(self, term: Term) -> str:
+        return (
+            f"After a reversal the table is off by {term.coefficient(0)} µm (in the direction of motion), fading over"
+            f" {term.nonlinear(0)} mm of travel ({term.form.name}): wind-up and friction not yet overcome."
+        )

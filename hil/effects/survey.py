@@ -1,0 +1,110 @@
+"""What given records can feed to an effect: the travel, the time they span, which columns are there and vary.
+
+What may go in: facts of the records that decide which forms of an effect make sense; no statistics of the error itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.effects.history import time_column
+
+Floats = NDArray[np.float64]
+
+TEMPERATURE = re.compile(r"temp_\w+_c")
+OTHER_AXIS = re.compile(r"pos_\w+_mm")
+MOST_MOMENTS = 500
+VARIES = 1e-9
+"""Smallest relative spread that counts as varying."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Facts of the records.
+
+    centre_mm, half_span_mm: of the targets; spacing_mm: median distance of neighbouring distinct targets of a pass
+    time_column, time_start: `time_s`, or `row_order` (in rows) where nobody kept the time
+    duration_s, interval_s: of the whole campaign, and the median between rows, in units of the time column
+    varying: columns that are filled in every row and vary; mean: the mean of each filled column
+    moments: times between rows at which something may have happened, every one up to MOST_MOMENTS, run boundaries always
+    pitches_mm: lengths at which the mechanics repeat (screw pitch, rack tooth …), where the axis file gives them
+    """
+
+    rows: int
+    centre_mm: float
+    half_span_mm: float
+    spacing_mm: float
+    time_column: str
+    time_start: float
+    duration_s: float
+    interval_s: float
+    varying: frozenset[str]
+    mean: Mapping[str, float]
+    moments: tuple[float, ...] = field(default=())
+    pitches_mm: tuple[float, ...] = field(default=())
+
+    def has(self, *names: str) -> bool:
+        """Whether all the named columns are filled and vary."""
+        return all(name in self.varying for name in names)
+
+    @property
+    def time_unit(self) -> str:
+        return "s" if self.time_column == "time_s" else "rows"
+
+    @property
+    def temperatures(self) -> tuple[str, ...]:
+        """The temperature columns of the machine (`temp_<place>_c`) that vary."""
+        return tuple(sorted(name for name in self.varying if TEMPERATURE.fullmatch(name)))
+
+    @property
+    def other_axes(self) -> tuple[str, ...]:
+        """The position columns of other axes (`pos_<axis>_mm`) that vary."""
+        return tuple(sorted(name for name in self.varying if OTHER_AXIS.fullmatch(name)))
+
+
+def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ()) -> Survey:
+    """Survey of completed columns (`hil.effects.history.complete`), each of shape (n,), n ≥ 1."""
+    target = columns["target_mm"]
+    low, high = float(np.min(target)), float(np.max(target))
+    half_span = max((high - low) / 2, 1e-6)
+    steps = np.abs(np.diff(target))
+    steps = steps[steps > half_span * 1e-4]
+    time_name = time_column(columns)
+    time = columns[time_name]
+    intervals = np.diff(time)
+    intervals = intervals[intervals > 0]
+    mean: dict[str, float] = {}
+    varying: set[str] = set()
+    for name, values in columns.items():
+        if not np.all(np.isfinite(values)):
+            continue
+        mean[name] = float(np.mean(values))
+        if np.ptp(values) > VARIES * max(1.0, float(np.max(np.abs(values)))):
+            varying.add(name)
+    return Survey(
+        rows=len(target),
+        centre_mm=(low + high) / 2,
+        half_span_mm=half_span,
+        spacing_mm=float(np.median(steps)) if len(steps) else half_span,
+        time_column=time_name,
+        time_start=float(np.min(time)),
+        duration_s=max(float(np.max(time) - np.min(time)), 1e-6),
+        interval_s=float(np.median(intervals)) if len(intervals) else 1.0,
+        varying=frozenset(varying),
+        mean=mean,
+        moments=_moments(time, columns["run"]),
+        pitches_mm=pitches_mm,
+    )
+
+
+def _moments(time: Floats, run: Floats) -> tuple[float, ...]:
+    later = np.flatnonzero(np.diff(time) > 0)
+    if len(later) > MOST_MOMENTS:
+        thinned = later[:: -(-len(later) // MOST_MOMENTS)]
+        later = np.union1d(thinned, later[np.diff(run)[later] != 0])
+    return tuple(float(value) for value in (time[later] + time[later + 1]) / 2)

@@ -1,0 +1,80 @@
+"""The courses of temperature that thermal effects share: a sensor, a sensor through a lag, or warming since the start.
+
+What may go in: the temperature rise as a column; what it does to the axis is said by the effects that use it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.effects.base import Columns, Floats, Form, NonLinear, Term
+from hil.effects.history import lagged
+from hil.effects.survey import Survey
+
+REFERENCE_C = 20.0
+"""ISO 1: the temperature at which lengths are true."""
+TEMPERATURE = "temperature"
+LAGGED = "lagged temperature"
+WARMING = "warming since the start"
+SLOW_WARMING = "warming since the start through two lags"
+SINCE_START = (WARMING, SLOW_WARMING)
+GRID = 12
+
+
+def time_constants(survey: Survey) -> tuple[NonLinear, tuple[tuple[float, ...], ...]]:
+    """Bounds and grid of a settling time constant for a campaign: from a few rows to several times its length."""
+    low = max(4 * survey.interval_s, survey.duration_s / 60)
+    high = max(3 * survey.duration_s, 4 * low)
+    grid = tuple((float(value),) for value in np.geomspace(low, high, GRID))
+    return NonLinear("time_constant", low / 2, 2 * high), grid
+
+
+def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...] = ()) -> tuple[Form, ...]:
+    """One form per temperature column, one per column through a lag (refinement), and warming with time, by one lag or two."""
+    forms = [Form(effect, TEMPERATURE, (name, *extra_inputs)) for name in survey.temperatures]
+    if survey.rows < 4 or not survey.has(survey.time_column):
+        return tuple(forms)
+    parameter, grid = time_constants(survey)
+    forms.append(Form(effect, WARMING, (survey.time_column, *extra_inputs), nonlinear=(parameter,), starts=grid))
+    forms.append(
+        Form(
+            effect,
+            SLOW_WARMING,
+            (survey.time_column, *extra_inputs),
+            nonlinear=(parameter,),
+            starts=grid,
+            scan=False,
+        )
+    )
+    low, high = max(2 * survey.interval_s, survey.duration_s / 300), survey.duration_s
+    lag = NonLinear("lag", low, high)
+    starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 6))
+    forms.extend(
+        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), nonlinear=(lag,), starts=starts, scan=False)
+        for name in survey.temperatures
+    )
+    return tuple(forms)
+
+
+def time_unit(term: Term) -> str:
+    """'s', or 'rows' where the row order stood in for time."""
+    return "rows" if "row_order" in term.form.inputs else "s"
+
+
+def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+    """The temperature rise of a form, shape (n, 1): K above 20 °C, or the fraction of warming done (0 … 1).
+
+    SLOW_WARMING has a second column, shape (n, 2), for the part that heat takes through a second mass, whenever it began.
+    """
+    if form.name in SINCE_START:
+        x = columns[form.inputs[0]] / theta[0]
+        settled = 1.0 - np.exp(-x)
+        return settled[:, None] if form.name == WARMING else np.column_stack([settled, x * np.exp(-x)])
+    values = columns[form.inputs[0]] - REFERENCE_C
+    if form.name == LAGGED:
+        values = lagged(columns[form.inputs[1]], values, theta[0])
+    elif form.name != TEMPERATURE:
+        raise KeyError(form.name)
+    return np.asarray(values)[:, None]
