@@ -1,0 +1,9 @@
+"""From what is left after a correction to the effect that is missing."""
+
+from __future__ import annotations
+
+from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.fit import fit_model
+from hil.diagnosis.result import Diagnosis, Figures, Finding, RivalFound
+
+__all__ = ["Diagnosis", "Figures", "Finding", "RivalFound", "diagnose", "fit_model"]

@@ -1,0 +1,96 @@
+"""The campaign under diagnosis: records turned into the arrays every step works on.
+
+What may go in: the frozen value and how it is made. Rows stay in the order of time; nothing is fitted here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputError
+from hil.diagnosis.spline import TableBasis, choose_knots
+from hil.effects import Survey, survey_of
+from hil.effects.history import complete, stand_ins
+from hil.records import Records
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SHORTEST_PASS = 5
+"""Mean rows of a pass below which neighbouring rows of the run are what noise may correlate."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """n rows of a campaign.
+
+    columns: completed, each (n,); error_um: of the uncorrected machine, (n,)
+    run: index of the run 0 … r-1, (n,); sweep: index of the one-directional pass, ascending in time, (n,)
+    basis: of the declared table; repeated: whether its knots are targets that repeat, so that nothing is known between them
+    made_up: columns that the records lack and that were made from the row order
+    """
+
+    columns: Mapping[str, Floats]
+    error_um: Floats
+    run: Ints
+    sweep: Ints
+    basis: TableBasis
+    repeated: bool
+    survey: Survey
+    made_up: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.error_um)
+
+    @property
+    def x(self) -> Floats:
+        return self.columns["target_mm"]
+
+    @property
+    def d(self) -> Floats:
+        return self.columns["direction"]
+
+    @property
+    def runs(self) -> int:
+        return int(np.max(self.run)) + 1
+
+
+def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> Campaign:
+    """Build a campaign from records. Raises InputError when there are too few rows to say anything."""
+    if len(records) < 4:
+        raise InputError(f"{len(records)} rows are too few for a fit; expected at least 4")
+    columns = complete(records.columns)
+    direction = columns["direction"]
+    numbers = records.run
+    _, run = np.unique(numbers, return_inverse=True)
+    sweep = _sweeps(run, direction)
+    knots, repeated = choose_knots(columns["target_mm"], rows_per_pass(run, direction))
+    both = bool(np.any(direction > 0) and np.any(direction < 0))
+    return Campaign(
+        columns=columns,
+        error_um=records.uncorrected_error_um,
+        run=run.astype(np.int64),
+        sweep=sweep.astype(np.int64),
+        basis=TableBasis(knots, both),
+        repeated=repeated,
+        survey=survey_of(columns, pitches_mm),
+        made_up=stand_ins(records.columns),
+    )
+
+
+def _sweeps(run: NDArray[np.intp], direction: Floats) -> NDArray[np.intp]:
+    """Passes in the order of time; whole runs where the direction changes so often that there are no passes."""
+    new_run = np.concatenate([[False], np.diff(run) != 0])
+    turned = np.concatenate([[False], np.diff(direction) != 0])
+    passes = np.cumsum(new_run | turned)
+    return passes if len(run) >= SHORTEST_PASS * (int(passes[-1]) + 1) else np.cumsum(new_run)
+
+
+def rows_per_pass(run: NDArray[np.intp], direction: Floats) -> int:
+    """Median number of rows of one run in one direction."""
+    _, counts = np.unique(np.column_stack([run, direction]), axis=0, return_counts=True)
+    return max(int(np.median(counts)), 1)

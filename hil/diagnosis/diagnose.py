@@ -1,0 +1,165 @@
+"""From records to a diagnosis: noise, search, structure outside the catalogue, held-out gain, joint refit.
+
+What may go in: the order of the steps; each step is a module of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from hil.diagnosis.campaign import prepare
+from hil.diagnosis.candidates import BLIND
+from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
+from hil.diagnosis.fit import joint_fit
+from hil.diagnosis.held_out import HeldOut, earns_its_place, held_out
+from hil.diagnosis.judge import SURE
+from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
+from hil.diagnosis.select import structure_rms
+from hil.effects import ALL, Effect, Estimate
+from hil.model import Model
+from hil.records import Records
+
+Floats = NDArray[np.float64]
+
+TEMPERATURE = 2.0
+"""Log odds between effects are divided by this before they become confidences: no form is exactly right."""
+LEAST_CONFIDENCE = 0.02
+ONCE = frozenset({"datum_step", "beam_drift"})
+"""What happens once cannot be asked to help on a run left out."""
+RIVAL_SHARE = 0.05
+"""Weight from which a rival's help on a run left out counts for the effect, since either may be chosen there."""
+OUTSIDE = "unexplained"
+"""Stands among the rivals for a dependence on other columns that no effect of the catalogue has."""
+
+
+def diagnose(
+    records: Records, declared: Model | None = None, *, effects: Sequence[Effect] = ALL, seed: int = 0
+) -> Diagnosis:
+    """Find what the declared model lacks.
+
+    declared: the model in force or known; without it a bidirectional table is fitted from the records themselves.
+    Raises InputError when the records are too few.
+    """
+    with threadpool_limits(1, "blas"):  # many small products: threads only get in each other's way
+        return _diagnose(records, declared, effects, seed)
+
+
+def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
+    started = time.perf_counter()
+    campaign = prepare(records)
+    problem = problem_of(campaign, effects, declared, seed)
+    chosen = choose(problem)
+    left_out = held_out(problem, chosen.critical)
+    chosen, unexplained, dropped = gated(chosen, left_out)
+    noise = chosen.last.noise
+    base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
+    dof = max(len(campaign) - problem.free.bench.table.table_width, 4)
+    floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
+    after = Figures.of(left_out.after)
+    return Diagnosis(
+        noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
+        declared=base,
+        extended=chosen.fit.extended,
+        findings=_findings(chosen, campaign.columns),
+        unexplained=unexplained,
+        carriers=_carriers(chosen) if unexplained else (),
+        blind=_blind(problem),
+        before_um=left_out.before,
+        after_um=left_out.after,
+        setup_um=left_out.setup,
+        residual_um=campaign.error_um - chosen.fit.whole.error_um(campaign.columns),
+        held_out=left_out.how,
+        recommended=after.rms_um < Figures.of(campaign.error_um).rms_um,
+        notes=(
+            *(f"{name} is missing: made up from the row order" for name in campaign.made_up),
+            *(f"{name} fits these rows but does not help on runs left out: not taken" for name in dropped),
+        ),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
+    """Without the terms that do not help on runs left out; whether the structure found does; the effects dropped."""
+    last = chosen.last
+    none = np.zeros(len(left_out.structure))
+
+    def gain(effect: str) -> Floats:
+        alike = {effect, *(name for name, weight in _weights(chosen, effect).items() if weight > RIVAL_SHARE)}
+        return np.asarray(sum((left_out.gain.get(name, none) for name in alike), none))
+
+    kept = tuple(c for c in last.choices if c.effect.id in ONCE or earns_its_place(gain(c.effect.id)))
+    hits = [hit for selected in chosen.selections for hit in selected.hits]
+    unexplained = bool(hits) and (max(hit.gain for hit in hits) > SURE or earns_its_place(left_out.structure))
+    if len(kept) == len(last.choices):
+        return chosen, unexplained, ()
+    dropped = tuple(dict.fromkeys(c.effect.id for c in last.choices if c not in kept))
+    fit = last.searcher.fit(kept, last.noise)
+    return replace(chosen, fit=fit), unexplained, dropped
+
+
+def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, ...]:
+    findings: list[Finding] = []
+    named: set[str] = set()
+    for term in chosen.fit.found:
+        effect = term.effect
+        if effect.id in named:
+            continue
+        named.add(effect.id)
+        weights = _weights(chosen, effect.id)
+        rivals = [
+            RivalFound(name, weight, _separate_by(effect, name))
+            for name, weight in weights.items()
+            if name != effect.id and weight > LEAST_CONFIDENCE
+        ]
+        rms = float(np.std(term.error_um(columns)))
+        findings.append(Finding(term, weights.get(effect.id, 1.0), effect.explain(term), tuple(rivals), rms))
+    return tuple(sorted(findings, key=lambda f: -f.rms_um))
+
+
+def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
+    """Weight of each effect at the stage at which this one was taken, best first; 'unexplained' for a cause outside the catalogue."""
+    for selected in chosen.selections:
+        for stage in selected.stages:
+            if stage.taken and stage.ranking[0].effect == effect:
+                top = stage.ranking[0].evidence
+                odds = {r.effect: r.evidence - top for r in stage.ranking}
+                odds[OUTSIDE] = selected.foreign.get(effect, -math.inf)
+                raw = {name: math.exp(max(value / TEMPERATURE, -40.0)) for name, value in odds.items()}
+                total = sum(raw.values())
+                return {name: value / total for name, value in raw.items()}
+    return {}
+
+
+def _separate_by(effect: Effect, rival: str) -> str:
+    for known in effect.rivals:
+        if known.effect == rival:
+            return known.separate_by
+    return "a campaign in which the columns the two read vary apart"
+
+
+def _carriers(chosen: Chosen) -> tuple[Carrier, ...]:
+    return tuple(
+        Carrier(
+            hit.structure.columns,
+            structure_rms(selected.searcher, hit, selected.choices, selected.noise),
+            hit.probability,
+        )
+        for selected in chosen.selections
+        for hit in selected.hits
+    )
+
+
+def _blind(problem: Problem) -> tuple[Blind, ...]:
+    seen = problem.static.effects if problem.static is not None else ()
+    return tuple(
+        Blind(name, f"only {100 * share:.2g} % of it is left beside the table")
+        for name, share in problem.visible.items()
+        if share < BLIND and name not in seen
+    )

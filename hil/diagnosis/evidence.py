@@ -1,0 +1,431 @@
+"""The noise model and the evidence for columns under it: everything the search compares is computed here.
+
+error = table + run offsets + effects + correlated noise (AR(1) within a pass) + white noise. The table's roughness and the run
+offsets are normal random effects, so the marginal likelihood (REML; Patterson & Thompson 1971, Harville 1974) says how rough, how
+offset and how correlated the campaign is; a block of effect columns has Zellner's g-prior with unit information (Liang et al.
+2008), so that blocks of different width compare. All variances are relative to the white noise's.
+
+The work is done on cross products, so that one whitening serves every trial of the other parameters, and a run is left out by
+subtracting its part.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+from scipy.linalg.lapack import dtrtri
+from scipy.optimize import minimize
+
+from hil.diagnosis.campaign import Campaign
+from hil.diagnosis.table import Shape, ShapeColumns, SplineShape
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MOST_OFFSET = 0.8
+"""Bound of the run offsets, in white standard deviations: what is larger is an effect, not noise."""
+PRIOR_OFFSET = 0.35
+CORRELATIONS = ((0.0, 0.0), (0.5, 0.5), (0.35, 0.9), (1.0, 0.5), (0.7, 0.9), (1.2, 0.75), (2.5, 0.7))
+"""Grid of (ar, rho): noise may be strong where it forgets within a few rows, weak where it lasts."""
+
+VARIANCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+"""Variance ratios tried for a random effect of unit columns."""
+
+
+def prior_scale(rho: float) -> float:
+    """Scale of the half-normal prior on `ar`: noise that lasts is drift, and strong drift is an effect."""
+    return 1.2 if rho <= 0.8 else 0.35
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations relative to the white noise's, AR(1) coefficient, and the table's variance ratios (even, odd part)."""
+
+    ar: float = 0.0
+    rho: float = 0.0
+    offset: float = 0.0
+    even: float = math.inf
+    odd: float = math.inf
+
+    def log_prior(self) -> float:
+        return -0.5 * (self.ar / prior_scale(self.rho)) ** 2 - 0.5 * (self.offset / PRIOR_OFFSET) ** 2
+
+    def calm(self) -> Noise:
+        """The same table, white noise only."""
+        return replace(self, ar=0.0, rho=0.0, offset=0.0)
+
+
+@dataclass(frozen=True)
+class TableColumns:
+    """The columns that stand for the table and the run offsets at the rows of a campaign, made once.
+
+    shape: of the table; offset (n, r): run indicators
+    """
+
+    shape: ShapeColumns
+    offset: Floats
+
+    @classmethod
+    def of(cls, campaign: Campaign, shape: Shape) -> TableColumns:
+        return cls(shape.columns(campaign.x, campaign.d), run_columns(campaign))
+
+    @property
+    def stacked(self) -> Floats:
+        """All columns (n, p), the table's first."""
+        return np.asarray(np.hstack([self.shape.stacked, self.offset]), dtype=np.float64)
+
+    @property
+    def table_width(self) -> int:
+        return int(self.shape.stacked.shape[1])
+
+    def ridge(self, noise: Noise) -> Floats:
+        """Ridge of each column, shape (p,): inverse variance ratio, 0 where free."""
+        table = self.shape
+        widths = [part.shape[1] for part in (table.free, table.even, table.odd, table.given, self.offset)]
+        values = (0.0, 1.0 / noise.even, 1.0 / noise.odd, 1.0, 1.0 / max(noise.offset, 1e-5) ** 2)
+        return np.asarray(np.repeat(values, widths), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Extra:
+    """Columns beside the table: free (n, q), and random (n, s) with unit prior variance ratio."""
+
+    free: Floats
+    random: Floats
+
+    @classmethod
+    def none(cls, rows: int) -> Extra:
+        return cls(np.zeros((rows, 0)), np.zeros((rows, 0)))
+
+    def plus(self, other: Extra) -> Extra:
+        return Extra(np.hstack([self.free, other.free]), np.hstack([self.random, other.random]))
+
+
+def run_columns(campaign: Campaign) -> Floats:
+    """Indicator of each run, shape (n, r); none for a single run."""
+    count = campaign.runs if campaign.runs > 1 else 0
+    return np.asarray(campaign.run[:, None] == np.arange(count), dtype=np.float64)
+
+
+class Whitened:
+    """Rows of a campaign under one (ar, rho): covariance 1 + ar²·rho^|lag| within each pass, table columns whitened."""
+
+    def __init__(self, campaign: Campaign, table: TableColumns, ar: float, rho: float) -> None:
+        self.campaign, self.columns, self.ar, self.rho = campaign, table, ar, rho
+        self._bounds = np.flatnonzero(np.concatenate([[True], np.diff(campaign.sweep) != 0, [True]]))
+        self._inverse: dict[int, Floats] = {}
+        self._lower: dict[int, Floats] = {}
+        self.log_v = np.zeros(len(campaign))
+        for start, stop in pairwise(self._bounds):
+            size = int(stop - start)
+            if size not in self._inverse:
+                lag = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+                lower = cholesky(np.eye(size) + ar**2 * rho**lag)
+                self._lower[size] = lower
+                self._inverse[size] = inverse_of_lower(lower)
+            self.log_v[start:stop] = -2.0 * np.log(np.diag(self._inverse[size]))
+        self.table = self.whiten(table.stacked)
+        self.gram = self.table.T @ self.table
+
+    def whiten(self, columns: Floats) -> Floats:
+        """Columns (n, …) in units in which the noise is white."""
+        if self.ar == 0.0:
+            return columns
+        out = np.empty_like(columns, dtype=np.float64)
+        for start, stop in pairwise(self._bounds):
+            out[start:stop] = self._inverse[int(stop - start)] @ columns[start:stop]
+        return out
+
+    def colour(self, white: Floats) -> Floats:
+        """Inverse of `whiten`."""
+        if self.ar == 0.0:
+            return white
+        out = np.empty_like(white)
+        for start, stop in pairwise(self._bounds):
+            out[start:stop] = self._lower[int(stop - start)] @ white[start:stop]
+        return out
+
+
+class Frame:
+    """A campaign under one noise model, with the table, the offsets and further columns projected out.
+
+    whitened: the rows; noise: with the same (ar, rho); y: errors (n,) or (n, b), raw
+    beside: raw columns in every fit; out: rows left out, shape (n,) bool, or None
+    """
+
+    def __init__(
+        self,
+        whitened: Whitened,
+        noise: Noise,
+        y: Floats,
+        beside: Extra | None = None,
+        out: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self.whitened, self.noise = whitened, noise
+        self.keep = None if out is None else (~out).astype(np.float64)
+        self.out = None if out is None else np.flatnonzero(out)
+        self.extra = Extra.none(len(y)) if beside is None else beside
+        self.beside = self.prepared(np.hstack([self.extra.random, self.extra.free]))
+        self.y = self.prepared(y)
+        q, s = self.extra.free.shape[1], self.extra.random.shape[1]
+        ridge = np.concatenate([whitened.columns.ridge(noise), np.ones(s), np.zeros(q)])
+        gram = whitened.gram
+        table = whitened.table
+        if self.out is not None:
+            gram = gram - table[self.out].T @ table[self.out]
+        if q + s:
+            cross = table.T @ self.beside
+            gram = np.block([[gram, cross], [cross.T, self.beside.T @ self.beside]])
+        gram = gram + np.diag(ridge)
+        scale = np.diag(gram).copy()
+        gram[np.diag_indices_from(gram)] += 1e-11 * np.maximum(scale, 1e-12 * scale.max())
+        self.lower = cholesky(gram)
+        self.inverse_lower = inverse_of_lower(self.lower)
+        self.y_shadow = self.shadow(self.y)
+        self.rows = len(y) - (0 if self.out is None else len(self.out))
+        self.dof = self.rows - int(np.sum(ridge == 0.0))
+        self.rss = np.maximum(np.sum(self.y**2, axis=0) - np.sum(self.y_shadow**2, axis=0), 1e-300)
+        random = ridge[ridge > 0]
+        log_v = float(np.sum(whitened.log_v if self.keep is None else whitened.log_v * self.keep))
+        p = len(ridge) - q
+        self._constant = (
+            log_v + 2.0 * float(np.sum(np.log(np.diag(self.lower)[:p]))) - float(np.sum(np.log(random)))
+        ) - 2.0 * noise.log_prior()
+
+    def prepared(self, columns: Floats) -> Floats:
+        """Whitened, with the rows left out set to zero."""
+        w = self.whitened.whiten(columns)
+        if self.keep is None:
+            return w
+        return w * (self.keep if w.ndim == 1 else self.keep[:, None])
+
+    def shadow(self, prepared: Floats) -> Floats:
+        """R⁻ᵀ C'z: what the projected columns see of z; z'Pz = z'z - shadow'shadow."""
+        cross = self.whitened.table.T @ prepared
+        if self.beside.shape[1]:
+            cross = np.concatenate([cross, self.beside.T @ prepared])
+        return self.solve_lower(cross)
+
+    def solve_lower(self, cross: Floats) -> Floats:
+        """R⁻ᵀ of cross products with the projected columns, shape (p + q, …)."""
+        return self.inverse_lower @ cross
+
+    @property
+    def log_null(self) -> Floats:
+        """Log marginal likelihood of table and noise (REML) up to a constant of the rows, shape () or (b,).
+
+        With columns beside it is that of noise alone only when the same `beside` is compared.
+        """
+        return np.asarray(-0.5 * (self._constant + self.dof * np.log(self.rss)))
+
+    def normal(self, z: Floats) -> tuple[Floats, Floats]:
+        """Z'PZ (k, k) and Z'Py (k,) of raw columns z (n, k)."""
+        w = self.prepared(z)
+        shadow = self.shadow(w)
+        return w.T @ w - shadow.T @ shadow, w.T @ self.y - shadow.T @ self.y_shadow
+
+    def gain(self, z: Floats) -> float:
+        """Log Bayes factor of the columns against none, by the g-prior with unit information."""
+        k = z.shape[1]
+        if k == 0:
+            return 0.0
+        a, b = self.normal(z)
+        explained = explained_by(a, b)
+        return float(bayes_factor(np.asarray(explained), np.asarray(self.rss), self.dof, k, self.rows))
+
+    def estimate(self, z: Floats) -> Floats:
+        """Coefficients of the columns z (n, k) beside the table, shape (k,)."""
+        a, b = self.normal(z)
+        return np.asarray(np.linalg.lstsq(a, b, rcond=1e-12)[0], dtype=np.float64)
+
+    def solve(self, z: Floats) -> Solution:
+        """Generalised least squares of the columns z (n, k) beside the table."""
+        k = z.shape[1]
+        a, b = self.normal(z)
+        inverse = np.linalg.pinv(a, rcond=1e-12, hermitian=True) if k else np.zeros((0, 0))
+        coefficients = inverse @ b
+        rss = float(self.rss) - float(b @ coefficients)
+        variance = max(rss, 0.0) / max(self.dof - k, 1)
+        rest = self.y - self.prepared(z) @ coefficients if k else self.y
+        design = np.hstack([self.whitened.table, self.beside])
+        table = np.asarray(cho_solve((self.lower, True), design.T @ rest))
+        return Solution(coefficients, inverse * variance, variance, table, rest - design @ table)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """coefficients (k,), their covariance (k, k), white variance, table coefficients (p + q,), whitened residual (n,)."""
+
+    coefficients: Floats
+    covariance: Floats
+    variance: float
+    table: Floats
+    residual: Floats
+
+
+def cholesky(gram: Floats) -> Floats:
+    return np.asarray(np.linalg.cholesky(gram), dtype=np.float64)
+
+
+def inverse_of_lower(lower: Floats) -> Floats:
+    """L⁻¹, so that many right-hand sides are one product."""
+    inverse, _ = dtrtri(lower, lower=1)
+    return np.asarray(inverse, dtype=np.float64)
+
+
+def explained_by(a: Floats, b: Floats) -> float:
+    """b'a⁻¹b of normal equations that may be singular."""
+    root = np.sqrt(np.maximum(np.diag(a), 1e-300))
+    scaled = a / np.outer(root, root) + 1e-9 * np.eye(len(a))
+    c = b / root
+    return float(c @ np.linalg.solve(scaled, c))
+
+
+def bayes_factor(explained: Floats, rss: Floats, dof: int, width: Ints | int, information: int) -> Floats:
+    """Log Bayes factor of the g-prior (g = information) for blocks of `width` columns that explain `explained` of `rss`."""
+    left = np.clip(1.0 - explained / rss, 1e-12, 1.0)
+    g = float(information)
+    return np.asarray(0.5 * (dof - width) * math.log1p(g) - 0.5 * dof * np.log1p(g * left))
+
+
+def random_gain(frame: Frame, design: Floats) -> tuple[Floats, Floats]:
+    """Log evidence of the columns (n, r) as one random effect over none, and its best variance ratio.
+
+    Each of shape () or (b,) as the errors of the frame.
+    """
+    w = frame.prepared(design)
+    shadow = frame.shadow(w)
+    values, vectors = np.linalg.eigh(w.T @ w - shadow.T @ shadow)
+    values = np.maximum(values, 0.0)
+    b = w.T @ frame.y - shadow.T @ frame.y_shadow
+    c2 = (vectors.T @ b) ** 2
+    gains = []
+    for variance in VARIANCES:
+        shrink = variance / (1.0 + variance * values)
+        left = np.maximum(1.0 - (shrink @ c2) / frame.rss, 1e-12)
+        gains.append(-0.5 * float(np.sum(np.log1p(variance * values))) - 0.5 * frame.dof * np.log(left) - 1.0)
+    table = np.array(gains)
+    return np.max(table, axis=0), np.asarray(VARIANCES)[np.argmax(table, axis=0)]
+
+
+class Bench:
+    """A campaign with the shape of its table, the columns for it, and the whitenings made so far."""
+
+    def __init__(self, campaign: Campaign, shape: Shape | None = None) -> None:
+        self.campaign = campaign
+        self.shape: Shape = SplineShape(campaign.basis) if shape is None else shape
+        self.table = TableColumns.of(campaign, self.shape)
+        self._whitened: dict[tuple[float, float], Whitened] = {}
+
+    def whitened(self, noise: Noise) -> Whitened:
+        key = (noise.ar, noise.rho if noise.ar else 0.0)
+        if key not in self._whitened:
+            if len(self._whitened) > 24:
+                self._whitened.clear()
+            self._whitened[key] = Whitened(self.campaign, self.table, *key)
+        return self._whitened[key]
+
+    def frame(
+        self, noise: Noise, y: Floats, beside: Extra | None = None, out: NDArray[np.bool_] | None = None
+    ) -> Frame:
+        return Frame(self.whitened(noise), noise, y, beside, out)
+
+
+class Profile:
+    """Evidence of noise parameters of one (ar, rho), from cross products alone: cheap enough to optimise over."""
+
+    def __init__(
+        self, bench: Bench, start: Noise, y: Floats, extra: Extra, out: NDArray[np.bool_] | None = None
+    ) -> None:
+        self.bench, self.start = bench, start
+        whitened = bench.whitened(start)
+        keep = slice(None) if out is None else ~out
+        self.columns = whitened.columns
+        self.random = extra.random.shape[1]
+        self.p, self.k = whitened.table.shape[1] + self.random, extra.free.shape[1]
+        more = whitened.whiten(np.hstack([extra.random, extra.free, y[:, None]]))[keep]
+        wide = np.hstack([whitened.table[keep], more])
+        self.gram = wide.T @ wide
+        self.rows = len(wide)
+        self.log_v = float(np.sum(whitened.log_v[keep]))
+        self.smooth = math.isfinite(start.even) and self.columns.shape.even.shape[1] > 0
+        self.smooth_odd = math.isfinite(start.odd) and self.columns.shape.odd.shape[1] > 0
+        self.offsets = self.columns.offset.shape[1] > 0
+
+    def pack(self, noise: Noise) -> Floats:
+        values = [math.log(noise.even)] if self.smooth else []
+        values += [math.log(noise.odd)] if self.smooth_odd else []
+        values += [math.log(max(noise.offset, 0.05))] if self.offsets else []
+        return np.array(values)
+
+    def unpack(self, v: Floats) -> Noise:
+        values = [float(value) for value in v]
+        noise = self.start
+        if self.smooth:
+            noise = replace(noise, even=math.exp(min(max(values.pop(0), -20.0), 20.0)))
+        if self.smooth_odd:
+            noise = replace(noise, odd=math.exp(min(max(values.pop(0), -20.0), 20.0)))
+        if self.offsets:
+            noise = replace(noise, offset=min(math.exp(max(values.pop(0), -6.0)), MOST_OFFSET))
+        return noise
+
+    def log_evidence(self, noise: Noise) -> float:
+        """Log marginal likelihood of table, noise and extra columns, the free ones under the g-prior."""
+        p = self.p
+        ridge = np.concatenate([self.columns.ridge(noise), np.ones(self.random)])
+        gram = self.gram[:p, :p] + np.diag(ridge)
+        diagonal = np.diag(gram)
+        gram[np.diag_indices(p)] += 1e-11 * np.maximum(diagonal, 1e-12 * diagonal.max())
+        lower = cholesky(gram)
+        shadow = inverse_of_lower(lower) @ self.gram[:p, p:]
+        left = self.gram[p:, p:] - shadow.T @ shadow
+        rss = max(float(left[-1, -1]), 1e-300)
+        dof = self.rows - int(np.sum(ridge == 0.0))
+        random = ridge[ridge > 0]
+        constant = self.log_v + 2.0 * float(np.sum(np.log(np.diag(lower)))) - float(np.sum(np.log(random)))
+        value = -0.5 * (constant + dof * math.log(rss)) + noise.log_prior()
+        if self.k:
+            explained = explained_by(left[:-1, :-1], left[:-1, -1])
+            value += float(bayes_factor(np.asarray(explained), np.asarray(rss), dof, self.k, self.rows))
+        return value
+
+    def best(self, point: Floats, step: float) -> tuple[float, Floats]:
+        """Highest evidence and where, from a starting point."""
+        if len(point) == 0:
+            return self.log_evidence(self.start), point
+        simplex = np.vstack([point, point + step * np.eye(len(point))])
+        options = {"initial_simplex": simplex, "maxfev": 30 * len(point), "xatol": 0.1, "fatol": 0.03}
+        result = minimize(lambda v: -self.log_evidence(self.unpack(v)), point, method="Nelder-Mead", options=options)
+        return -float(result.fun), np.asarray(result.x, dtype=np.float64)
+
+
+def fit_noise(
+    bench: Bench,
+    y: Floats,
+    extra: Extra,
+    start: Noise,
+    *,
+    correlations: tuple[tuple[float, float], ...] = CORRELATIONS,
+    out: NDArray[np.bool_] | None = None,
+) -> Noise:
+    """The noise model of highest evidence with the extra columns in the fit.
+
+    The table's variances (where they are finite in `start`) and the run offsets are optimised for each (ar, rho) of a grid that
+    is left when more correlation no longer helps.
+    """
+    best: tuple[float, Noise] | None = None
+    point: Floats | None = None
+    for ar, rho in correlations:
+        if best is not None and ar > 0.3 and best[1].ar == 0.0:
+            break
+        profile = Profile(bench, replace(start, ar=ar, rho=rho), y, extra, out)
+        first = point is None
+        value, found = profile.best(profile.pack(start) if point is None else point, 1.2 if first else 0.4)
+        if best is None or value > best[0]:
+            best, point = (value, profile.unpack(found)), found
+    return start if best is None else best[1]

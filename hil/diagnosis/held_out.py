@@ -1,0 +1,82 @@
+"""What the models are worth on rows they were not fitted to: every run left out once, the choice repeated without it.
+
+What may go in: prediction of left-out runs. Nothing of a left-out run enters the fit that predicts it but its columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.choose import Critical, Problem, choose_without
+from hil.diagnosis.search import LIGHT, Searcher
+
+Floats = NDArray[np.float64]
+MOST_FOLDS = 10
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Residuals of the rows when they were left out, each shape (n,), and how the rows were left out.
+
+    before: of the declared model; after: with the machine's effects; setup: with those of instrument and set-up too
+    gain: by effect, squared error it took away in each fold, shape (folds,), µm²; structure: the same of unexplained structure
+    """
+
+    before: Floats
+    after: Floats
+    setup: Floats
+    gain: dict[str, Floats]
+    structure: Floats
+    how: str
+
+
+def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
+    """Fold of each row: its run, or a group of neighbouring runs where there are many; blocks of rows for a single run."""
+    runs = int(np.max(run)) + 1
+    if runs == 1:
+        return (np.arange(len(run)) * min(4, len(run)) // len(run)).astype(np.int64), "leave-one-quarter-out"
+    if runs <= MOST_FOLDS:
+        return run, "leave-one-run-out"
+    return (run * MOST_FOLDS // runs).astype(np.int64), "leave-runs-out in groups"
+
+
+def held_out(problem: Problem, critical: Sequence[Critical]) -> HeldOut:
+    """Leave out, choose, fit, predict. critical: gains an effect needs, for each step of the choice."""
+    campaign = problem.campaign
+    y = campaign.error_um
+    fold, how = folds(campaign.run)
+    n = len(y)
+    before, after, setup = np.zeros(n), np.zeros(n), np.zeros(n)
+    gain: dict[str, list[float]] = {}
+    count = int(np.max(fold)) + 1
+    structure = np.zeros(count)
+    for index in range(count):
+        out = fold == index
+        columns = {name: values[out] for name, values in campaign.columns.items()}
+        chosen = choose_without(problem, out, critical)
+        if problem.declared is not None:
+            base = problem.declared
+        else:
+            plain = Searcher(problem.free, problem.candidates, out, LIGHT)
+            noise = plain.fit_noise((), problem.plain)
+            plain.tame((), noise)
+            base = plain.fit((), noise).extended
+        before[out] = y[out] - base.error_um(columns)
+        setup[out] = y[out] - chosen.fit.whole.error_um(columns)
+        after[out] = y[out] - chosen.fit.extended.error_um(columns)
+        for term in chosen.fit.found:
+            fall = np.sum((setup[out] + term.error_um(columns)) ** 2) - np.sum(setup[out] ** 2)
+            gain.setdefault(term.effect.id, [0.0] * count)[index] += float(fall)
+        structure[index] = float(np.sum(setup[out] ** 2) - np.sum((setup[out] - chosen.fit.nuisance_um[out]) ** 2))
+    return HeldOut(before, after, setup, {name: np.array(values) for name, values in gain.items()}, structure, how)
+
+
+def earns_its_place(gain: Floats) -> bool:
+    """Whether a gain per fold, shape (folds,), is on average above zero by more than its standard error."""
+    if len(gain) < 2:
+        return bool(np.sum(gain) > 0)
+    return bool(np.mean(gain) > np.std(gain, ddof=1) / np.sqrt(len(gain)))

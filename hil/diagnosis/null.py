@@ -1,0 +1,91 @@
+"""How large the best candidate of each effect gets when there is nothing to find, in this very design.
+
+What may go in: simulated campaigns of table and noise alone, the distribution of the maximum they give, its tail. Textbook tails
+(χ², periodogram) are too light for a search over periods, moments and time constants in correlated noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincc
+
+from hil.diagnosis.candidates import Candidates, score
+from hil.diagnosis.evidence import Bench, Extra, Noise
+
+Floats = NDArray[np.float64]
+
+CAMPAIGNS = 300
+
+
+@dataclass(frozen=True)
+class Null:
+    """By effect id, the gain of its best candidate over none in each simulated campaign, shape (b,).
+
+    floor: what a candidate gains that explains nothing; narrowest: width of the narrowest candidate
+    """
+
+    maxima: dict[str, Floats]
+    floor: dict[str, float]
+    narrowest: dict[str, int]
+    log_rows: float
+
+    def probability(self, effect: str, value: float) -> float:
+        """Chance that the best candidate of this effect gets this far in noise, never less than that of a single candidate."""
+        width = self.narrowest[effect]
+        own_floor = -0.5 * width * self.log_rows
+        single = float(gammaincc(0.5 * width, max(value - own_floor, 0.0)))
+        return max(single, tail_probability(self.maxima[effect], self.floor[effect], value))
+
+
+def tail_probability(sample: Floats, floor: float, value: float) -> float:
+    """Chance of exceeding `value`, from a sample (b,) that cannot fall below `floor`: the larger of a Gumbel and a gamma tail."""
+    mean, spread = float(np.mean(sample)), max(float(np.std(sample)), 1e-6)
+    scale = spread * np.sqrt(6.0) / np.pi
+    gumbel = -np.expm1(-np.exp(min(-(value - (mean - 0.5772 * scale)) / scale, 50.0)))
+    above = max(mean - floor, 1e-6)
+    shape = (above / spread) ** 2
+    gamma = gammaincc(shape, shape * max(value - floor, 0.0) / above)
+    return float(max(gumbel, gamma))
+
+
+def simulate(bench: Bench, noise: Noise, count: int, seed: int) -> Floats:
+    """Campaigns of table roughness, run offsets and noise alone, unit white noise, shape (n, count)."""
+    rng = np.random.default_rng(seed)
+    whitened = bench.whitened(noise)
+    y = whitened.colour(rng.normal(size=(len(bench.campaign), count)))
+    ridge = bench.table.ridge(noise)
+    random = ridge > 0
+    parts = bench.table.stacked[:, random] / np.sqrt(ridge[random])
+    return np.asarray(y + parts @ rng.normal(size=(parts.shape[1], count)))
+
+
+def null_maxima(
+    bench: Bench, candidates: Candidates, noises: Sequence[Noise], beside: Extra, *, seed: int, count: int = CAMPAIGNS
+) -> Null:
+    """The null distribution for noise model noises[0], profiled over all of `noises`, with the columns `beside` in every fit."""
+    y = simulate(bench, noises[0], count, seed)
+    best_null = np.full(count, -np.inf)
+    best = np.full((len(candidates.effects), count), -np.inf)
+    for noise in noises:
+        frame = bench.frame(noise, y, beside)
+        gains = score(frame, candidates.stack(frame.whitened)).gain
+        log_null = frame.log_null
+        best_null = np.maximum(best_null, log_null)
+        for index in range(len(candidates.effects)):
+            mine = gains[candidates.effect == index]
+            best[index] = np.maximum(best[index], log_null + np.max(mine, axis=0))
+    maxima, floor, narrowest = {}, {}, {}
+    log_rows = float(np.log1p(len(y)))
+    for index, name in enumerate(candidates.effects):
+        values = best[index] - best_null
+        if np.all(np.isfinite(values)):
+            maxima[name] = values
+            widths = np.where(candidates.blocks.shrunk, 4, candidates.blocks.width)
+            mine = widths[candidates.effect == index]
+            floor[name] = -0.5 * float(np.max(mine)) * log_rows
+            narrowest[name] = int(np.min(mine))
+    return Null(maxima, floor, narrowest, log_rows)

@@ -1,0 +1,159 @@
+"""What a diagnosis says: frozen values, and the JSON of the contract.
+
+What may go in: results only, with everything a report needs to plot them; no statistics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.effects import Action, Estimate, Term
+from hil.model import Model
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RivalFound:
+    """An effect that explains the same almost as well: its share of the weight, and what would tell them apart."""
+
+    effect: str
+    confidence: float
+    separate_by: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect the declared model lacks.
+
+    rms_um: of the effect over the rows of the campaign, beside what the table absorbs
+    gain_um2: mean fall of the squared held-out error it brings; gain_std_um2: its standard error over the runs left out
+    """
+
+    term: Term
+    confidence: float
+    explanation: str
+    rivals: tuple[RivalFound, ...] = ()
+    rms_um: float = 0.0
+
+    @property
+    def effect(self) -> str:
+        return self.term.effect.id
+
+    @property
+    def action(self) -> Action:
+        return self.term.effect.action
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        return self.term.parameters
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """Columns that carry a residual nothing in the catalogue explains: its RMS along them, and the chance of seeing that in noise."""
+
+    columns: tuple[str, ...]
+    rms_um: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """RMS and largest magnitude of an error, µm."""
+
+    rms_um: float
+    peak_um: float
+
+    @classmethod
+    def of(cls, error_um: Floats) -> Figures:
+        return cls(float(np.sqrt(np.mean(error_um**2))), float(np.max(np.abs(error_um))))
+
+
+@dataclass(frozen=True)
+class Blind:
+    """An effect this campaign cannot show, and why."""
+
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The outcome.
+
+    noise_floor: repeatability of the machine and instrument, standard deviation in µm with its uncertainty
+    declared: the model before (fitted from the records or given); extended: with what was found, refitted jointly
+    before_um, after_um: held-out residual of each row with either model, shape (n,)
+    setup_um: after, with the instrument effects taken out too
+    residual_um: of the extended model and the instrument effects on the rows it was fitted to, shape (n,)
+    """
+
+    noise_floor: Estimate
+    declared: Model
+    extended: Model
+    findings: tuple[Finding, ...]
+    unexplained: bool
+    carriers: tuple[Carrier, ...]
+    blind: tuple[Blind, ...]
+    before_um: Floats
+    after_um: Floats
+    setup_um: Floats
+    residual_um: Floats
+    held_out: str
+    recommended: bool
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def before(self) -> Figures:
+        return Figures.of(self.before_um)
+
+    @property
+    def after(self) -> Figures:
+        return Figures.of(self.after_um)
+
+    def to_json(self) -> dict[str, Any]:
+        """The object of the contract, plain values."""
+        return {
+            "noise_floor_um": self.noise_floor.value,
+            "noise_floor_std_um": self.noise_floor.std,
+            "declared": self.declared.declared,
+            "findings": [_finding(finding) for finding in self.findings],
+            "unexplained": self.unexplained,
+            "carried_by": [
+                {"columns": list(c.columns), "rms_um": c.rms_um, "probability": c.probability} for c in self.carriers
+            ],
+            "blind_to": [{"effect": b.effect, "reason": b.reason} for b in self.blind],
+            "before": _figures(self.before),
+            "after": _figures(self.after),
+            "after_setup_fixed": _figures(Figures.of(self.setup_um)),
+            "held_out": {"how": self.held_out, "rows": len(self.before_um)},
+            "recommended": self.recommended,
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def _figures(figures: Figures) -> dict[str, float]:
+    return {"rms_um": figures.rms_um, "peak_um": figures.peak_um}
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "effect": finding.effect,
+        "parameters": {name: {"value": e.value, "std": e.std} for name, e in finding.parameters.items()},
+        "confidence": finding.confidence,
+        "action": finding.action.value,
+        "explanation": finding.explanation,
+        "rms_um": finding.rms_um,
+        "rivals": [
+            {"effect": r.effect, "confidence": r.confidence, "separate_by": r.separate_by} for r in finding.rivals
+        ],
+    }

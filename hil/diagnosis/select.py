@@ -1,0 +1,168 @@
+"""One selection from start to end on some rows: noise, catalogue search, structure outside the catalogue, what stays.
+
+What may go in: the order of these steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.candidates import score
+from hil.diagnosis.evidence import Noise
+from hil.diagnosis.fit import Choice
+from hil.diagnosis.judge import FoldScout, Hit, Scout, hit_of
+from hil.diagnosis.search import Judge, Searcher, Stage, search
+from hil.diagnosis.structure import Catalogue
+
+Floats = NDArray[np.float64]
+
+MOST_STRUCTURES = 3
+KEEP = 6.0
+"""Log Bayes factor a term must still bring beside an unexplained structure."""
+REPLACE = 6.0
+"""Log odds by which a structure of other columns must beat a term to take its place."""
+SHAPE = 0.35
+"""A structure of an effect's own columns, smaller than this share of the effect, is the effect's shape, not another cause."""
+OUTGROWN = 0.7
+"""A structure of an effect's own columns, larger than this share of the effect, is the cause, and the effect a part of it."""
+
+
+@dataclass(frozen=True)
+class Selected:
+    """What the records ask for.
+
+    searcher: with the tamed errors, and the columns of no interest (unexplained structure, drift within the noise)
+    hits: unexplained structures; shapes: small misfits of the terms' own forms
+    foreign: by effect, log odds of the best structure of other columns against the term
+    """
+
+    searcher: Searcher
+    choices: tuple[Choice, ...]
+    noise: Noise
+    stages: tuple[Stage, ...]
+    hits: tuple[Hit, ...] = ()
+    shapes: tuple[Hit, ...] = ()
+    foreign: dict[str, float] = field(default_factory=dict)
+
+
+def select(
+    searcher: Searcher, scout: Scout | FoldScout, judge: Judge, noise: Noise, start: Sequence[Choice] = ()
+) -> Selected:
+    """The terms the records ask for beside those of `start`, and the structure they leave."""
+    noise = searcher.fit_noise(start, noise)
+    searcher.tame(start, noise)
+    found = search(searcher, noise, judge, start)
+    stages = list(found.stages)
+    chosen, noise = list(found.choices), found.noise
+    hits: list[Hit] = []
+    shapes: list[Hit] = []
+    foreign: dict[str, float] = {}
+    while len(hits) < MOST_STRUCTURES:
+        hit = scout(searcher.frame(noise, searcher.extra(chosen)), searcher.bench)
+        if hit is None:
+            if isinstance(scout, FoldScout):
+                break
+            foreign, replaced = _foreign(searcher, scout.catalogue, chosen, noise, len(start))
+            if replaced is None:
+                break
+            chosen, hit = replaced
+        elif _is_shape(searcher, hit, chosen, noise):
+            shapes.append(hit)
+            searcher.add_nuisance(hit.extra)
+            if len(shapes) >= MOST_STRUCTURES:
+                break
+            continue
+        hits.append(hit)
+        searcher.add_nuisance(hit.extra)
+        chosen = drop(searcher, _not_outgrown(searcher, hit, chosen, noise, len(start)), noise, len(start))
+        noise = searcher.fit_noise(chosen, noise)
+        found = search(searcher, noise, judge, chosen)
+        stages.extend(found.stages)
+        chosen, noise = drop(searcher, found.choices, found.noise, len(start)), found.noise
+    searcher.tame(chosen, noise)
+    return Selected(searcher, tuple(chosen), noise, tuple(stages), tuple(hits), tuple(shapes), foreign)
+
+
+def drop(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:
+    """Without the terms after the first `fixed` that no longer earn their place, the weakest first."""
+    current = list(chosen)
+    while len(current) > fixed:
+        whole, _ = searcher.profiled_evidence(current, noise)
+        worth = [
+            whole - searcher.profiled_evidence(current[:i] + current[i + 1 :], noise)[0]
+            for i in range(fixed, len(current))
+        ]
+        weakest = int(np.argmin(worth))
+        if worth[weakest] >= KEEP:
+            break
+        del current[fixed + weakest]
+    return current
+
+
+def _foreign(
+    searcher: Searcher, catalogue: Catalogue, chosen: Sequence[Choice], noise: Noise, fixed: int
+) -> tuple[dict[str, float], tuple[list[Choice], Hit] | None]:
+    """Log odds of the best structure of other columns against each term; the first exchange that is called for."""
+    odds: dict[str, float] = {}
+    for i, choice in enumerate(chosen):
+        if i < fixed:
+            continue
+        rest = [other for j, other in enumerate(chosen) if j != i]
+        own = set(choice.form.inputs) | {"target_mm", "direction"}
+        worth = searcher.profiled_evidence(chosen, noise)[0]
+        base, calm = searcher.profiled_evidence(rest, noise)
+        stranger = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
+        if not np.any(stranger):
+            continue
+        best = -np.inf
+        for trial in dict.fromkeys((noise, calm)):
+            frame = searcher.frame(trial, searcher.extra(rest))
+            gains = np.where(stranger, score(frame, catalogue.stack(frame.whitened)).gain, -np.inf)
+            top = int(np.argmax(gains))
+            total = searcher.evidence(rest, trial) + float(gains[top])
+            if total > worth + REPLACE and total > base + REPLACE:
+                return odds, (rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0))
+            best = max(best, total)
+        odds[choice.effect.id] = max(odds.get(choice.effect.id, -np.inf), best - worth)
+    return odds, None
+
+
+def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> bool:
+    """Whether the structure is a small misfit of a chosen effect's own form."""
+    columns = set(hit.structure.columns) - {"target_mm", "direction"}
+    rms = structure_rms(searcher, hit, chosen, noise)
+    for choice, size in zip(chosen, _sizes(searcher, chosen, noise), strict=True):
+        own = set(choice.form.inputs) - {"target_mm", "direction"}
+        if columns <= own | {searcher.bench.campaign.survey.time_column} and rms < SHAPE * size:
+            return True
+    return False
+
+
+def _not_outgrown(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise, fixed: int) -> list[Choice]:
+    """Without the terms after the first `fixed` that are only a part of a structure of the same columns."""
+    columns = set(hit.structure.columns) - {"direction"}
+    rms = structure_rms(searcher, hit, chosen, noise)
+    sizes = _sizes(searcher, chosen, noise)
+    return [
+        choice
+        for i, (choice, size) in enumerate(zip(chosen, sizes, strict=True))
+        if i < fixed or not (set(choice.form.inputs) - {"direction"} <= columns and rms > OUTGROWN * size)
+    ]
+
+
+def _sizes(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> list[float]:
+    """RMS of each term over the rows, µm."""
+    columns = searcher.bench.campaign.columns
+    return [float(np.std(term.error_um(columns))) for term in searcher.fit(chosen, noise).found]
+
+
+def structure_rms(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> float:
+    """RMS of a structure over the rows beside some choices, µm."""
+    frame = searcher.frame(noise, searcher.extra(chosen))
+    a, b = frame.normal(hit.structure.whole)
+    coefficients = np.linalg.solve(a + np.eye(len(a)) / hit.variance, b)
+    return float(np.std(hit.structure.whole @ coefficients))

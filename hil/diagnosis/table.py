@@ -1,0 +1,156 @@
+"""The table part of a fit: the columns that stand for it, and its way back into a table.
+
+Two shapes: a spline fitted from the records themselves, and a declared table that is known with an uncertainty and may only move as
+far as that allows. What may go in: columns and tabulation; no statistics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.spline import TableBasis
+from hil.model import PitchTable
+
+Floats = NDArray[np.float64]
+
+FINE = 8
+"""Linear pieces per knot interval that stand for the spline."""
+MOST_NODES = 20
+"""Knots that carry the table's uncertainty in a model."""
+UNKNOWN_SHARE = 0.5
+"""Standard deviation, over the noise's, of the nodes of a declared table that does not state any."""
+
+
+@dataclass(frozen=True)
+class ShapeColumns:
+    """Columns of a table at some rows: free (n, f), even and odd (n, …) of one prior variance each, given (n, v) of unit variance."""
+
+    free: Floats
+    even: Floats
+    odd: Floats
+    given: Floats
+
+    @property
+    def stacked(self) -> Floats:
+        return np.asarray(np.hstack([self.free, self.even, self.odd, self.given]), dtype=np.float64)
+
+
+class Shape(Protocol):
+    """What stands for the table in a fit."""
+
+    def columns(self, x_mm: Floats, direction: Floats) -> ShapeColumns:
+        """Columns at positions and directions, shape (n, …)."""
+
+    def tabulate(self, coefficients: Floats, covariance: Floats) -> PitchTable:
+        """The table of some coefficients (w,) with their covariance (w, w) in µm²."""
+
+
+@dataclass(frozen=True)
+class SplineShape:
+    """A smoothing spline per direction part."""
+
+    basis: TableBasis
+
+    def columns(self, x_mm: Floats, direction: Floats) -> ShapeColumns:
+        even = self.basis.penalised(x_mm)
+        odd = even * direction[:, None] if self.basis.both_directions else even[:, :0]
+        return ShapeColumns(self.basis.free(x_mm, direction), even, odd, even[:, :0])
+
+    def tabulate(self, coefficients: Floats, covariance: Floats) -> PitchTable:
+        """FINE linear pieces per knot interval, half a spacing wider than the knots at each end."""
+        knots = self.basis.knots_mm
+        if len(knots) > 1:
+            pieces = [np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(knots)]
+            margin = 0.5 * float(np.median(np.diff(knots)))
+            x = np.concatenate([[knots[0] - margin], *pieces, [knots[-1], knots[-1] + margin]])
+        else:
+            x = knots
+        forward, backward = (self.columns(x, np.full(len(x), d)).stacked for d in (1.0, -1.0))
+        chosen = np.unique(np.round(np.linspace(0, len(knots) - 1, min(len(knots), MOST_NODES))).astype(int))
+        nodes = chosen * FINE + 1 if len(knots) > 1 else chosen
+        root = np.vstack([forward[nodes], backward[nodes]])
+        return _table(x, forward @ coefficients, backward @ coefficients, nodes, root @ covariance @ root.T)
+
+
+@dataclass(frozen=True)
+class DeclaredShape:
+    """A declared table that may move by a constant, and by its own uncertainty.
+
+    root: (2k, v), square root of the covariance of (forward, backward) at the table's nodes over the noise variance
+    """
+
+    table: PitchTable
+    root: Floats
+
+    @classmethod
+    def of(cls, table: PitchTable, noise_um: float) -> DeclaredShape:
+        """From a table and the white noise's standard deviation in µm."""
+        k = len(table.nodes)
+        if k == 0 or not table.covariance_um2:
+            nodes = np.unique(np.round(np.linspace(0, len(table.positions_mm) - 1, MOST_NODES)).astype(int))
+            table = PitchTable(table.positions_mm, table.forward_um, table.backward_um, tuple(int(i) for i in nodes))
+            return cls(table, np.eye(2 * len(nodes)) * UNKNOWN_SHARE)
+        values, vectors = np.linalg.eigh(np.array(table.covariance_um2))
+        kept = values > 1e-9 * max(float(values[-1]), 1e-300)
+        return cls(table, np.asarray(vectors[:, kept] * np.sqrt(values[kept]) / noise_um))
+
+    def columns(self, x_mm: Floats, direction: Floats) -> ShapeColumns:
+        nodes = np.array(self.table.positions_mm)[list(self.table.nodes)]
+        k = len(nodes)
+        hats = np.column_stack([np.interp(x_mm, nodes, np.eye(k)[i]) for i in range(k)])
+        forward = (direction > 0)[:, None]
+        given = np.hstack([hats * forward, hats * ~forward]) @ self.root
+        none = np.zeros((len(x_mm), 0))
+        return ShapeColumns(np.ones((len(x_mm), 1)), none, none, given)
+
+    def tabulate(self, coefficients: Floats, covariance: Floats) -> PitchTable:
+        x = np.array(self.table.positions_mm)
+        forward, backward = (self.columns(x, np.full(len(x), d)).stacked for d in (1.0, -1.0))
+        nodes = np.array(self.table.nodes)
+        root = np.vstack([forward[nodes], backward[nodes]])
+        new_forward = np.array(self.table.forward_um) + forward @ coefficients
+        new_backward = np.array(self.table.backward_um) + backward @ coefficients
+        return _table(x, new_forward, new_backward, nodes, root @ covariance @ root.T)
+
+
+@dataclass(frozen=True)
+class StaticPart:
+    """What a table can hold of further columns: their spline fit, one column of coefficients each, shape (w, q)."""
+
+    shape: SplineShape
+    coefficients: Floats
+
+    def at(self, x_mm: Floats, direction: Floats) -> Floats:
+        """Shape (n, q)."""
+        return np.asarray(self.shape.columns(x_mm, direction).stacked @ self.coefficients, dtype=np.float64)
+
+    def added_to(self, table: PitchTable, share: Floats) -> PitchTable:
+        """The table plus `share` (q,) of each column, on the table's positions."""
+        x = np.array(table.positions_mm)
+        forward, backward = (self.at(x, np.full(len(x), d)) @ share for d in (1.0, -1.0))
+        return PitchTable(
+            table.positions_mm,
+            _floats(np.array(table.forward_um) + forward),
+            _floats(np.array(table.backward_um) + backward),
+            table.nodes,
+            table.covariance_um2,
+        )
+
+
+def _table(x: Floats, forward: Floats, backward: Floats, nodes: NDArray[np.int64], covariance: Floats) -> PitchTable:
+    return PitchTable(
+        _floats(x),
+        _floats(forward),
+        _floats(backward),
+        tuple(int(i) for i in nodes),
+        tuple(tuple(float(f"{v:.6g}") for v in row) for row in covariance),
+    )
+
+
+def _floats(values: Floats) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
