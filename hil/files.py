@@ -1,0 +1,123 @@
+"""Writing a file whole or not at all.
+
+Every result that replaces an older one goes through `replace_file`: a reader, or a power cut, sees the old bytes or the new
+ones. Beside it, what makes errors about a file name that file, and holding one against other processes. No formats in here.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivers.errors import InputError
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """InputErrors raised inside that name no file name this one."""
+    try:
+        yield
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise type(error)(error.what, path=path, line=error.line) from error
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The bytes of a file. Raises InputError naming it when it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a UTF-8 file. Raises InputError naming it, and the line of the first byte that is not UTF-8."""
+    data = read_bytes(path)
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"byte {data[error.start]:02X}h is not UTF-8 text", path=path, line=line) from error
+
+
+@contextmanager
+def held(path: str | Path, *, wait: bool = False) -> Iterator[None]:
+    """A file or directory that only one may work with at a time, until the block ends or the process dies.
+
+    Raises InputError when it is held already, by another process or by this one; with `wait` it is waited for instead.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError as error:
+            raise InputError("is in use already, expected one process at a time", path=path) from error
+        yield
+    finally:
+        os.close(handle)
+
+
+def replace_file(path: str | Path, data: bytes, *, mode: int | None = None) -> None:
+    """Put `data` at `path` atomically and durably.
+
+    The bytes go to a temporary file in the same directory, are flushed to the disk, and take the name in one step; then the
+    directory is flushed. An older file's permissions (and owner, where we may) are kept; a new file gets `mode`, by default
+    what the umask leaves of 0o666. A symbolic link stays one, its target is replaced. Something that is no regular file (a
+    pipe, /dev/stdout) is written to as it is. Raises InputError naming the file when it cannot be written; the old one is then
+    untouched.
+    """
+    try:
+        _replace(Path(path), data, mode)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+
+
+def sync_directory(directory: Path) -> None:
+    """Make a new name, or a change of one, in a directory durable. Raises OSError."""
+    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _replace(path: Path, data: bytes, mode: int | None) -> None:
+    target = Path(os.path.realpath(path))
+    try:
+        old: os.stat_result | None = target.stat()
+    except FileNotFoundError:
+        old = None
+    if path.is_relative_to("/dev") or (old is not None and not stat.S_ISREG(old.st_mode)):
+        path.write_bytes(data)
+        return
+    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            os.fchmod(file.fileno(), _default_mode(mode) if old is None else stat.S_IMODE(old.st_mode))
+            if old is not None and (old.st_uid, old.st_gid) != (os.geteuid(), os.getegid()) and os.geteuid() == 0:
+                os.fchown(file.fileno(), old.st_uid, old.st_gid)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    sync_directory(target.parent)
+
+
+def _default_mode(mode: int | None) -> int:
+    if mode is not None:
+        return mode
+    umask = os.umask(0o077)
+    os.umask(umask)
+    return 0o666 & ~umask

@@ -1,0 +1,101 @@
+"""Measurements of the Keysight (Agilent) E1733A laser software: a `.Lin` file of linear positioning.
+
+The file is text, one field per line: `Identify=<name>,<type>=<value>`. Two are read: `Positions` with `TextUnit=`, the targets and
+their unit, and `LinearErr` with `TextUnit=`, the errors and theirs, cycle after cycle: the targets forward, then the same targets
+backward. Numbers are separated by blanks, commas, semicolons or tabs; the unit stands at the end. Several lines of one name follow
+each other. Everything else (set-up, environment, the software's own figures) is left alone.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.formats.common import numbered_lines
+from hil.records import Floats, Records
+
+LENGTH_MM = {
+    "nm": 1e-6,
+    "um": 1e-3,
+    "µm": 1e-3,
+    "μm": 1e-3,
+    "mm": 1.0,
+    "cm": 10.0,
+    "m": 1000.0,
+    "in": 25.4,
+    "inch": 25.4,
+}
+
+_FIELD = re.compile(r"Identify\s*=\s*([^,=]+?)\s*,\s*([^=]+?)\s*=\s*(.*)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class KeysightSettings:
+    """Nothing to choose: the file says its units."""
+
+
+def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
+    """Rows in the order they were measured: run by run, forward ascending, then backward. Raises InputError with the line."""
+    targets: list[float] = []
+    errors: list[float] = []
+    last_line = {"positions": 0, "linearerr": 0}
+    for line_number, line in numbered_lines(text.removeprefix("\ufeff")):
+        match = _FIELD.match(line)
+        if match is None or match[1].lower() not in last_line:
+            continue
+        name, kind, value = match[1].lower(), match[2], match[3]
+        if kind.lower() != "textunit":
+            raise InputError(f"{match[1]} is given as {kind!r}, expected TextUnit", line=line_number)
+        (targets if name == "positions" else errors).extend(_lengths_mm(value, match[1], line_number))
+        last_line[name] = line_number
+    for name, values in (("Positions", targets), ("LinearErr", errors)):
+        if not values:
+            raise InputError(f"holds no field {name} (Identify={name},TextUnit=…): is it a file of linear positioning?")
+    per_cycle = 2 * len(targets)
+    if len(set(targets)) != len(targets):
+        raise InputError("names a position twice", line=last_line["positions"])
+    if len(errors) % per_cycle:
+        raise InputError(
+            f"holds {len(errors)} errors for {len(targets)} positions, expected a multiple of {per_cycle}"
+            " (forward and backward)",
+            line=last_line["linearerr"],
+        )
+    return _records(np.array(targets), np.array(errors), per_cycle)
+
+
+def _lengths_mm(text: str, name: str, line: int) -> list[float]:
+    tokens = [token for token in re.split(r"[\s,;]+", text.strip().strip('"')) if token]
+    if not tokens:
+        raise InputError(f"{name} is empty", line=line)
+    unit = tokens[-1].lower()
+    if unit not in LENGTH_MM:
+        raise InputError(f"{name} ends in {tokens[-1]!r}, expected a unit of length such as mm or um", line=line)
+    values = []
+    for token in tokens[:-1]:
+        try:
+            value = float(token)
+        except ValueError:
+            value = float("nan")
+        if not np.isfinite(value):
+            raise InputError(f"{name} holds {token!r}, expected a number", line=line)
+        values.append(value * LENGTH_MM[unit])
+    return values
+
+
+def _records(targets: Floats, errors: Floats, per_cycle: int) -> Records:
+    ascending = 1.0 if targets[-1] >= targets[0] else -1.0
+    cycle_targets = np.concatenate([targets, targets[::-1]])
+    cycle_direction = np.repeat([ascending, -ascending], len(targets))
+    cycles = len(errors) // per_cycle
+    target = np.tile(cycle_targets, cycles)
+    return Records.of(
+        {
+            "run": np.repeat(np.arange(1.0, cycles + 1), per_cycle),
+            "direction": np.tile(cycle_direction, cycles),
+            "target_mm": target,
+            "measured_mm": target + errors,
+        }
+    )
