@@ -1,0 +1,59 @@
+"""What every verb that works on an axis shares: its arguments, its sealed store, its dry run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+from hil.axis import AxisConfig
+from hil.cli.output import add_json_option
+from hil.cli.passwords import KEY, READING, password
+from hil.procedures.measure import Step
+from hil.store import SealedStore
+
+
+def add_axis_arguments(parser: argparse.ArgumentParser) -> None:
+    """The axis file, `--dry-run` and `--json`."""
+    parser.add_argument("axis", metavar="AXIS.toml", help="the axis file")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be moved and written, and do nothing")
+    add_json_option(parser)
+
+
+def seed(text: str) -> int:
+    """A `--seed` as argparse takes it: what every random generator takes."""
+    if not (text.isascii() and text.isdecimal() and int(text) < 2**31):
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number from 0 to {2**31 - 1}")
+    return int(text)
+
+
+def add_password_options(parser: argparse.ArgumentParser, *, key: bool) -> None:
+    """Where the passwords of the sealed store come from."""
+    parser.add_argument(
+        "--password-file", metavar="F", help=f"file with the tables' reading password (else ${READING}, else asked)"
+    )
+    if key:
+        parser.add_argument(
+            "--key-password-file", metavar="F", help=f"file with the builder key's password (else ${KEY}, else asked)"
+        )
+
+
+def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> SealedStore:
+    """The axis's sealed store, for writing with the builder's private key; every password is asked for before anything moves."""
+    key = password(args.key_password_file, KEY, "builder key's password", os.environ) if writing else None
+    return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key)
+
+
+def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:
+    """What would move how far, and what would be written."""
+    how = axis.measurement
+    targets = [step.target_mm for step in steps]
+    low = min(*targets, how.reference_mm) - how.overrun_mm
+    high = max(*targets, how.reference_mm) + how.overrun_mm
+    homing = "home it, " if how.home else ""
+    print(
+        f"axis {axis.name} over {axis.drive.backend}: would enable it, {homing}take the datum at {how.reference_mm:g} mm"
+    )
+    print(f"would move between {low:.3f} and {high:.3f} mm (corrections come on top) at {how.velocity_mm_s:g} mm/s")
+    print(f"would capture {len(steps)} positions, {how.dwell_s + how.reading_s:g} s at rest each")
+    for line in writes:
+        print(f"would write {line}")

@@ -1,0 +1,133 @@
+"""`hil calibrate`: measure an axis, compute its tables, store them sealed, prove them, revise until inside the band."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+from drivers.errors import InputError
+from hil.axis import AxisConfig, load_axis
+from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run
+from hil.cli.output import write_json
+from hil.cli.progress import terminal_progress
+from hil.cli.summary import error_figures, print_stages
+from hil.files import replace_file
+from hil.journal import Campaign
+from hil.manual import read_manual_tables, read_straightness
+from hil.procedures.calibrate import Calibration, as_stored, calibrate
+from hil.procedures.measure import bidirectional_steps
+from hil.store import SealedStore
+from hil.tables import SingleTable
+from hil.wiring import connected
+
+EXAMPLE = """\
+example:
+  hil calibrate X.toml
+  hil calibrate X.toml --resume             go on after an interruption
+  hil calibrate X.toml --manual typed.csv   store tables that were typed or computed elsewhere, without measuring
+
+Exit status 1: sections stayed outside the band; they are named.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "calibrate",
+        help="measure, compute tables, store them sealed, prove them",
+        description="Calibrate an axis by system A: measure every section both ways, compute and store the tables, prove them.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted calibration")
+    parser.add_argument("--manual", metavar="TABLE.csv", help="store these tables instead of measured ones")
+    parser.add_argument(
+        "--straightness", metavar="TABLE.csv", help="store a straightness correction too: position_mm, deviation_um"
+    )
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_password_options(parser, key=True)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: inside the band (or no band asked for); 1: some sections outside."""
+    axis = load_axis(args.axis)
+    straightness = None if args.straightness is None else read_straightness(args.straightness)
+    if args.manual is not None:
+        return _store_manual(args, axis, straightness)
+    if args.dry_run:
+        steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
+        print_dry_run(axis, steps, [f"rows of each pass below {axis.store.directory}", str(axis.tables_path)])
+        return 0
+    store = open_store(args, axis, writing=True)
+    result = run_calibration(axis, store, straightness, resume=args.resume)
+    summary = summarise(axis, result)
+    print_stages({"before": summary["before"], **{f"round {n}": one for n, one in enumerate(summary["rounds"], 1)}})
+    for section in result.outside:
+        print(f"outside the band: {section}")
+    print(f"stored {store.path}")
+    if args.report:
+        from hil.cli.documents import calibration_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, calibration_report(axis, result).encode())
+    if args.json:
+        write_json(args.json, summary)
+    return 0 if result.inside else 1
+
+
+def _store_manual(args: argparse.Namespace, axis: AxisConfig, straightness: SingleTable | None) -> int:
+    """Manual mode: the values as they were typed, in the form the axis file asks for; nothing moves."""
+    if args.resume or args.report:
+        raise InputError("--manual measures nothing: neither --resume nor --report goes with it")
+    typed = read_manual_tables(args.manual)
+    if straightness is not None:
+        if typed.straightness is not None:
+            raise InputError("holds a straightness table already, and --straightness gives another", path=args.manual)
+        typed = replace(typed, straightness=straightness)
+    tables = as_stored(typed, axis.correction)
+    if args.dry_run:
+        print(f"axis {axis.name}: would move nothing")
+        print(f"would write {axis.tables_path}")
+        return 0
+    store = open_store(args, axis, writing=True)
+    store.save_tables(tables)
+    print(f"stored {store.path}: tables {tables.digest()[:16]}, not yet proven (hil verify {args.axis})")
+    if args.json:
+        write_json(args.json, {"axis": axis.name, "digest": tables.digest(), "tables": tables.to_dict()})
+    return 0
+
+
+def run_calibration(
+    axis: AxisConfig, store: SealedStore, straightness: SingleTable | None = None, *, resume: bool
+) -> Calibration:
+    """Connect, prepare, calibrate; each set of tables is sealed before it is used."""
+    with connected(axis) as machine, terminal_progress() as listener:
+        campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=resume)
+        machine.session.prepare()
+        return calibrate(
+            machine.session,
+            campaign,
+            axis.correction,
+            store.save_tables,
+            listener,
+            straightness=straightness,
+        )
+
+
+def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
+    """What a calibration came to, as plain values."""
+    return {
+        "axis": axis.name,
+        "before": error_figures(result.before),
+        "rounds": [
+            {
+                **error_figures(one.records),
+                "tables": one.tables.digest(),
+                "outside": [vars(section) for section in one.outside],
+            }
+            for one in result.rounds
+        ],
+        "inside": result.inside,
+        "tables": result.tables.to_dict(),
+    }

@@ -1,0 +1,112 @@
+"""`hil close-loop`: calibrate, verify in another regime, diagnose, add what is missing, measure again."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from drivers.errors import InputError
+from hil.axis import AxisConfig, load_axis
+from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run
+from hil.cli.output import write_json
+from hil.cli.progress import terminal_progress
+from hil.cli.summary import error_figures, print_findings, print_stages
+from hil.files import replace_file
+from hil.journal import Campaign
+from hil.procedures.close_loop import Loop, close_loop
+from hil.procedures.conditions import AskedConditions, Conditions
+from hil.procedures.explore import Exploration
+from hil.procedures.measure import bidirectional_steps
+from hil.wiring import connected
+
+EXAMPLE = """\
+example:
+  hil close-loop X.toml --report loop.html
+  hil close-loop X.toml --resume
+
+Exit status 1: structure is left that nothing in the catalogue explains, or the axis came out no better.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "close-loop",
+        help="calibrate, verify warm, diagnose, extend, measure again",
+        description="Find what error a calibration leaves, trace it to an effect, add that effect, and prove it on the machine.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted loop")
+    parser.add_argument("--runs", type=int, default=8, help="runs of each exploring campaign (default 8)")
+    parser.add_argument("--rows", type=int, default=42, help="positions of each run (default 42)")
+    parser.add_argument(
+        "--warm-up", metavar="S", type=float, default=240.0, help="mean seconds of strokes, or rest, between runs"
+    )
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_password_options(parser, key=True)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: what is left is within the noise or explained; 1: not."""
+    axis = load_axis(args.axis)
+    if args.dry_run:
+        steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
+        print_dry_run(axis, steps, [f"rows below {axis.store.directory}", str(axis.tables_path)])
+        print(
+            f"then twice {args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each"
+        )
+        return 0
+    store = open_store(args, axis, writing=True)
+    how = Exploration(args.runs, args.rows, args.warm_up)
+    purpose = {**axis.purpose("close-loop"), "exploration": vars(how)}
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
+    with connected(axis, conditions=_asked(axis)) as machine, terminal_progress() as listener:
+        machine.session.prepare()
+        loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, how=how)
+    stages = loop_stages(loop)
+    print_stages(stages)
+    print_findings(loop.turn.diagnosis)
+    if args.report:
+        from hil.cli.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, loop_report(axis, loop).encode())
+    good = loop_is_good(loop)
+    if args.json:
+        write_json(
+            args.json, {"axis": axis.name, "stages": stages, "diagnosis": loop.turn.diagnosis.to_json(), "good": good}
+        )
+    return 0 if good else 1
+
+
+def _asked(axis: AxisConfig) -> Conditions | None:
+    """Loads and the like are brought about by whoever sits at the terminal."""
+    levels = axis.conditions.levels
+    if not levels or axis.drive.backend == "bench":
+        return None
+    if not sys.stdin.isatty():
+        raise InputError("[conditions] are asked for on a terminal, and there is none", path=axis.path)
+
+    def ask(name: str, value: float) -> None:
+        input(f"please make {name} = {value:g}, then press Enter ")
+
+    return AskedConditions(levels, ask)
+
+
+def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
+    """The measured stages of a loop with their figures."""
+    return {
+        "uncorrected": error_figures(loop.calibration.before),
+        "table": error_figures(loop.calibration.rounds[-1].records),
+        "table, explored": error_figures(loop.turn.before),
+        "extended, explored": error_figures(loop.turn.after),
+    }
+
+
+def loop_is_good(loop: Loop) -> bool:
+    """Everything found, and the axis measured no worse than before."""
+    before, after = error_figures(loop.turn.before)["rms_um"], error_figures(loop.turn.after)["rms_um"]
+    diagnosis = loop.turn.diagnosis
+    return not diagnosis.unexplained and bool(after <= max(before, 2 * diagnosis.noise_floor.value))

@@ -1,0 +1,84 @@
+"""`hil diagnose`: trace what a correction leaves to the effect that the model lacks."""
+
+from __future__ import annotations
+
+import argparse
+
+from drivers.errors import InputError
+from hil.cli.effects_input import add_effects_option, read_effects
+from hil.cli.output import add_json_option, print_facts, print_table, write_json
+from hil.cli.records_input import add_records_argument, read_model, read_records
+from hil.diagnosis import Diagnosis, diagnose
+from hil.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil diagnose records.csv --json diagnosis.json --out extended.json
+  hil diagnose check.csv --model model.json --json diagnosis.json --out extended.json
+
+Without --model the declared model (a table per direction) is fitted from the records themselves. Exit 0: what is left is
+explained or within the noise; 1: structure is left that nothing in the catalogue explains.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "diagnose",
+        help="trace what is left to an effect",
+        description="Find the effect that the declared model lacks, name what it could be confused with, and extend the model.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_records_argument(parser)
+    parser.add_argument(
+        "--model", metavar="MODEL", help="the declared model (`hil fit`); default: fitted from the records"
+    )
+    parser.add_argument("--out", metavar="EXTENDED", help="write the extended model; `hil apply` uses it")
+    add_effects_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, print, write. Returns 1 when something is left unexplained. Raises InputError for bad records or model."""
+    effects = read_effects(args.effects)
+    declared = read_model(args.model, effects) if args.model else None
+    records = read_records(args.records, args.runs)
+    try:
+        diagnosis = diagnose(records, declared, effects=effects)
+    except InputError as error:
+        raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+    if args.out:
+        replace_file(args.out, diagnosis.extended.to_json().encode("utf-8"))
+    if args.json:
+        write_json(args.json, diagnosis.to_json())
+    print_diagnosis(diagnosis)
+    return 1 if diagnosis.unexplained else 0
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """The outcome for people, on standard output."""
+    before, after = diagnosis.before, diagnosis.after
+    print_facts(
+        {
+            "noise floor": f"{diagnosis.noise_floor} µm",
+            "declared": ", ".join(diagnosis.declared.declared),
+            "before": f"{before.rms_um:.3f} µm RMS, {before.peak_um:.3f} µm at most (held out, {diagnosis.held_out})",
+            "after": f"{after.rms_um:.3f} µm RMS, {after.peak_um:.3f} µm at most",
+        }
+    )
+    if not diagnosis.findings:
+        print("nothing in the catalogue is missing from the model")
+    else:
+        print_table(
+            ["effect", "confidence", ("action", "left"), ("what", "left")],
+            [[f.effect, f"{f.confidence:.3f}", f.action.value, f.explanation] for f in diagnosis.findings],
+        )
+    for finding in diagnosis.findings:
+        for rival in finding.rivals:
+            print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
+    if diagnosis.unexplained:
+        carried = "; ".join(" × ".join(c.columns) for c in diagnosis.carriers)
+        print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
+    for note in diagnosis.notes:
+        print(f"note: {note}")

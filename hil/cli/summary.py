@@ -1,0 +1,52 @@
+"""Figures of a campaign in a few numbers, for the summaries that calibrate, verify, demo and close-loop print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.cli.output import number, print_table
+from hil.iso230 import iso230
+from hil.records import Records
+
+if TYPE_CHECKING:  # loading it takes longer than calibrating needs to begin
+    from hil.diagnosis import Diagnosis
+
+
+def error_figures(records: Records) -> dict[str, Any]:
+    """RMS and peak of the error as measured, and ISO 230-2 A, R, B and M where the rows allow them; µm."""
+    error = records.error_um
+    figures: dict[str, Any] = {
+        "rows": len(records),
+        "rms_um": float(np.sqrt(np.mean(error**2))),
+        "peak_um": float(np.max(np.abs(error))),
+    }
+    try:
+        iso = iso230(records)
+    except InputError:
+        return figures
+    return {**figures, "A_um": iso.A, "R_um": iso.R, "B_um": iso.B, "M_um": iso.M}
+
+
+def print_findings(diagnosis: Diagnosis) -> None:
+    """What a diagnosis found, a line each."""
+    for finding in diagnosis.findings:
+        verdict = f"confidence {finding.confidence:.2f}, {finding.action.value}"
+        print(f"found: {finding.effect} ({verdict}). {finding.explanation}")
+    if not diagnosis.findings:
+        print("found: nothing that the data support")
+    if diagnosis.unexplained:
+        print("unexplained: structure is left that nothing in the catalogue explains")
+
+
+def print_stages(stages: Mapping[str, Mapping[str, Any]]) -> None:
+    """One line per stage of a job, with its figures."""
+    columns = {"rows": "rows", "rms_um": "RMS", "peak_um": "peak", "A_um": "A", "R_um": "R", "B_um": "B", "M_um": "M"}
+    rows = [
+        [name, *(str(figures["rows"]) if key == "rows" else number(figures.get(key)) for key in columns)]
+        for name, figures in stages.items()
+    ]
+    print_table(["error in µm", *columns.values()], rows)

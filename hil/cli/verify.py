@@ -1,0 +1,76 @@
+"""`hil verify`: measure with the correction in force at other targets than those it was made at."""
+
+from __future__ import annotations
+
+import argparse
+
+from drivers.errors import InputError
+from hil.axis import load_axis
+from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run, seed
+from hil.cli.iso230 import print_figures
+from hil.cli.output import write_json
+from hil.cli.progress import terminal_progress
+from hil.cli.summary import error_figures, print_stages
+from hil.files import replace_file
+from hil.iso230 import iso230
+from hil.journal import Campaign
+from hil.procedures.measure import bidirectional_steps, other_targets
+from hil.procedures.verify import verify
+from hil.store import compensation_in_force
+from hil.wiring import connected
+
+EXAMPLE = """\
+example:
+  hil verify X.toml
+  hil verify X.toml --report verified.html --seed 3
+
+Exit status 1: sections lie outside the band of the axis file; they are named.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "verify",
+        help="measure with the correction in force at other targets",
+        description="Prove a calibration: measure with the stored correction in force, at targets between its own.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_password_options(parser, key=False)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: verified; 1: sections outside the band."""
+    axis = load_axis(args.axis)
+    if args.dry_run:
+        steps = bidirectional_steps(other_targets(axis.measurement, args.seed), axis.measurement.runs)
+        print_dry_run(axis, steps, [f"rows below {axis.store.directory}"])
+        return 0
+    compensation = open_store(args, axis, writing=False).load()
+    purpose = {**axis.purpose("verify"), **compensation_in_force(compensation), "seed": args.seed}
+    with connected(axis) as machine, terminal_progress() as listener:
+        campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
+        machine.session.prepare()
+        machine.session.compensation = compensation
+        result = verify(machine.session, campaign, "verify", axis.correction.band, listener, seed=args.seed)
+    figures = error_figures(result.records)
+    try:
+        print_figures(iso230(result.records))
+    except InputError as error:  # an axis of two sections has one target between them
+        print(f"no figures of ISO 230-2: {error.what}")
+    print_stages({"verified": figures})
+    for section in result.outside:
+        print(f"outside the band: {section}")
+    if args.report:
+        from hil.cli.documents import verification_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, verification_report(axis, compensation.tables, result).encode())
+    if args.json:
+        outside = [vars(section) for section in result.outside]
+        write_json(args.json, {"axis": axis.name, **figures, "good": result.good, "outside": outside})
+    return 0 if result.good else 1

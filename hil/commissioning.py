@@ -1,0 +1,60 @@
+"""Everything a commissioning script needs, in one import. `hil/examples` shows each at work.
+
+Nothing is defined here: what the verbs call is what a script calls.
+"""
+
+from hil.axis import AxisConfig, load_axis
+from hil.compensation import Compensation
+from hil.diagnosis import Diagnosis, diagnose, fit_model
+from hil.iso230 import Iso230, iso230
+from hil.journal import Campaign
+from hil.manual import read_manual_tables, read_straightness
+from hil.procedures.calibrate import Calibration, calibrate
+from hil.procedures.close_loop import Loop, close_loop
+from hil.procedures.doctor import Check, doctor
+from hil.procedures.events import Event
+from hil.procedures.verify import Verification, verify
+from hil.procedures.warm_up import warm_up
+from hil.records import Records, read_csv, to_csv
+from hil.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
+from hil.store import SealedStore
+from hil.tables import Band, TableMode, TableSet
+from hil.wiring import Machine, connected
+
+__all__ = [
+    "AxisConfig",
+    "Band",
+    "Calibration",
+    "Campaign",
+    "Check",
+    "Compensation",
+    "Diagnosis",
+    "Event",
+    "Iso230",
+    "Loop",
+    "Machine",
+    "Records",
+    "SealedStore",
+    "TableMode",
+    "TableSet",
+    "Verification",
+    "calibrate",
+    "close_loop",
+    "connected",
+    "diagnose",
+    "doctor",
+    "fit_model",
+    "iso230",
+    "load_axis",
+    "load_private_key",
+    "load_public_key",
+    "new_key",
+    "read_csv",
+    "read_manual_tables",
+    "read_straightness",
+    "save_private_key",
+    "save_public_key",
+    "to_csv",
+    "verify",
+    "warm_up",
+]

@@ -1,0 +1,248 @@
+"""The one place that knows concrete drives and instruments: from an axis file to a session on a machine, or on the bench.
+
+Everything else of `hil` works against `ServoDrive` and `DistanceInstrument`, so that the same code runs on real hardware and in tests.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.clock import Clock, WallClock
+from drivers.drive import DriveLimits, ServoDrive
+from drivers.errors import CapabilityError, InputError
+from drivers.instrument import DistanceInstrument
+from drivers.instruments.serial_link import SerialLink
+from drivers.instruments.umd_laser import FixedAir, Optics, UmdLaser, UmdSettings
+from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.parameters import ModbusParameters
+from drivers.modbus.wear import WearLedger
+from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
+from drivers.scaling import AxisScaling
+from hil.axis import AxisConfig, InstrumentConfig
+from hil.bench_conditions import BenchConditions
+from hil.files import held
+from hil.procedures.conditions import Conditions
+from hil.procedures.session import AxisSession
+from sim_backends.bench import Bench, BenchParameters, known_bench
+from sim_backends.canopen_drive import served
+from sim_backends.machine import modbus_face
+from sim_backends.modbus_drive import rtu_slave, tcp_server
+from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+BENCH_PATIENCE_S = 10.0
+"""The bench's drive answers in a thread of its own, as soon as the host lets it: its silence is judged in real time."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A connected axis; `bench` is the simulated machine behind it, None on a real one."""
+
+    axis: AxisConfig
+    session: AxisSession
+    bench: Bench | None = None
+
+    @property
+    def clock(self) -> Clock:
+        return self.session.clock
+
+
+@contextmanager
+def connected(
+    axis: AxisConfig, bench: BenchParameters | None = None, conditions: Conditions | None = None
+) -> Iterator[Machine]:
+    """Connect the axis of an axis file; on leaving it is stopped, restored and let go.
+
+    bench: for backend "bench", the simulated machine to build instead of the one the axis file names.
+    conditions: who brings about the load and the like on a real machine; the bench does so itself.
+    Raises InputError for a bench whose travel or scaling is not the axis file's, or while another process has connected this axis
+    file, and whatever connecting raises.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(held(axis.path))
+        if axis.drive.backend == "bench":
+            machine = _on_bench(axis, bench or bench_parameters(axis), stack)
+        else:
+            machine = _on_hardware(axis, conditions, stack)
+        stack.enter_context(machine.session)
+        yield machine
+
+
+def bench_parameters(axis: AxisConfig) -> BenchParameters:
+    """The simulated machine that an axis file with backend "bench" asks for."""
+    return known_bench(axis.drive.machine, axis.drive.seed)
+
+
+def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -> Machine:
+    bench = _bench(axis, parameters, stack)
+    drive = _bench_drive(axis, bench, stack)
+    laser = _umd(axis.instrument, bench.laser_path, bench.clock)
+    return Machine(axis, _session(axis, drive, laser, BenchConditions(bench.plant, axis.conditions.levels)), bench)
+
+
+def _bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -> Bench:
+    _check_bench(axis, parameters)
+    return stack.enter_context(Bench(parameters))
+
+
+def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack) -> Machine:
+    clock = WallClock()
+    drive = _hardware_drive(axis, clock, stack)
+    return Machine(axis, _session(axis, drive, _umd(axis.instrument, axis.instrument.port, clock), conditions))
+
+
+# -- drives ------------------------------------------------------------------------------------------------------------
+@contextmanager
+def connected_drive(axis: AxisConfig) -> Iterator[ServoDrive]:
+    """The drive alone, open, without its instrument: for looking at parameters. Nothing is enabled or moved."""
+    with ExitStack() as stack:
+        stack.enter_context(held(axis.path))
+        yield stack.enter_context(_drive_alone(axis, stack))
+
+
+@contextmanager
+def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
+    """A Modbus drive's registers by their names, however wrong its register map may be: not even a sample is taken.
+
+    Raises CapabilityError for an axis without registers.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(held(axis.path))
+        drive = _drive_alone(axis, stack)
+        if not isinstance(drive, ModbusDrive):
+            raise CapabilityError(f"axis {axis.name} has no registers: its drive is not on Modbus")
+        drive.link.open()
+        stack.callback(drive.link.close)
+        yield drive.parameters
+
+
+def _drive_alone(axis: AxisConfig, stack: ExitStack) -> ServoDrive:
+    if axis.drive.backend == "bench":
+        return _bench_drive(axis, _bench(axis, bench_parameters(axis), stack), stack)
+    return _hardware_drive(axis, WallClock(), stack)
+
+
+def _hardware_drive(axis: AxisConfig, clock: Clock, stack: ExitStack) -> ServoDrive:
+    if axis.drive.backend == "canopen":
+        return _canopen(axis, clock, (axis.drive.interface, axis.drive.channel), stack)
+    try:
+        endpoint = parse_endpoint(axis.drive.url, baud=axis.drive.baud)
+    except InputError as error:
+        raise InputError(f"[drive] url: {error.what}", path=axis.path) from error
+    return _modbus(axis, clock, endpoint, axis.drive.unit)
+
+
+def _bench_drive(axis: AxisConfig, bench: Bench, stack: ExitStack) -> ServoDrive:
+    """The bench's servo behind the wire that the axis file asks for."""
+    face, clock = axis.drive.face, bench.clock
+    if face == "virtual":
+        return _virtual(axis, bench)
+    if face == "canopen":
+        channel, objects = f"bench-{uuid.uuid4().hex}", bench.parameters.objects
+        stack.enter_context(served(bench.servo, clock, channel=channel, node_id=axis.drive.node_id, parameters=objects))
+        return _canopen(axis, clock, ("virtual", channel), stack, patience_s=BENCH_PATIENCE_S)
+    shape = "vendor" if axis.drive.register_map == "vendor_style" else "cia402"
+    faces = {axis.drive.unit: modbus_face(bench, shape)}
+    endpoint: Endpoint
+    if face == "modbus-tcp":
+        _, port = stack.enter_context(tcp_server(faces, clock))
+        endpoint = TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
+    else:
+        _, path = stack.enter_context(rtu_slave(faces, clock))
+        endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
+    return _modbus(axis, clock, endpoint, axis.drive.unit)
+
+
+def _canopen(
+    axis: AxisConfig, clock: Clock, bus: tuple[str, str], stack: ExitStack, *, patience_s: float = 0.0
+) -> CanOpenDrive:
+    """bus: python-can's interface and channel; patience_s: real time that an answer may take at least."""
+    config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus
+    bitrate = None if interface == "virtual" else config.bitrate
+    link = stack.enter_context(CanLink.open(clock, interface=interface, channel=channel, bitrate=bitrate))
+    settings = CanOpenSettings(
+        sdo_timeout_s=max(config.sdo_timeout_s, patience_s),
+        sample_timeout_s=max(config.sample_timeout_s, patience_s),
+        heartbeat_s=config.heartbeat_s,
+        guard_s=config.guard_s,
+        homing=HomingSettings(homing.method, homing.speed_switch_mm_s, homing.speed_zero_mm_s, homing.home_position_mm),
+    )
+    return CanOpenDrive(
+        axis.name, axis.scaling, axis.limits, clock, link=link, node_id=config.node_id, settings=settings
+    )
+
+
+def _modbus(axis: AxisConfig, clock: Clock, endpoint: Endpoint, unit: int) -> ModbusDrive:
+    """The register map decides what the drive is; writes to its EEPROM are counted beside the axis's campaigns."""
+    return ModbusDrive(
+        axis.name,
+        axis.scaling,
+        axis.limits,
+        clock,
+        link=ModbusLink(endpoint, clock),
+        unit=unit,
+        drive_map=load_drive_map(axis.drive.register_map),
+        wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
+    )
+
+
+def _virtual(axis: AxisConfig, bench: Bench) -> VirtualDrive:
+    asked = axis.drive.homing
+    settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
+    given = {
+        "homing_method": asked.method,
+        "homing_speed_switch_mm_s": asked.speed_switch_mm_s,
+        "homing_speed_zero_mm_s": asked.speed_zero_mm_s,
+        "home_position_mm": asked.home_position_mm,
+    }
+    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+    return VirtualDrive(bench.servo, axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
+
+
+# -- instruments and session -------------------------------------------------------------------------------------------
+def _umd(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
+    air = config.fixed_air
+    settings = UmdSettings(
+        optics=Optics(config.wavelength_fraction),
+        vacuum_wavelength_nm=config.vacuum_wavelength_nm,
+        direction=config.direction,
+        phase_sign=config.phase_sign,
+        axis=config.axis,
+        compensate_air=config.compensate_air,
+        fixed_air=FixedAir(air.temp_c, air.pressure_hpa, air.humidity_percent),
+        air_temp_code=config.air_temp_channel,
+        places=config.place_temps,
+        dead_path_mm=config.dead_path_mm,
+    )
+    return UmdLaser(SerialLink(port), clock, settings)
+
+
+def _session(
+    axis: AxisConfig, drive: ServoDrive, instrument: DistanceInstrument, conditions: Conditions | None
+) -> AxisSession:
+    stale_after_s = axis.instrument.stale_after_s
+    return AxisSession(drive, instrument, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
+
+
+def _check_bench(axis: AxisConfig, parameters: BenchParameters) -> None:
+    """The bench is a machine like any other: an axis file that does not describe it is refused before anything moves."""
+    found: tuple[AxisScaling, DriveLimits] = (parameters.scaling, parameters.limits)
+    if axis.scaling != found[0]:
+        raise InputError(
+            f"[scaling] does not describe the bench: expected encoder_counts_per_motor_rev ="
+            f" {found[0].encoder_counts_per_motor_rev}, feed_mm_per_shaft_rev = {found[0].feed_mm_per_shaft_rev:g}",
+            path=axis.path,
+        )
+    limits = axis.limits
+    if limits.travel_min_mm < found[1].travel_min_mm or limits.travel_max_mm > found[1].travel_max_mm:
+        raise InputError(
+            f"[axis] travel {limits.travel_min_mm:g} to {limits.travel_max_mm:g} mm exceeds the bench's"
+            f" {found[1].travel_min_mm:g} to {found[1].travel_max_mm:g} mm",
+            path=axis.path,
+        )
