@@ -1,0 +1,178 @@
+"""What streaming costs the host per axis and cycle, as a ratio to the same through the canopen package's own PDO objects.
+
+Both run in this process in turn, over a bus that answers SYNC at once with the same frames and costs the same; the canopen side is
+spared its receiver thread. Both do what a cycle needs: pack a controlword and a target, send, SYNC, receive, unpack status and
+position. Ours besides checks limits, following error, states and time. A third is asked of the sets that fill a bus (two axes at
+1 ms, five at 2 ms); with a single axis, what a cycle costs once, SYNC and time, weighs more.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+import can
+import canopen
+import pytest
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
+from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.clock import Clock
+from drivers.drive import DriveLimits
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.canopen_drive import EDS, CanOpenSlave
+from sim_backends.servo import SimulatedServo
+
+CYCLES = 400
+ROUNDS = 9
+STATUS_ENABLED = 0x1637  # operation enabled, follows the command
+
+
+class LeapingClock(Clock):
+    """Sleeping costs nothing."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep_until_ns(self, time_ns: int) -> None:
+        self._now_ns = max(self._now_ns, time_ns)
+
+
+class AnsweringBus(can.BusABC):
+    """Answers each SYNC with every node's TPDO, its position being the last target; other frames go to real slaves."""
+
+    def __init__(self, node_ids: tuple[int, ...], clock: Clock) -> None:
+        super().__init__(channel=None)
+        self.channel_info = "answering bus"
+        self._clock = clock
+        self.received: deque[can.Message] = deque()
+        self._answers = {
+            0x200 + node_id: can.Message(
+                arbitration_id=0x180 + node_id,
+                data=STATUS_ENABLED.to_bytes(2, "little") + bytes(4),
+                is_extended_id=False,
+            )
+            for node_id in node_ids
+        }
+        self.slaves = []
+        self.streaming = False
+        for node_id in node_ids:
+            servo = SimulatedServo(BareShaft(), SMALL_SERVO)
+            slave = CanOpenSlave(servo, node_id, self._from_slave)
+            slave.boot(0)
+            self.slaves.append(slave)
+
+    def _from_slave(self, cob_id: int, data: bytes) -> None:
+        self.received.append(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        cob_id = msg.arbitration_id
+        if not self.streaming:
+            for slave in self.slaves:
+                slave.servo.advance(self._clock.now_ns(), 0.001)
+                slave.on_frame(cob_id, bytes(msg.data), self._clock.now_ns())
+        elif cob_id == 0x080:
+            self.received.extend(self._answers.values())
+        else:
+            self._answers[cob_id].data[2:6] = msg.data[2:6]
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return self.received.popleft() if self.received else None
+
+
+def _ours(axes: int, stack: ExitStack) -> Callable[[int], None]:
+    clock = LeapingClock()
+    node_ids = tuple(range(1, axes + 1))
+    bus = AnsweringBus(node_ids, clock)
+    link = stack.enter_context(CanLink(bus, clock))
+    drives = []
+    for node_id in node_ids:
+        drive = CanOpenDrive(
+            f"axis {node_id}",
+            AxisScaling(100_000, 10.0),
+            DriveLimits(-300.0, 300.0, 200.0, 2000.0),
+            clock,
+            link=link,
+            node_id=node_id,
+            settings=CanOpenSettings(heartbeat_s=None),
+        )
+        drive.open()
+        drive.enable()
+        drives.append(drive)
+    stream = CyclicStream(drives, StreamSettings(0.01, bitrate=None))
+    stream.__enter__()
+    bus.streaming = True
+
+    def run(cycles: int) -> None:
+        for cycle in range(cycles):
+            feedback = stream.cycle([0.001 * (cycle % 100)] * axes)
+            assert abs(feedback[0].position_load_mm - 0.001 * (cycle % 100)) < 1e-3
+
+    return run
+
+
+def _theirs(axes: int, stack: ExitStack) -> Callable[[int], None]:
+    bus = AnsweringBus(tuple(range(1, axes + 1)), LeapingClock())
+    bus.streaming = True
+    stack.callback(bus.shutdown)
+    network = canopen.Network(bus)
+    nodes: list[tuple[Any, ...]] = []
+    for node_id in range(1, axes + 1):
+        node = network.add_node(node_id, str(EDS))
+        rpdo, tpdo = node.rpdo[1], node.tpdo[1]
+        for pdo, names in ((rpdo, ("Controlword", "Target position")), (tpdo, ("Statusword", "Position actual value"))):
+            pdo.clear()
+            for name in names:
+                pdo.add_variable(name)
+            pdo.enabled = True
+        rpdo.cob_id, tpdo.cob_id = 0x200 + node_id, 0x180 + node_id
+        tpdo.subscribe()
+        nodes.append((rpdo, *(rpdo[0], rpdo[1], tpdo[0], tpdo[1])))
+
+    def run(cycles: int) -> None:
+        for cycle in range(cycles):
+            target = 10 * (cycle % 100)
+            for rpdo, control, position, _, _ in nodes:
+                control.raw = 0x0F
+                position.raw = target
+                rpdo.transmit()
+            network.sync.transmit()
+            while (message := bus.recv(0.0)) is not None:
+                network.notify(message.arbitration_id, message.data, message.timestamp)
+            feedback = [(status.raw, actual.raw) for _, _, _, status, actual in nodes]
+            assert feedback[0] == (STATUS_ENABLED, target)
+
+    return run
+
+
+def _seconds(run: Callable[[int], None]) -> float:
+    """Processor time: what others do on this host does not count."""
+    start = time.thread_time()
+    run(CYCLES)
+    return time.thread_time() - start
+
+
+@pytest.mark.parametrize(("axes", "at_most"), [(1, 0.5), (2, 1 / 3), (5, 1 / 3)])
+def test_streaming_costs_at_most_a_third(
+    axes: int, at_most: float, record_property: Callable[[str, object], None]
+) -> None:
+    with ExitStack() as stack:
+        ours, theirs = _ours(axes, stack), _theirs(axes, stack)
+        ours(20)
+        theirs(20)
+        pairs = [(_seconds(ours), _seconds(theirs)) for _ in range(ROUNDS)]
+    mine, other = (min(times) for times in zip(*pairs, strict=True))
+    ratio = mine / other
+    cost_us = 1e6 * mine / CYCLES / axes
+    record_property("ratio", ratio)
+    record_property("us_per_axis_and_cycle", cost_us)
+    print(f"{axes} axes: {cost_us:.1f} µs per axis and cycle, {ratio:.3f} of canopen's")
+    assert ratio <= at_most

@@ -1,0 +1,78 @@
+"""Fixtures that more than one corner of the tests uses; anything of a single corner lives there."""
+
+import os
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Until = Callable[[Callable[[], bool], str], None]
+VCAN = ("vcan0", "vcan1")
+BENCH = Path(__file__).parent / "bench"
+GUEST_SUMMARY = "vcan guest"
+
+
+def vcan_here() -> bool:
+    """Whether this kernel has SocketCAN and both virtual interfaces, or is the guest (where it must have them)."""
+    if os.environ.get("HIL_VCAN") == "guest":
+        return True
+    try:
+        for interface in VCAN:
+            with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
+                raw.bind((interface,))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Two processes for the whole suite; named files stay in this one, where a debugger and -s work."""
+    return 2 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Benchmarks run alone or not at all; the guest starts first, it takes longest, and has what needs SocketCAN."""
+    for item in items:
+        if BENCH in item.path.parents:
+            item.add_marker("slow")
+    items.sort(key=lambda item: item.get_closest_marker("guest") is None)
+    if vcan_here():
+        return
+    elsewhere = pytest.mark.skip(reason="runs in the guest (test_vcan_guest.py)")
+    for item in items:
+        if item.get_closest_marker("vcan"):
+            item.add_marker(elsewhere)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Show what ran in the guest, whose tests count as one here."""
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            for name, text in getattr(report, "user_properties", ()):
+                if name == GUEST_SUMMARY and getattr(report, "when", None) == "call":
+                    terminalreporter.section(GUEST_SUMMARY)
+                    terminalreporter.line(text)
+
+
+@pytest.fixture
+def until() -> Until:
+    """until(condition, what): wait for something real on a wire or in another process; fails after 20 s, naming `what`."""
+
+    def wait(condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + 20.0
+        while not condition():
+            if time.monotonic() > deadline:
+                pytest.fail(f"not within 20 s: {what}")
+            time.sleep(0.005)
+
+    return wait
+
+
+@pytest.fixture(scope="session")
+def vcan_in_place() -> bool:
+    """Whether the tests marked `vcan` run in this very kernel."""
+    return vcan_here()

@@ -1,0 +1,428 @@
+"""What every ServoDrive must do, whatever wire it is on: one suite, run unchanged against each backend.
+
+A backend is a function that builds a `Rig` around the same simulated servo. A new wire is added to BACKENDS and nowhere else.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+
+import pytest
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.drive import Capability, DriveLimits, DriveState, ServoDrive
+from drivers.errors import DriveFaultError, LimitError, StateError
+from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import BareShaft
+from sim_backends.canopen_drive import attach_to_wire, served
+from sim_backends.canopen_wire import SimWire
+from sim_backends.clock import SimClock
+from sim_backends.modbus_cia402 import Cia402Registers
+from sim_backends.modbus_drive import rtu_slave, tcp_server
+from sim_backends.modbus_registers import Face
+from sim_backends.modbus_vendor import VendorRegisters
+from sim_backends.servo import ServoParameters, SimulatedServo
+from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+LIMITS = DriveLimits(-3.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
+COUNTS_PER_REV = 100_000
+OVER_VOLTAGE = 0x3210
+
+
+@dataclass
+class Rig:
+    drive: ServoDrive
+    servo: SimulatedServo
+    clock: SimClock
+
+    def run(self, seconds: float) -> None:
+        self.clock.sleep_s(seconds)
+
+
+Backend = Callable[[AxisScaling], AbstractContextManager[Rig]]
+
+
+def _machine(scaling: AxisScaling) -> tuple[SimClock, SimulatedServo]:
+    clock = SimClock()
+    counts_per_mm = scaling.direction * scaling.counts_per_load_mm
+    ends = sorted(place * counts_per_mm for place in (-5.0, 310.0))
+    servo = SimulatedServo(
+        BareShaft(),
+        ServoParameters(
+            counts_per_rev=COUNTS_PER_REV,
+            negative_limit_counts=ends[0],
+            positive_limit_counts=ends[1],
+            negative_stop_counts=ends[0] - 1000,
+            positive_stop_counts=ends[1] + 1000,
+        ),
+    )
+    clock.attach(servo.advance, bearable=servo.bearable)
+    return clock, servo
+
+
+@contextmanager
+def in_process(scaling: AxisScaling) -> Iterator[Rig]:
+    clock, servo = _machine(scaling)
+    settings = VirtualDriveSettings(homing_method=37, home_position_mm=0.0)
+    yield Rig(VirtualDrive(servo, scaling, LIMITS, clock, settings=settings), servo, clock)
+
+
+def _canopen(scaling: AxisScaling, clock: SimClock, link: CanLink) -> CanOpenDrive:
+    homing = HomingSettings(method=37, home_position_mm=0.0)
+    patient = CanOpenSettings(homing=homing, sdo_timeout_s=5.0, sample_timeout_s=5.0)  # the guest's host may be busy
+    return CanOpenDrive("X", scaling, LIMITS, clock, link=link, node_id=5, settings=patient)
+
+
+def _on_wire(bitrate: int | None) -> Backend:
+    @contextmanager
+    def rig(scaling: AxisScaling) -> Iterator[Rig]:
+        clock, servo = _machine(scaling)
+        wire = SimWire(clock, bitrate)
+        attach_to_wire(wire, servo, node_id=5)
+        with CanLink(wire.port(), clock) as link:
+            yield Rig(_canopen(scaling, clock, link), servo, clock)
+
+    return rig
+
+
+def _on_interface(interface: str, channel: Callable[[], str]) -> Backend:
+    @contextmanager
+    def rig(scaling: AxisScaling) -> Iterator[Rig]:
+        clock, servo = _machine(scaling)
+        name = channel()
+        with (
+            served(servo, clock, interface=interface, channel=name, node_id=5),
+            CanLink.open(clock, interface=interface, channel=name) as link,
+        ):
+            yield Rig(_canopen(scaling, clock, link), servo, clock)
+
+    return rig
+
+
+def _modbus_face(map_name: str, servo: SimulatedServo) -> Face:
+    if map_name == "vendor_style":
+        return VendorRegisters(servo, counts_per_rev=COUNTS_PER_REV, settings={"origin_method": 35})
+    return Cia402Registers(servo, parameters={(0x6098, 0): 37, (0x6085, 0): 20_000_000})
+
+
+def _modbus_endpoint(place: str | int) -> Endpoint:
+    if isinstance(place, str):
+        return RtuEndpoint(place, baud=115_200, parity="N")
+    return TcpEndpoint("127.0.0.1", place)
+
+
+def _modbus(map_name: str, *, serial: bool) -> Backend:
+    @contextmanager
+    def rig(scaling: AxisScaling) -> Iterator[Rig]:
+        clock, servo = _machine(scaling)
+        faces = {7: _modbus_face(map_name, servo)}
+        with rtu_slave(faces, clock) if serial else tcp_server(faces, clock) as (_, place):
+            drive = ModbusDrive(
+                "X",
+                scaling,
+                LIMITS,
+                clock,
+                link=ModbusLink(_modbus_endpoint(place), clock),
+                unit=7,
+                drive_map=load_drive_map(map_name),
+            )
+            yield Rig(drive, servo, clock)
+
+    return rig
+
+
+BACKENDS: dict[str, Backend] = {
+    "in process": in_process,
+    "canopen, simulated wire": _on_wire(None),
+    "canopen, simulated wire at 1 Mbit/s": _on_wire(1_000_000),
+    "canopen, python-can virtual bus": _on_interface("virtual", lambda: uuid.uuid4().hex),
+    "canopen, socketcan": _on_interface("socketcan", lambda: "vcan0"),
+    "modbus tcp, cia402 map": _modbus("cia402_over_modbus", serial=False),
+    "modbus rtu, cia402 map": _modbus("cia402_over_modbus", serial=True),
+    "modbus tcp, vendor map": _modbus("vendor_style", serial=False),
+    "modbus rtu, vendor map": _modbus("vendor_style", serial=True),
+}
+MARKS = {"canopen, socketcan": pytest.mark.vcan}  # run in the guest where this kernel has no SocketCAN
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=MARKS.get(name, ()), id=name.replace(" ", "-").replace(",", "")) for name in BACKENDS
+    ]
+)
+def backend(request: pytest.FixtureRequest) -> Backend:
+    return BACKENDS[request.param]
+
+
+@pytest.fixture(params=[1, -1], ids=["direct", "reversed"])
+def rig(request: pytest.FixtureRequest, backend: Backend) -> Iterator[Rig]:
+    with backend(AxisScaling(COUNTS_PER_REV, 10.0, direction=request.param)) as rig:
+        yield rig
+
+
+def _home(rig: Rig) -> None:
+    rig.drive.start_homing()
+    rig.drive.wait_for(lambda sample: sample.homed is True, 30.0, "homed")
+
+
+def _arrive(rig: Rig, timeout_s: float = 30.0) -> float:
+    return rig.drive.wait_for(lambda sample: sample.target_reached, timeout_s, "arrived").position_load_mm
+
+
+def test_opening_enables_and_moves_nothing(rig: Rig) -> None:
+    with rig.drive as drive:
+        rig.run(0.1)
+        sample = drive.sample()
+        assert sample.state is not DriveState.ENABLED
+        assert sample.position_load_mm == 0.0
+        assert not rig.servo.powered
+
+
+def test_a_sample_is_fresh_and_says_so(rig: Rig) -> None:
+    with rig.drive as drive:
+        rig.run(0.5)
+        sample = drive.sample()
+        assert sample.age_ns(rig.clock.now_ns()) < 2_000_000
+        assert sample.torque_percent is not None
+
+
+def test_it_states_what_it_can_do(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.require(Capability.PROFILE_POSITION, Capability.HOMING, Capability.TORQUE_ACTUAL)
+
+
+def test_enable_holds_the_axis_where_it_is(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(20.0, 100.0)
+        _arrive(rig)
+        drive.disable()
+        rig.run(0.2)
+        before = drive.sample().position_load_mm
+        drive.enable()
+        rig.run(0.5)
+        sample = drive.sample()
+        assert sample.state is DriveState.ENABLED
+        assert sample.position_load_mm == pytest.approx(before, abs=1e-4)
+
+
+@pytest.mark.parametrize("target_mm", [0.0, 12.5, -2.0, 250.0])
+def test_a_move_arrives_from_either_side(rig: Rig, target_mm: float) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(100.0, 150.0)
+        _arrive(rig)
+        drive.start_move(target_mm, 80.0)
+        assert drive.sample().target_reached is False
+        assert _arrive(rig) == pytest.approx(target_mm, abs=1e-3)
+
+
+def test_a_move_keeps_its_velocity_and_shows_it_in_the_load_frame(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(100.0, 50.0)
+        rig.run(1.0)
+        sample = drive.sample()
+        assert sample.velocity_mm_s == pytest.approx(50.0, rel=0.02)
+        assert sample.torque_percent is not None
+        assert sample.torque_percent > 0.0
+        assert sample.following_error_mm is not None
+        assert sample.following_error_mm > 0.0  # demand - actual: the axis lags behind
+
+
+def test_a_new_target_replaces_the_one_under_way(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(200.0, 100.0)
+        rig.run(0.5)
+        drive.start_move(10.0, 100.0)
+        assert _arrive(rig) == pytest.approx(10.0, abs=1e-3)
+
+
+def test_a_move_to_where_it_is_ends(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(5.0, 50.0)
+        place = _arrive(rig)
+        drive.start_move(place, 50.0)
+        assert _arrive(rig, 1.0) == pytest.approx(5.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("target_mm", [-3.001, 300.5, float("nan"), float("inf")])
+def test_targets_outside_the_travel_are_refused(rig: Rig, target_mm: float) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        with pytest.raises(LimitError):
+            drive.start_move(target_mm, 10.0)
+        rig.run(0.2)
+        assert drive.sample().velocity_mm_s == 0.0
+
+
+@pytest.mark.parametrize("velocity_mm_s", [0.0, -5.0, 200.1, float("nan")])
+def test_velocities_outside_the_limits_are_refused(rig: Rig, velocity_mm_s: float) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        with pytest.raises(LimitError):
+            drive.start_move(1.0, velocity_mm_s)
+
+
+def test_nothing_moves_while_not_enabled(rig: Rig) -> None:
+    with rig.drive as drive:
+        with pytest.raises(StateError):
+            drive.start_move(10.0, 10.0)
+        with pytest.raises(StateError):
+            drive.start_homing()
+        rig.run(0.5)
+        assert drive.sample().position_load_mm == 0.0
+
+
+def test_homing_says_when_it_is_done(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        assert drive.sample().homed is not True
+        drive.start_homing()
+        sample = drive.wait_for(lambda sample: sample.homed is True, 30.0, "homed")
+        assert sample.state is DriveState.ENABLED
+        assert sample.position_load_mm == pytest.approx(0.0, abs=0.01)
+
+
+def test_quick_stop_brings_a_moving_axis_to_rest(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(250.0, 150.0)
+        rig.run(0.6)
+        drive.quick_stop()
+        rig.run(1.0)
+        sample = drive.sample()
+        assert sample.velocity_mm_s == 0.0
+        assert sample.state in (DriveState.QUICK_STOP, DriveState.SWITCH_ON_DISABLED)
+        rig.run(1.0)
+        assert drive.sample().position_load_mm == sample.position_load_mm
+
+
+def test_quick_stop_does_no_harm_when_disabled(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.quick_stop()
+        rig.run(0.1)
+        assert drive.sample().state is not DriveState.ENABLED
+
+
+def test_it_can_be_enabled_again_after_a_quick_stop(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(100.0, 100.0)
+        rig.run(0.3)
+        drive.quick_stop()
+        rig.run(1.0)
+        drive.disable()
+        place = drive.sample().position_load_mm
+        drive.enable()
+        rig.run(0.2)
+        assert drive.sample().position_load_mm == pytest.approx(place, abs=1e-3)
+        drive.start_move(1.0, 100.0)
+        assert _arrive(rig) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_fault_is_shown_and_never_followed_by_an_enable(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        rig.servo.raise_fault(OVER_VOLTAGE)
+        rig.run(0.5)
+        sample = drive.sample()
+        assert sample.state is DriveState.FAULT
+        assert sample.fault_code == OVER_VOLTAGE
+        for refused in (drive.enable, lambda: drive.start_move(1.0, 1.0), drive.start_homing):
+            with pytest.raises(DriveFaultError) as caught:
+                refused()
+            assert caught.value.code == OVER_VOLTAGE
+        drive.reset_fault()
+        rig.run(0.5)
+        after = drive.sample()
+        assert after.state not in (DriveState.ENABLED, DriveState.FAULT)
+        assert after.fault_code is None
+        assert not rig.servo.powered
+        drive.enable()
+        assert drive.sample().state is DriveState.ENABLED
+
+
+def test_a_fault_during_a_move_stops_it(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(250.0, 100.0)
+        rig.run(0.5)
+        rig.servo.raise_fault(OVER_VOLTAGE)
+        rig.run(2.0)
+        assert drive.sample().state is DriveState.FAULT
+        assert drive.sample().velocity_mm_s == 0.0
+
+
+def test_resetting_without_a_fault_leaves_it_disabled(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.reset_fault()
+        rig.run(0.1)
+        assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_disabling_a_moving_axis_stops_it_first(rig: Rig) -> None:
+    with rig.drive as drive:
+        drive.enable()
+        _home(rig)
+        drive.start_move(250.0, 150.0)
+        rig.run(0.7)
+        drive.disable()
+        sample = drive.sample()
+        assert sample.state is not DriveState.ENABLED
+        assert sample.velocity_mm_s == 0.0
+        assert not rig.servo.powered
+
+
+def test_closing_disables_first_and_can_be_repeated(rig: Rig) -> None:
+    drive = rig.drive
+    drive.open()
+    drive.enable()
+    drive.start_move(100.0, 50.0)
+    drive.close()
+    assert not rig.servo.powered
+    drive.close()
+    rig.run(0.5)
+    assert rig.servo.velocity_actual_counts_s == 0
+
+
+def test_it_can_be_opened_again(rig: Rig) -> None:
+    for _ in range(3):
+        with rig.drive as drive:
+            drive.enable()
+            assert drive.sample().state is DriveState.ENABLED
+
+
+def test_the_same_calls_give_the_same_run_every_time(backend: Backend) -> None:
+    """Simulated time: samples of two runs are equal to the last bit."""
+
+    def run() -> list[tuple[int, float, float | None]]:
+        seen: list[tuple[int, float, float | None]] = []
+        with backend(AxisScaling(COUNTS_PER_REV, 10.0)) as rig, rig.drive as drive:
+            drive.enable()
+            drive.start_move(40.0, 60.0)
+            for _ in range(120):
+                rig.run(0.01)
+                sample = drive.sample()
+                seen.append((sample.time_ns, sample.position_load_mm, sample.torque_percent))
+        return seen
+
+    assert run() == run()

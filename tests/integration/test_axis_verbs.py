@@ -1,0 +1,212 @@
+"""The verbs that move an axis, as a user types them, over the virtual CAN bus and the laser's terminal."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from can.interfaces.virtual import VirtualBus
+from support import bench_axis
+
+from drivers.canopen.node import SYNC
+from hil.axis import load_axis
+from hil.cli.main import main
+from hil.files import held
+from hil.records import read_csv
+from hil.store import SealedStore
+from hil.tables import TableSet
+from sim_backends import canopen_drive
+
+
+@pytest.fixture
+def axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, value in bench_axis.PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    return bench_axis.lay_out(tmp_path)
+
+
+def test_doctor_finds_a_sound_axis_good(axis: Path, tmp_path: Path) -> None:
+    assert main(["doctor", str(axis), "--json", str(tmp_path / "doctor.json")]) == 0
+    found = json.loads((tmp_path / "doctor.json").read_text())
+    assert [check["name"] for check in found["checks"]] == ["drive", "limits", "scaling", "instrument", "units"]
+
+
+def test_a_host_that_is_busy_elsewhere_for_a_moment_breaks_nothing(axis: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bench's drive answers in a thread; for how long the host keeps that thread waiting is not in its hands."""
+    readable, syncs = canopen_drive._readable, itertools.count(1)
+
+    def readable_late(bus: VirtualBus, timeout_s: float) -> bool:
+        found = readable(bus, timeout_s)
+        if found and bus.queue.queue[0].arbitration_id == SYNC and next(syncs) == 20:
+            time.sleep(0.5)
+        return found
+
+    monkeypatch.setattr(canopen_drive, "_readable", readable_late)
+    assert main(["doctor", str(axis)]) == 0
+    assert next(syncs) > 20
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("wavelength_fraction", "4", "factor of 1/2"),
+        ("wavelength_fraction", "8", "factor of 1/4"),
+        ("direction", "-1", "direction is reversed"),
+    ],
+)
+def test_doctor_names_a_mistake_in_the_instruments_units(
+    axis: Path, capsys: pytest.CaptureFixture[str], key: str, value: str, words: str
+) -> None:
+    axis.write_text(axis.read_text().replace("[instrument]", f"[instrument]\n{key} = {value}"))
+    assert main(["doctor", str(axis)]) == 1
+    assert words in " ".join(capsys.readouterr().out.split())
+
+
+def test_calibrate_verify_and_report(axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before_after = tmp_path / "calibrated.json"
+    report = tmp_path / "report.html"
+    assert main(["calibrate", str(axis), "--json", str(before_after), "--report", str(report)]) == 0
+    result = json.loads(before_after.read_text())
+    assert result["before"]["rms_um"] > 2.0
+    assert result["rounds"][-1]["rms_um"] < 0.25
+    page = report.read_text(encoding="utf-8")
+    assert result["rounds"][-1]["tables"] in page
+    assert not re.search(r"(src|href)=\"https?:", page)
+
+    assert main(["verify", str(axis), "--json", str(tmp_path / "verified.json")]) == 0
+    verified = json.loads((tmp_path / "verified.json").read_text())
+    assert verified["good"] is True
+    rows = read_csv(next((tmp_path / "X-campaign").glob("verify-*/verify.csv")))
+    measured = read_csv(next((tmp_path / "X-campaign").glob("calibrate-*/measure.csv")))
+    assert not set(rows.target_mm) & set(measured.target_mm), "verification must look where the calibration did not"
+    assert main(["check", str(tmp_path / "X-campaign/tables.sealed"), "--builder", str(tmp_path / "builder.pub")]) == 0
+    capsys.readouterr()
+
+
+def test_verify_refuses_tables_that_somebody_changed(
+    axis: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    manual = tmp_path / "typed.csv"
+    manual.write_text("position_mm,plus_um,minus_um\n20,1,2\n260,3,4\n")
+    assert main(["calibrate", str(axis), "--manual", str(manual)]) == 0
+    sealed = tmp_path / "X-campaign/tables.sealed"
+    data = bytearray(sealed.read_bytes())
+    data[len(data) // 2] ^= 1
+    sealed.write_bytes(bytes(data))
+    capfd.readouterr()
+    assert main(["verify", str(axis)]) == 2
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert "tables.sealed" in error
+    assert not list((tmp_path / "X-campaign").glob("verify-*"))
+
+
+def test_manual_tables_are_stored_as_typed_with_the_straightness_beside_them(axis: Path, tmp_path: Path) -> None:
+    typed, straightness, out = tmp_path / "typed.csv", tmp_path / "straight.csv", tmp_path / "out.json"
+    typed.write_text("position_mm,plus_um,minus_um\n20,1,2\n260,3,4\n")
+    straightness.write_text("position_mm,deviation_um\n0,5\n500,5\n")
+    manual = ["calibrate", str(axis), "--manual", str(typed)]
+    assert main([*manual, "--straightness", str(straightness), "--json", str(out)]) == 0
+    stored = TableSet.from_dict(json.loads(out.read_text())["tables"])
+    assert (float(stored.correction_um(20.0, 1)), float(stored.correction_um(260.0, -1))) == (1 - 5, 4 - 5)
+    assert SealedStore.of(load_axis(axis), bench_axis.PASSWORDS["HIL_PASSWORD"]).load().tables == stored
+
+
+def test_manual_tables_refuse_what_they_cannot_go_with(
+    axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed, straightness = tmp_path / "typed.csv", tmp_path / "straight.csv"
+    typed.write_text("position_mm,plus_um,minus_um,straightness_um\n20,1,2,0\n260,3,4,0\n")
+    straightness.write_text("position_mm,deviation_um\n0,5\n500,5\n")
+    for also in (["--straightness", str(straightness)], ["--resume"], ["--report", str(tmp_path / "r.html")]):
+        assert main(["calibrate", str(axis), "--manual", str(typed), *also]) == 2
+        assert also[0] in capsys.readouterr().err
+    assert not (tmp_path / "X-campaign").exists()
+
+
+def test_an_axis_of_two_sections_is_verified_at_the_one_target_between(
+    axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two = axis.read_text().replace("sections = 5", "sections = 2").replace("runs = 2", "runs = 1")
+    axis.write_text(two)
+    assert main(["calibrate", str(axis), "--report", str(tmp_path / "calibrated.html")]) == 0
+    assert main(["verify", str(axis), "--report", str(tmp_path / "verified.html")]) == 0
+    assert "no figures of ISO 230-2: records hold 1 target" in capsys.readouterr().out
+
+
+def test_an_axis_in_use_is_left_alone_and_no_campaign_begun(
+    axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with held(axis):
+        assert main(["calibrate", str(axis)]) == 2
+    assert capsys.readouterr().err == f"hil: {axis}: is in use already, expected one process at a time\n"
+    assert not (tmp_path / "X-campaign").exists()
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "x", "2147483648", "٣"])
+def test_a_seed_that_is_none_is_refused_in_one_line(axis: Path, capsys: pytest.CaptureFixture[str], seed: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["verify", str(axis), f"--seed={seed}"])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert (error.count("\n"), "expected a whole number from 0" in error) == (1, True)
+
+
+def test_dry_run_moves_and_writes_nothing(axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(tmp_path.iterdir())
+    for verb in ("calibrate", "verify", "doctor", "close-loop"):
+        assert main([verb, str(axis), "--dry-run"]) == 0
+    assert sorted(tmp_path.iterdir()) == before
+    assert "would" in capsys.readouterr().out
+
+
+def test_a_wrong_password_is_refused_before_anything_moves(
+    axis: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HIL_KEY_PASSWORD", "wrong")
+    assert main(["calibrate", str(axis)]) == 2
+    assert "password" in capsys.readouterr().err
+    assert not (tmp_path / "X-campaign").exists()
+
+
+def test_a_band_that_cannot_be_held_ends_with_both_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in bench_axis.PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    path = bench_axis.lay_out(tmp_path, machine="typical", correction="band_um = [6.0, 6.01]")
+    assert main(["calibrate", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert re.search(r"0\.01 µm wide.*repeatability of \d+\.\d\d µm", error)
+    assert not (tmp_path / "X-campaign/tables.sealed").exists()
+
+
+@pytest.mark.parametrize("script", ["commission", "close_the_loop"])
+def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", f"hil.examples.{script}", str(axis)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert done.returncode == 0, done.stderr
+    assert " µm" in done.stdout
+
+
+def test_demo_finds_what_was_hidden_and_measures_the_gain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, result = tmp_path / "demo", tmp_path / "demo.json"
+    assert main(["demo", "--out", str(out), "--json", str(result)]) == 0
+    figures = json.loads(result.read_text())
+    stages = figures["stages"]
+    assert "thermal_expansion" in [finding["effect"] for finding in figures["diagnosis"]["findings"]]
+    assert stages["extended, explored"]["rms_um"] < 0.2 * stages["table, explored"]["rms_um"]
+    assert (out / "report.html").stat().st_size > 100_000
+    assert main(["demo", "--out", str(tmp_path)]) == 2, "a directory that no demo made is left alone"
+    capsys.readouterr()

@@ -1,0 +1,293 @@
+"""Streaming on a bus with real frame lengths, in simulated time: whether it fits, and what happens when something is missing."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import pytest
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.cia402 import Mode
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
+from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
+from drivers.drive import DriveLimits, DriveState
+from drivers.errors import (
+    BridgeError,
+    DriveFaultError,
+    FollowingErrorError,
+    InputError,
+    LimitError,
+    LinkLostError,
+    NoAnswerError,
+    SafetyError,
+    StateError,
+)
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import CanBench
+from sim_backends.canopen_faults import CanFault, CanFaultKind
+
+LIMITS = DriveLimits(-300.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
+SCALING = AxisScaling(100_000, 10.0)
+MEGABIT = 1_000_000
+K = CanFaultKind
+
+
+@dataclass
+class Rig:
+    bench: CanBench
+    drives: list[CanOpenDrive]
+
+    def now_s(self) -> float:
+        return self.bench.clock.now_ns() / 1e9
+
+    def assert_safe(self) -> None:
+        """Every axis at rest, and none still following set-points."""
+        self.bench.clock.sleep_s(2.0)
+        for node_id, servo in self.bench.servos.items():
+            assert servo.velocity_actual_counts_s == 0, node_id
+            assert self.bench.slaves[node_id].profile.state is not DriveState.ENABLED, node_id
+
+
+def _rig(
+    stack: ExitStack, axes: int, bitrate: int | None = MEGABIT, faults: dict[int, list[CanFault]] | None = None
+) -> Rig:
+    node_ids = tuple(range(1, axes + 1))
+    bench = CanBench(node_ids, bitrate, faults or {})
+    link = stack.enter_context(CanLink(bench.port(), bench.clock))
+    drives = []
+    for node_id in node_ids:
+        drive = CanOpenDrive(
+            f"axis {node_id}",
+            SCALING,
+            LIMITS,
+            bench.clock,
+            link=link,
+            node_id=node_id,
+            settings=CanOpenSettings(heartbeat_s=0.5, sdo_timeout_s=0.05),
+        )
+        stack.enter_context(drive)
+        drive.enable()
+        drives.append(drive)
+    return Rig(bench, drives)
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def _sine(time_s: float, number: int) -> float:
+    return (5.0 + number) * (1 - math.cos(2 * math.pi * (1.0 + 0.2 * number) * time_s))
+
+
+@pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
+@pytest.mark.parametrize(("axes", "period_s"), [(1, 0.001), (2, 0.001), (5, 0.002)])
+def test_published_cycles_fit_without_a_miss(stack: ExitStack, axes: int, period_s: float, sync: SyncSource) -> None:
+    """Two axes at 1 ms and five at 2 ms: within 70 % of the bus, no cycle missed, no feedback late."""
+    rig = _rig(stack, axes)
+    settings = StreamSettings(period_s, sync=sync, following_error_mm=2.0)
+    cycles = 1000 // axes
+    with CyclicStream(rig.drives, settings) as stream:
+        busy_ns, start_ns = rig.bench.wire.busy_ns, rig.bench.clock.now_ns()
+        worst_mm = 0.0
+        for cycle in range(cycles):
+            targets = [_sine(cycle * period_s, number) for number in range(axes)]
+            feedback = stream.cycle(targets)
+            worst_mm = max(worst_mm, *(abs(a.position_load_mm - t) for a, t in zip(feedback, targets, strict=True)))
+        load = rig.bench.wire.load(busy_ns, start_ns)
+        counters = stream.counters
+    elapsed_ns = rig.bench.clock.now_ns() - start_ns
+    assert counters.cycles == cycles
+    assert (counters.missed_cycles, counters.late_feedback, counters.sync_losses) == (0, 0, 0)
+    assert load <= 0.70
+    assert elapsed_ns == pytest.approx(cycles * period_s * 1e9, rel=0.1)
+    assert worst_mm < 2.0
+    assert all(drive.sample().state is DriveState.ENABLED for drive in rig.drives)
+
+
+def test_the_axis_goes_where_it_is_told_cycle_by_cycle(stack: ExitStack) -> None:
+    rig = _rig(stack, 1)
+    with CyclicStream(rig.drives, StreamSettings(0.001)) as stream:
+        for step in range(500):
+            stream.cycle([step * 0.02])  # 20 mm/s
+        for _ in range(200):
+            (feedback,) = stream.cycle([499 * 0.02])
+    assert feedback.position_load_mm == pytest.approx(9.98, abs=1e-4)
+    assert rig.drives[0].sample().position_load_mm == pytest.approx(9.98, abs=1e-4)
+    rig.drives[0].start_move(0.0, 50.0)  # and profile moves work again
+    rig.drives[0].wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+
+
+@pytest.mark.parametrize(
+    ("mode", "value", "low", "high"),
+    [(Mode.CYCLIC_VELOCITY, 30.0, 13.0, 15.5), (Mode.CYCLIC_TORQUE, 8.0, 10.0, 100.0)],
+)
+def test_velocity_and_torque_streams(stack: ExitStack, mode: Mode, value: float, low: float, high: float) -> None:
+    rig = _rig(stack, 1)
+    with CyclicStream(rig.drives, StreamSettings(0.001, mode=mode)) as stream:
+        for _ in range(500):
+            (feedback,) = stream.cycle([value])
+        assert low < feedback.position_load_mm < high
+        for _ in range(500):
+            stream.cycle([0.0])
+    assert rig.drives[0].sample().state is DriveState.ENABLED
+
+
+def _cycles(rig: Rig, values: list[float], settings: StreamSettings | None = None) -> CyclicStream:
+    with CyclicStream(rig.drives, settings or StreamSettings(0.001)) as stream:
+        for value in values:
+            stream.cycle([value])
+    return stream
+
+
+@pytest.mark.parametrize(("wrong", "match"), [(300.1, "outside the travel"), (math.nan, "outside"), (1.0, "step of")])
+def test_the_set_points_are_refused_before_the_wire(stack: ExitStack, wrong: float, match: str) -> None:
+    rig = _rig(stack, 1)
+    with pytest.raises(LimitError, match=match):
+        _cycles(rig, [0.0, wrong])
+    rig.assert_safe()
+    assert rig.bench.servo.position_actual_counts == 0
+
+
+def test_a_cycle_that_cannot_fit_is_refused_before_anything_is_written(stack: ExitStack) -> None:
+    rig = _rig(stack, 3)
+    frames = rig.bench.wire.frames
+    with (
+        pytest.raises(InputError, match="74 % of the bus, at most 70 %"),
+        CyclicStream(rig.drives, StreamSettings(0.001)),
+    ):
+        pytest.fail("entered")
+    assert rig.bench.wire.frames == frames
+
+
+def test_streaming_needs_an_enabled_axis(stack: ExitStack) -> None:
+    rig = _rig(stack, 1)
+    rig.drives[0].disable()
+    with pytest.raises(StateError, match="cannot stream"), CyclicStream(rig.drives, StreamSettings(0.001)):
+        pytest.fail("entered")
+
+
+def _stream_until_it_stops(
+    rig: Rig, settings: StreamSettings, seconds: float = 1.0
+) -> tuple[BridgeError, CyclicStream]:
+    stream = CyclicStream(rig.drives, settings)
+    try:
+        with stream:
+            start_s = rig.now_s()
+            for cycle in range(round(seconds / settings.period_s)):
+                stream.cycle([20.0 * cycle * settings.period_s] * len(rig.drives))
+            pytest.fail(f"nothing stopped the stream in {rig.now_s() - start_s} s")
+    except BridgeError as error:
+        return error, stream
+
+
+def _late_faults(kind: CanFaultKind, **how: float) -> list[CanFault]:
+    """From 0.5 s on: opening and enabling are through by then."""
+    return [CanFault(kind, at_s=0.5, **how)]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("faults", "error", "match"),
+    [
+        (_late_faults(K.TPDO_LOST), NoAnswerError, "axis 2: no feedback for 4 cycles of 1 ms"),
+        (_late_faults(K.TPDO_LATE, size=0.0007), NoAnswerError, "no feedback"),
+        (_late_faults(K.NODE_DEAD), NoAnswerError, "axis 2: no feedback"),
+        (_late_faults(K.SYNC_LOST), BridgeError, "axis 2"),
+        (_late_faults(K.DRIVE_FAULT, size=0x3210), DriveFaultError, "axis 2 went into fault"),
+        (_late_faults(K.SAFE_TORQUE_OFF), StateError, "axis 2 left operation enabled"),
+        (_late_faults(K.FOREIGN_CONTROLWORD, size=0x0000), StateError, "axis 2 left operation enabled"),
+        (
+            _late_faults(K.STATUS_IMPOSSIBLE, duration_s=1.0),
+            StateError,
+            "axis 2 left operation enabled while streaming: unknown",
+        ),
+        (_late_faults(K.NMT_STOPPED), BridgeError, "axis 2"),
+        (_late_faults(K.REBOOT), BridgeError, "axis 2"),
+        (_late_faults(K.RPDO_LOST), FollowingErrorError, "axis 2: .* mm from its set-point"),
+    ],
+    ids=lambda value: value[0].kind.name.lower() if isinstance(value, list) else None,
+)
+def test_what_goes_wrong_stops_all_axes(
+    stack: ExitStack, faults: list[CanFault], error: type[BridgeError], match: str
+) -> None:
+    rig = _rig(stack, 2, faults={2: faults})
+    caught, _ = _stream_until_it_stops(rig, StreamSettings(0.001, following_error_mm=0.5))
+    assert isinstance(caught, error)
+    assert re.search(match, str(caught)), caught
+    rig.assert_safe()
+
+
+@pytest.mark.parametrize("kind", [K.TPDO_LOST, K.TPDO_LATE])
+def test_a_few_late_answers_are_counted_and_lived_with(stack: ExitStack, kind: CanFaultKind) -> None:
+    fault = CanFault(kind, at_s=0.3, size=0.0012, count=3)
+    rig = _rig(stack, 1, faults={1: [fault]})
+    with CyclicStream(rig.drives, StreamSettings(0.001)) as stream:
+        for cycle in range(600):
+            stream.cycle([20.0 * cycle * 0.001])
+        assert 1 <= stream.counters.late_feedback <= 3
+        assert stream.counters.cycles == 600
+
+
+def test_a_host_that_is_late_now_and_then_is_counted(stack: ExitStack) -> None:
+    rig = _rig(stack, 1)
+    with CyclicStream(rig.drives, StreamSettings(0.001, missed_limit=3)) as stream:
+        for cycle in range(100):
+            if cycle % 10 == 5:
+                rig.bench.clock.sleep_s(0.0025)  # the caller thinks for two and a half cycles
+            stream.cycle([0.0])
+        assert stream.counters.missed_cycles == 10
+        assert stream.counters.cycles == 100
+
+
+@pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
+def test_a_host_that_stays_away_is_stopped(stack: ExitStack, sync: SyncSource) -> None:
+    rig = _rig(stack, 1)
+    stream = stack.enter_context(CyclicStream(rig.drives, StreamSettings(0.001, sync=sync)))
+    stream.cycle([0.0])
+    rig.bench.clock.sleep_s(0.0049)
+    with pytest.raises(SafetyError, match="missed in a row"):
+        stream.cycle([0.0])
+    rig.assert_safe()
+
+
+def test_a_master_that_dies_while_streaming_leaves_a_safe_axis(stack: ExitStack) -> None:
+    """Nothing is sent any more, not even a stop: the drive misses SYNC (1006h) and faults by itself."""
+    rig = _rig(stack, 1)
+    stream = CyclicStream(rig.drives, StreamSettings(0.001))
+    stream.__enter__()
+    for cycle in range(200):
+        stream.cycle([0.1 * cycle])
+    rig.bench.clock.sleep_s(0.05)
+    assert rig.bench.slave.profile.state in (DriveState.FAULT, DriveState.FAULT_REACTION)
+    assert rig.bench.servo.fault_code == 0x8700
+    with pytest.raises(BridgeError):
+        stream.cycle([20.0])
+    stream.__exit__(None, None, None)
+    rig.assert_safe()
+
+
+def test_the_broadcast_manager_stops_sending(stack: ExitStack) -> None:
+    rig = _rig(stack, 1)
+    port = rig.drives[0].link.bus
+    stream = stack.enter_context(CyclicStream(rig.drives, StreamSettings(0.001, sync=SyncSource.BROADCAST_MANAGER)))
+    stream.cycle([0.0])
+    port.stop_all_periodic_tasks()
+    with pytest.raises(LinkLostError, match="no SYNC on the bus"):
+        stream.cycle([0.0])
+    assert stream.counters.sync_losses == 1
+    rig.assert_safe()
+
+
+def test_two_streams_cannot_share_a_drive(stack: ExitStack) -> None:
+    rig = _rig(stack, 1)
+    settings = StreamSettings(0.001)
+    with CyclicStream(rig.drives, settings) as stream:
+        stream.cycle([0.0])
+        with pytest.raises(StateError, match="streaming already"), CyclicStream(rig.drives, settings):
+            pytest.fail("entered")
+        stream.cycle([0.0])  # the first goes on

@@ -1,0 +1,137 @@
+"""Positions latched by the drive: exact however fast the axis passes and however late the host asks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive
+from drivers.canopen.touch_probe import Edge, Latch, TouchProbe
+from drivers.drive import DriveLimits
+from drivers.errors import AbortError, CapabilityError, InputError
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import CanBench
+from sim_backends.canopen_drive import CanOpenSlave
+
+NODE = 5
+LIMITS = DriveLimits(-200.0, 200.0, 200.0, 2000.0)
+COUNTS_PER_MM = 10_000
+
+
+class Rig:
+    def __init__(self, stack: ExitStack, direction: int = 1) -> None:
+        self.bench = CanBench((NODE,))
+        link = stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
+        scaling = AxisScaling(100_000, 10.0, direction=direction)
+        self.drive = stack.enter_context(CanOpenDrive("X", scaling, LIMITS, self.bench.clock, link=link, node_id=NODE))
+        self.drive.enable()
+        self.probe = TouchProbe(self.drive)
+
+    @property
+    def slave(self) -> CanOpenSlave:
+        return self.bench.slave
+
+    def go(self, target_mm: float, velocity_mm_s: float) -> list[Latch]:
+        """Move and arrive; only then look at the probe."""
+        self.drive.start_move(target_mm, velocity_mm_s)
+        self.drive.wait_for(lambda sample: sample.target_reached, 60.0, "arrived")
+        return self.probe.poll()
+
+
+@pytest.fixture(params=[1, -1], ids=["direct", "reversed"])
+def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
+    with ExitStack() as stack:
+        rig = Rig(stack, request.param)
+        face = 31.4159
+        # the probe touches from face mm of the load on
+        rig.slave.profile.probe.attach(1, lambda counts: counts * request.param / COUNTS_PER_MM >= face)
+        rig.slave.profile.probe.attach(2, lambda counts: 40.0 <= counts * request.param / COUNTS_PER_MM < 41.0)
+        yield rig
+
+
+@pytest.mark.parametrize("velocity_mm_s", [0.5, 20.0, 200.0])
+def test_the_latch_is_exact_at_any_speed(rig: Rig, velocity_mm_s: float) -> None:
+    rig.go(30.0, 200.0)
+    rig.probe.arm(1, [Edge.POSITIVE])
+    assert rig.probe.poll() == []
+    (latch,) = rig.go(33.0, velocity_mm_s)
+    assert (latch.probe, latch.edge) == (1, Edge.POSITIVE)
+    assert latch.position_load_mm == pytest.approx(31.4159, abs=1.01 / COUNTS_PER_MM)
+    assert latch.edges == 1
+    assert latch.device_stamp is not None
+    assert latch.device_stamp * 1000 <= latch.time_ns
+
+
+def test_a_single_latch_keeps_the_first_edge(rig: Rig) -> None:
+    rig.probe.arm(2, [Edge.POSITIVE])
+    (first,) = rig.go(60.0, 100.0)
+    assert first.position_load_mm == pytest.approx(40.0, abs=1e-3)
+    assert rig.go(0.0, 100.0) == []  # met again from the other side, at 41
+    rig.probe.arm(2, [Edge.POSITIVE])
+    rig.go(60.0, 100.0)
+    rig.probe.arm(2, [Edge.POSITIVE])
+    (again,) = rig.go(0.0, 100.0)
+    assert again.position_load_mm == pytest.approx(41.0, abs=1e-3)
+
+
+def test_continuous_latching_shows_each_pass_once(rig: Rig) -> None:
+    rig.probe.arm(2, [Edge.POSITIVE], continuous=True)
+    passes = [rig.go(target_mm, 100.0) for target_mm in (60.0, 0.0, 60.0)]
+    assert [round(latch.position_load_mm, 2) for (latch,) in passes] == [40.0, 41.0, 40.0]
+    assert [latch.edges for (latch,) in passes] == [1, 2, 3]
+    assert rig.probe.poll() == []
+
+
+def test_both_edges_of_both_probes(rig: Rig) -> None:
+    rig.probe.arm(1, [Edge.POSITIVE, Edge.NEGATIVE])
+    rig.probe.arm(2, [Edge.POSITIVE, Edge.NEGATIVE])
+    latches = rig.go(60.0, 150.0)
+    found = {(latch.probe, latch.edge): round(latch.position_load_mm, 3) for latch in latches}
+    assert found == {
+        (1, Edge.POSITIVE): 31.416,
+        (2, Edge.POSITIVE): 40.0,
+        (2, Edge.NEGATIVE): 41.0,
+    }
+    (back,) = rig.go(0.0, 150.0)
+    assert (back.probe, back.edge) == (1, Edge.NEGATIVE)
+    assert back.position_load_mm == pytest.approx(31.4159, abs=2e-4)
+
+
+def test_one_probe_is_armed_without_disturbing_the_other(rig: Rig) -> None:
+    rig.probe.arm(1, [Edge.POSITIVE])
+    rig.go(35.0, 100.0)
+    rig.probe.arm(2, [Edge.POSITIVE])
+    rig.probe.disarm(2)
+    assert rig.slave.dictionary.number(0x60B8) == 0x0011
+    assert rig.slave.dictionary.number(0x60B9) == 0x0003
+
+
+def test_nothing_is_latched_while_disarmed(rig: Rig) -> None:
+    rig.probe.arm(1, [Edge.POSITIVE])
+    rig.probe.disarm(1)
+    assert rig.go(60.0, 100.0) == []
+
+
+def test_what_cannot_be_is_refused(rig: Rig) -> None:
+    with pytest.raises(InputError, match="expected probe 1 or 2"):
+        rig.probe.arm(3, [Edge.POSITIVE])
+    with pytest.raises(InputError, match="at least one edge"):
+        rig.probe.arm(1, [])
+    with pytest.raises(AbortError, match="60B8h:00 refused: invalid value"):
+        rig.drive.sdo.write_bytes(0x60B8, 0, b"\x05\x00")  # zero pulse as source
+
+
+def test_a_drive_without_the_function_says_so() -> None:
+    with ExitStack() as stack:
+        bench = CanBench((NODE,))
+        del bench.slave.dictionary.items[0x60B8, 0]
+        bench.slave.dictionary._indices.discard(0x60B8)
+        link = stack.enter_context(CanLink(bench.port(), bench.clock))
+        drive = stack.enter_context(
+            CanOpenDrive("X", AxisScaling(100_000, 10.0), LIMITS, bench.clock, link=link, node_id=NODE)
+        )
+        with pytest.raises(CapabilityError, match="touch probe"):
+            TouchProbe(drive)

@@ -1,0 +1,51 @@
+"""The diagnosis judged on machines drawn at random (`tests/study`), whose truth shares no code with the effects that are fitted."""
+
+from __future__ import annotations
+
+import pytest
+from study.study import Case, Outcome, cases, run, run_all, summary
+from study.truth_machines import DYNAMIC, OUTSIDE
+
+from hil.effects import ALL, Action
+
+
+@pytest.mark.parametrize("effect", DYNAMIC)
+def test_a_strong_hidden_effect_is_named(effect: str) -> None:
+    outcome = run(Case("strong", 20261 + DYNAMIC.index(effect), (effect,), (3.0,)))
+    assert outcome.names[:1] == (effect,)
+    assert outcome.after <= outcome.before or effect in instrument()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_is_found_on_a_clean_machine(seed: int) -> None:
+    outcome = run(Case("clean", 977 + seed, (), ()))
+    assert outcome.names == ()
+    assert not outcome.unexplained
+
+
+@pytest.mark.parametrize("effect", OUTSIDE[:3])
+def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
+    outcome = run(Case("outside", 31, (effect,), (3.0,)))
+    assert outcome.unexplained
+    assert not [c for c in outcome.confidences if c > 0.9]
+
+
+@pytest.mark.slow
+def test_the_proof_figures_on_many_machines() -> None:
+    """The whole study (`python tests/study/study.py --machines 520`) takes an hour; this is a tenth of it, with room for chance."""
+    outcomes: list[Outcome] = run_all(cases(52, seed=5), workers=2)
+    figures = summary(outcomes)
+    assert figures["strong: right first"] >= 0.96
+    assert figures["weak: right first"] >= 0.82
+    assert figures["weak: wrong first"] <= 0.04
+    assert figures["clean, normal: finding or unexplained"] <= 0.1
+    assert figures["outside: unexplained"] >= 0.75
+    assert figures["outside: confident name"] <= 0.06
+    assert figures["pair: both"] >= 0.85
+    assert figures["fresh RMS over noise: median"] <= 1.1
+    assert figures["fresh RMS over noise: 90 %"] <= 1.3
+
+
+def instrument() -> set[str]:
+    """Effects that are named and never compensated: what they do stays in the machine's error."""
+    return {effect.id for effect in ALL if effect.action is not Action.COMPENSATE}

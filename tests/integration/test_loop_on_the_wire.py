@@ -1,0 +1,81 @@
+"""The loop over the CANopen slave and the laser's terminal: an effect is switched on in the machine that the model lacks.
+
+Before and after are measured, in campaigns of the same kind at other targets. The truth (`sim_backends.plant.switches`) has other
+forms than what is fitted: lagged, saturating, breathing in amplitude.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import bench_axis
+
+from hil.axis import load_axis
+from hil.effects import ALL
+from hil.effects.base import Action
+from hil.journal import Campaign
+from hil.procedures.calibrate import calibrate
+from hil.procedures.close_loop import turn_loop
+from hil.procedures.explore import Exploration
+from hil.records import Records
+from hil.tables import TableSet
+from hil.wiring import bench_parameters, connected
+
+NOISE_UM = 1.0  # of one sample of the laser; a reading at rest averages 15
+CONDITIONS = "\n[conditions]\nload_kg = [0, 60, 120]\npos_y_mm = [0, 200, 400]\n"
+SIZES_UM = {
+    "cyclic": 4.0,
+    "thermal_expansion": 25.0,
+    "thermal_drift": 10.0,
+    "backlash": 8.0,
+    "backlash_position": 8.0,
+    "lost_motion": 8.0,
+    "load_deflection": 8.0,
+    "abbe": 8.0,
+    "cross_axis": 8.0,
+    "local_wear": 10.0,
+    "pitch_shape": 8.0,
+}
+IN_MOTION_ONLY = {"velocity_lag"}  # nothing of it is there at rest, where point-to-point moves are measured
+
+
+def test_no_effect_that_can_be_compensated_is_left_out() -> None:
+    compensable = {effect.id for effect in ALL if effect.action is Action.COMPENSATE}
+    assert compensable == set(SIZES_UM) | IN_MOTION_ONLY
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", sorted(SIZES_UM))
+def test_nine_tenths_of_a_hidden_effect_are_removed(effect: str, tmp_path: Path) -> None:
+    path = bench_axis.lay_out(tmp_path, machine="geometric", sections=15, runs=2)
+    path.write_text(path.read_text().replace("last_mm = 260.0", "last_mm = 480.0") + CONDITIONS)
+    axis = load_axis(path)
+    parameters = bench_parameters(axis)
+    bench = replace(parameters, laser=replace(parameters.laser, noise_um=NOISE_UM))
+    with connected(axis, bench) as machine:
+        assert machine.bench is not None
+        machine.session.prepare()
+        campaign = Campaign(tmp_path / "loop", {"effect": effect}, resume=False)
+        stored: list[TableSet] = []
+        calibration = calibrate(machine.session, campaign, axis.correction, stored.append)
+        machine.bench.switch_on(effect, SIZES_UM[effect])
+        turn = turn_loop(
+            machine.session,
+            campaign,
+            calibration.tables,
+            lambda compensation: stored.append(compensation.tables),
+            how=Exploration(runs=8, rows=42, warm_up_s=120.0),
+        )
+    assert turn.diagnosis.recommended
+    left = hidden_rms_um(turn.after) / hidden_rms_um(turn.before)
+    assert left <= 0.1, [finding.effect for finding in turn.diagnosis.findings]
+
+
+def hidden_rms_um(records: Records) -> float:
+    """RMS of the error without the noise of the readings, which no correction can remove."""
+    noise_um = NOISE_UM / math.sqrt(15)
+    return math.sqrt(max(float(np.mean(records.error_um**2)) - noise_um**2, 0.0))

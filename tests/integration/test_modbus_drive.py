@@ -1,0 +1,553 @@
+"""ModbusDrive over real wires to the simulated drive: what it spares a drive, what it refuses, and how it behaves in trouble."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from drivers.drive import Capability, DriveLimits, DriveState
+from drivers.errors import (
+    AbortError,
+    CapabilityError,
+    DriveFaultError,
+    InputError,
+    LinkLostError,
+    MotionTimeoutError,
+    NoAnswerError,
+    ProtocolError,
+    StateError,
+)
+from drivers.modbus.codec import Layout, Order, RegisterType
+from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.wear import WearLedger
+from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_profile import Defect
+from sim_backends.clock import SimClock
+from sim_backends.modbus_cia402 import Cia402Registers
+from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
+from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.modbus_registers import Bank, Space, Value
+from sim_backends.modbus_vendor import VendorRegisters
+from sim_backends.servo import ServoParameters, SimulatedServo
+
+COUNTS = 100_000
+LIMITS = DriveLimits(-3.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
+SCALING = AxisScaling(COUNTS, 10.0)
+TIMEOUT_S = 0.25
+CIA402, VENDOR = "cia402_over_modbus", "vendor_style"
+UNIT = 3
+
+
+class Shaft:
+    friction_permille = 10.0
+
+    def step(self, motor_rev: float, dt_s: float) -> None: ...
+
+
+@dataclass
+class Rig:
+    drive: ModbusDrive
+    face: Cia402Registers | VendorRegisters
+    servo: SimulatedServo
+    server: ModbusServer
+    clock: SimClock
+    link: ModbusLink
+
+
+def make_face(name: str, servo: SimulatedServo) -> Cia402Registers | VendorRegisters:
+    if name == VENDOR:
+        return VendorRegisters(servo, counts_per_rev=COUNTS, settings={"origin_method": 35})
+    return Cia402Registers(servo, parameters={(0x6098, 0): 37, (0x6085, 0): 20_000_000, (0x608F, 1): COUNTS})
+
+
+@contextmanager
+def rig(
+    name: str,
+    *,
+    serial: bool = False,
+    wear: WearLedger | None = None,
+    map_path: Path | None = None,
+    make: Callable[[SimulatedServo], Cia402Registers | VendorRegisters] | None = None,
+) -> Iterator[Rig]:
+    """A drive, not yet open, on a wire of its own."""
+    clock = SimClock()
+    servo = SimulatedServo(
+        Shaft(),
+        ServoParameters(
+            counts_per_rev=COUNTS,
+            negative_limit_counts=-50_000,
+            positive_limit_counts=3_100_000,
+            negative_stop_counts=-51_000,
+            positive_stop_counts=3_101_000,
+        ),
+    )
+    clock.attach(servo.advance, bearable=servo.bearable)
+    face = make_face(name, servo) if make is None else make(servo)
+    faces = {UNIT: face}
+    with rtu_slave(faces, clock) if serial else tcp_server(faces, clock) as (server, place):
+        endpoint = (
+            RtuEndpoint(place, 115_200, "N", timeout_s=TIMEOUT_S)
+            if isinstance(place, str)
+            else TcpEndpoint("127.0.0.1", place, TIMEOUT_S)
+        )
+        link = ModbusLink(endpoint, clock)
+        drive_map = load_drive_map(map_path or name)
+        drive = ModbusDrive("X", SCALING, LIMITS, clock, link=link, unit=UNIT, drive_map=drive_map, wear=wear)
+        yield Rig(drive, face, servo, server, clock, link)
+
+
+def writes_to(server: ModbusServer, address: int, functions: tuple[int, ...] = (5, 6, 15, 16)) -> list[bytes]:
+    """PDUs of all requests so far that write from this address on."""
+    head = address.to_bytes(2, "big")
+    return [pdu for _, pdu in server.seen if pdu[0] in functions and pdu[1:3] == head]
+
+
+@pytest.fixture(params=[CIA402, VENDOR])
+def each(request: pytest.FixtureRequest) -> Iterator[Rig]:
+    with rig(request.param) as r:
+        yield r
+
+
+# -- what it spares a drive --------------------------------------------------------------------------------------------
+def test_opening_writes_nothing(each: Rig) -> None:
+    with each.drive:
+        assert all(pdu[0] in (1, 2, 3, 4) for _, pdu in each.server.seen)
+
+
+def test_the_target_is_the_actual_position_before_power_comes_on(each: Rig) -> None:
+    with each.drive as drive:
+        drive.enable()
+        drive.start_move(20.0, 100.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        drive.disable()
+        each.servo._actual += 777.0  # somebody turned the screw by hand
+        each.servo._demand += 777.0
+        drive.enable()
+        target = drive.parameters.read("target_position" if isinstance(each.face, Cia402Registers) else "target")
+        assert target == each.servo.position_actual_counts
+        each.clock.sleep_s(0.3)
+        assert drive.sample().position_load_mm == pytest.approx(20.0777, abs=1e-3)
+
+
+def test_a_target_that_cannot_be_set_keeps_power_off() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, function=16, count=100, code=4))
+        with pytest.raises(AbortError):
+            drive.enable()
+        assert not r.servo.powered
+
+
+def test_everything_changed_is_put_back(each: Rig) -> None:
+    names = (
+        ("mode", "profile_velocity", "profile_acceleration", "profile_deceleration")
+        if isinstance(each.face, Cia402Registers)
+        else ("target_speed", "ramp")
+    )
+    with each.drive as drive:
+        before = drive.parameters.read_many(names)
+        drive.enable()
+        drive.start_move(5.0, 10.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        assert drive.parameters.read_many(names) != before
+    with each.drive as drive:
+        assert drive.parameters.read_many(names) == before
+
+
+def test_a_sample_is_one_request_per_table(each: Rig) -> None:
+    with each.drive as drive:
+        before = each.server.requests
+        drive.sample()
+        assert each.server.requests - before == (1 if isinstance(each.face, Cia402Registers) else 2)
+        assert 0.0 < drive.sample_wire_s < 0.01
+
+
+def test_a_move_writes_its_values_in_one_request(each: Rig) -> None:
+    with each.drive as drive:
+        drive.enable()
+        each.server.seen.clear()
+        drive.start_move(5.0, 10.0)
+        assert sum(pdu[0] == 16 for _, pdu in each.server.seen) == 1
+
+
+# -- hand-shakes -------------------------------------------------------------------------------------------------------
+def test_the_set_point_bit_is_raised_acknowledged_and_taken_back() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        r.server.seen.clear()
+        drive.start_move(5.0, 10.0)
+        controlwords = [int.from_bytes(pdu[3:5], "big") for pdu in writes_to(r.server, 0x2100)]
+        assert controlwords == [0x003F, 0x000F]
+        assert drive.parameters.read("statusword") & 0x1000 == 0  # type: ignore[operator]
+
+
+def test_a_set_point_bit_left_standing_is_cleared_first() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        for target in (4.0, 9.0):
+            drive.start_move(target, 50.0)
+            r.link.write(UNIT, drive.registers["controlword"].table, 0x2100, (0x003F,))  # as a script that crashed
+            drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        assert drive.sample().position_load_mm == pytest.approx(9.0, abs=1e-3)
+
+
+def test_a_trigger_is_sent_once_and_waited_for() -> None:
+    with rig(VENDOR) as r, r.drive as drive:
+        drive.enable()
+        r.server.seen.clear()
+        drive.start_move(5.0, 10.0)
+        assert len(writes_to(r.server, 6)) == 1
+        assert drive.sample().target_reached is False
+
+
+@pytest.mark.parametrize("kind", [WireFaultKind.NO_REPLY, WireFaultKind.DROP, WireFaultKind.WRONG_ECHO])
+def test_a_trigger_whose_reply_is_lost_is_not_repeated_as_the_axis_itself_is_the_evidence(kind: WireFaultKind) -> None:
+    with rig(VENDOR) as r, r.drive as drive:
+        drive.enable()
+        r.server.seen.clear()
+        r.server.faults.add(WireFault(kind, function=6))
+        drive.start_move(50.0, 10.0)
+        assert len(writes_to(r.server, 6)) == 1
+        drive.wait_for(lambda sample: sample.target_reached, 20.0, "arrived")
+        assert drive.sample().position_load_mm == pytest.approx(50.0, abs=1e-3)
+
+
+def test_a_trigger_that_was_lost_is_reported_as_in_doubt_and_nothing_moves() -> None:
+    with rig(VENDOR) as r, r.drive as drive:
+        drive.enable()
+        r.server.faults.add(WireFault(WireFaultKind.LOST_REQUEST, function=6))
+        with pytest.raises(NoAnswerError, match="start of move is in doubt"):
+            drive.start_move(50.0, 10.0)
+        assert drive.sample().state is DriveState.QUICK_STOP  # nobody watches a move that start_move denied
+        r.clock.sleep_s(1.0)
+        assert drive.sample().position_load_mm == 0.0
+
+
+def test_a_move_that_began_but_was_not_confirmed_is_stopped() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        drive.start_move(1.0, 10.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, nth=2, function=6, code=4))  # taking the start bit back
+        with pytest.raises(AbortError):
+            drive.start_move(250.0, 50.0)
+        r.clock.sleep_s(1.0)
+        assert drive.sample().velocity_mm_s == 0.0
+        assert drive.sample().position_load_mm < 2.0
+
+
+def test_a_drive_that_says_it_is_there_and_does_not_move_is_found_out() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        r.servo.move_absolute = lambda *_: None  # type: ignore[method-assign]
+        with pytest.raises(MotionTimeoutError, match="says it is in position, and does not move"):
+            drive.start_move(50.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("defect", "what"),
+    [
+        (Defect.SETPOINT_NOT_TAKEN, "new target to be accepted not within 0.5 s"),
+        (Defect.ACKNOWLEDGE_STUCK, r"set-point hand-shake to (be idle|end) not within 0.5 s"),
+        (Defect.MODE_STUCK, "change of mode not within 0.5 s"),
+    ],
+)
+def test_a_hand_shake_that_is_not_kept_is_found_out(defect: Defect, what: str) -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        drive.enable()
+        if defect is Defect.MODE_STUCK:
+            drive.start_homing()
+            drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        r.face.profile.defects.add(defect)
+        with pytest.raises(MotionTimeoutError, match=what):
+            drive.start_move(50.0, 10.0)
+
+
+def test_small_steps_are_quick_even_inside_the_drives_window(each: Rig) -> None:
+    """The torque method steps by a micrometre: a drive whose in-position never leaves must not cost its time-out each time."""
+    with each.drive as drive:
+        drive.enable()
+        start_ns = each.clock.now_ns()
+        for step in range(20):
+            drive.start_move(0.001 * (step + 1), 1.0)
+            drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        assert drive.sample().position_load_mm == pytest.approx(0.020, abs=2e-4)
+        assert each.clock.now_ns() - start_ns < 20 * 200_000_000
+
+
+class StartsOnItsTarget(VendorRegisters):
+    """The vendor's drive in the mode in which writing the target, even the one it is at, starts a move at once."""
+
+    def __init__(self, servo: SimulatedServo) -> None:
+        super().__init__(servo, counts_per_rev=COUNTS)
+        self.targets = 0
+        (cell,) = (cell for cell in self._holding_cells() if cell.address == 0)
+        others = [cell for cell in self._holding_cells() if cell.address != 0]
+        self.banks = {
+            **self.banks,
+            Space.HOLDING_REGISTERS: Bank([replace(cell, write=self._start), *others], gaps_readable=False),
+        }
+
+    def _start(self, value: Value) -> None:
+        self._motion["target"] = int(value)
+        self._motion["trigger"] = 1
+        self._take_order()
+        self.targets += 1
+
+
+def test_a_drive_that_starts_on_its_target_gets_it_last(tmp_path: Path) -> None:
+    source = load_drive_map(VENDOR).registers.path.read_text(encoding="utf-8")
+    start, end = source.index("[drive.move]"), source.index("[drive.homing]")
+    move = (
+        '[drive.move]\nhandshake = "on write"\ntarget = "target"\nvelocity = "target_speed"\n'
+        'acceleration = "ramp"\nreached = [{ register = "in_position", value = 1 }]\nwindow = 20\n\n'
+    )
+    path = tmp_path / "on_write.toml"
+    path.write_text(source[:start] + move + source[end:], encoding="utf-8")
+    with rig(VENDOR, map_path=path, make=StartsOnItsTarget) as r, r.drive as drive:
+        assert isinstance(r.face, StartsOnItsTarget)
+        drive.enable()
+        r.clock.sleep_s(0.2)
+        assert r.servo.position_actual_counts == 0
+        drive.start_move(20.0, 10.0)
+        assert r.face.targets == 2  # one to stay at power-on, one for the move
+        assert drive.sample().target_reached is False
+        r.clock.sleep_s(1.0)
+        assert drive.sample().velocity_mm_s == pytest.approx(10.0, rel=0.01)  # the speed was there before the target
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        assert drive.sample().position_load_mm == pytest.approx(20.0, abs=0.002)
+
+
+# -- homing ------------------------------------------------------------------------------------------------------------
+def test_homing_attained_means_something_in_homing_mode_only() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        assert drive.sample().homed is None
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        drive.start_move(3.0, 10.0)  # bit 12 is now the set-point acknowledge
+        assert drive.sample().homed is True
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed again")
+        assert drive.sample().position_load_mm == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_homing_that_fails_is_raised_once(each: Rig) -> None:
+    if isinstance(each.face, Cia402Registers):
+        each.face.dictionary.set_number(0x6098, 0, 11)  # no such method here
+    else:
+        each.face._kept["origin_method"] = 11
+    with each.drive as drive:
+        drive.enable()
+        drive.start_homing()
+        with pytest.raises(DriveFaultError, match="homing failed"):
+            drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        assert drive.sample().homed is False
+
+
+# -- stopping ----------------------------------------------------------------------------------------------------------
+def test_quick_stop_is_sent_to_a_unit_in_backoff_too(each: Rig) -> None:
+    with each.drive as drive:
+        drive.enable()
+        drive.start_move(200.0, 50.0)
+        each.clock.sleep_s(0.5)
+        each.server.faults.add(WireFault(WireFaultKind.LOST_REQUEST, count=4))
+        with pytest.raises(NoAnswerError):
+            drive.sample()
+        with pytest.raises(NoAnswerError, match="not tried again"):
+            drive.sample()
+        drive.quick_stop()  # the first attempt is lost as well
+        each.clock.sleep_s(1.0)
+        assert drive.sample().velocity_mm_s == 0.0
+        assert each.servo.position_actual_counts < 100_0000
+
+
+def test_closing_on_a_dead_wire_does_not_raise(each: Rig) -> None:
+    drive = each.drive
+    drive.open()
+    drive.enable()
+    each.server.faults.add(WireFault(WireFaultKind.LOST_REQUEST, count=10**6))
+    drive.close()
+    with pytest.raises(StateError, match="is not open"):
+        drive.sample()
+
+
+def test_a_server_that_went_away_is_a_lost_link_and_comes_back() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        r.server.drop_connections()
+        assert drive.sample().state is DriveState.ENABLED  # dialled again on the way
+        assert r.link.statistics.connects == 2
+
+
+def test_a_dead_server_is_a_lost_link() -> None:
+    clock = SimClock()
+    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=COUNTS))
+    with tcp_server({UNIT: make_face(CIA402, servo)}, clock) as (_, port):
+        link = ModbusLink(TcpEndpoint("127.0.0.1", port, TIMEOUT_S), clock)
+        drive = ModbusDrive("X", SCALING, LIMITS, clock, link=link, unit=UNIT, drive_map=load_drive_map(CIA402))
+        drive.open()
+    with pytest.raises(LinkLostError):
+        drive.sample()
+    drive.close()
+
+
+def test_a_fault_that_stays_is_named_and_not_reset_into_an_enable(each: Rig) -> None:
+    with each.drive as drive:
+        drive.enable()
+        each.servo.raise_fault(0x5112)
+        each.servo.reset_fault = lambda: None  # type: ignore[method-assign]
+        each.clock.sleep_s(0.1)
+        with pytest.raises(DriveFaultError, match="the fault stays") as caught:
+            drive.reset_fault()
+        assert caught.value.code == 0x5112
+        assert not each.servo.powered
+
+
+@pytest.mark.parametrize(
+    ("defect", "what"),
+    [
+        (Defect.SAFE_TORQUE_OFF, r"ready to switch on \(mains, STO .*it is switch on disabled"),
+        (Defect.LOCAL_CONTROL, r"ready to switch on \(mains, STO .*it is switch on disabled"),
+        (Defect.BRAKE_STUCK, r"operation enabled \(mains, STO .*it is switched on"),
+    ],
+)
+def test_a_drive_that_does_not_come_up_says_where_it_is_stuck(defect: Defect, what: str) -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        r.face.profile.defects.add(defect)
+        with pytest.raises(MotionTimeoutError, match=what):
+            drive.enable()
+        assert drive.sample().state is not DriveState.ENABLED
+
+
+def test_a_fault_on_the_way_up_ends_enabling(each: Rig) -> None:
+    with each.drive as drive:
+        each.servo.power_on = lambda: each.servo.raise_fault(0x3220)  # type: ignore[method-assign]
+        with pytest.raises(DriveFaultError, match="fault while trying to enable") as caught:
+            drive.enable()
+        assert caught.value.code == 0x3220
+
+
+def test_a_state_the_map_does_not_know_is_a_protocol_error() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        r.face.profile.defects.add(Defect.STATUS_IMPOSSIBLE)
+        with pytest.raises(ProtocolError, match=r"statusword 0x[0-9a-f]+ is no state that its register map knows"):
+            drive.sample()
+        r.face.profile.defects.clear()
+
+
+# -- parameters --------------------------------------------------------------------------------------------------------
+def test_parameters_by_name_in_their_units(each: Rig) -> None:
+    with each.drive as drive:
+        drive.require(Capability.PARAMETERS)
+        gain = "position_gain" if isinstance(each.face, Cia402Registers) else "stiffness"
+        limit = "max_torque" if isinstance(each.face, Cia402Registers) else "torque_limit"
+        assert drive.parameters.write(gain, 37.5) is True
+        assert drive.parameters.write(gain, 37.5) is False  # holds it already: not written
+        assert drive.parameters.write(limit, 123.4) is True
+        assert drive.parameters.read(limit) == pytest.approx(123.4)
+        with pytest.raises(InputError, match=f"{limit} cannot be 301 percent, allowed is 0 to 300"):
+            drive.parameters.write(limit, 301)
+        with pytest.raises(InputError, match="has no register 'nonsense'"):
+            drive.parameters.read("nonsense")
+
+
+@pytest.mark.parametrize(("name", "what"), [("controlword", "moves the axis"), ("target_position", "moves the axis")])
+def test_what_moves_the_axis_is_no_parameter(name: str, what: str) -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        with pytest.raises(CapabilityError, match=what):
+            drive.parameters.write(name, 1)
+        assert name not in drive.parameters.writable_names
+        with pytest.raises(CapabilityError, match="cannot be written and read back"):
+            drive.parameters.write("statusword", 1)
+
+
+def test_eeprom_is_spared_and_the_count_outlives_the_process(tmp_path: Path) -> None:
+    ledger = tmp_path / "wear.json"
+    with rig(VENDOR, wear=WearLedger(ledger)) as r, r.drive as drive:
+        for value in range(1, 21):
+            assert drive.parameters.write("origin_offset", value)
+            assert not drive.parameters.write("origin_offset", value)
+        with pytest.raises(
+            StateError, match="origin_offset is kept in EEPROM and was written 20 times, its budget is 20"
+        ):
+            drive.parameters.write("origin_offset", 99)
+        assert isinstance(r.face, VendorRegisters)
+        assert r.face.eeprom_writes == {"origin_offset": 20}
+    with rig(VENDOR, wear=WearLedger(ledger)) as r, r.drive as drive:
+        assert drive.parameters.wear.writes("X", "origin_offset") == 20
+        with pytest.raises(StateError):
+            drive.parameters.write("origin_offset", 99)
+        assert drive.parameters.write("origin_creep", 5.0)
+
+
+def test_a_refused_parameter_names_itself() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, writes=True, code=3))
+        with pytest.raises(
+            AbortError, match=r"drive X refuses following_error_window = 5: .*illegal data value"
+        ) as caught:
+            drive.parameters.write("following_error_window", 5)
+        assert caught.value.code == 3
+
+
+def test_a_parameter_the_drive_silently_changes_is_found_out() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        r.face.dictionary.on_read(0x6067, 0, lambda: 20)
+        with pytest.raises(ProtocolError, match="position_window was written as 77 and reads 20"):
+            drive.parameters.write("position_window", 77)
+
+
+def test_storing_waits_until_the_drive_is_done() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.require(Capability.STORE)
+        assert isinstance(r.face, Cia402Registers)
+        start_ns = r.clock.now_ns()
+        drive.parameters.store(drive.sample().state)
+        assert r.face.stores == 1
+        assert r.clock.now_ns() - start_ns >= 200_000_000
+        drive.enable()
+        with pytest.raises(StateError, match="disable it before storing"):
+            drive.parameters.store(drive.sample().state)
+    with rig(VENDOR) as r, r.drive as drive, pytest.raises(CapabilityError):
+        drive.parameters.store(drive.sample().state)
+
+
+def test_the_drive_states_its_own_units() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        scaling = drive.parameters.reported_scaling()
+        assert scaling.encoder_counts_per_motor_rev == COUNTS
+        assert scaling.feed_mm_per_shaft_rev == 10
+        assert scaling.counts_per_load_mm == Fraction(10_000)
+    with rig(VENDOR) as r, r.drive as drive:
+        scaling = drive.parameters.reported_scaling()
+        assert scaling.motor_revs_per_shaft_rev == 1
+        assert scaling.counts_per_load_mm is None
+
+
+def test_the_order_of_a_wide_register_is_found_from_what_the_display_shows(each: Rig) -> None:
+    name, order = (
+        ("position_actual", Order.BIG) if isinstance(each.face, Cia402Registers) else ("position", Order.LITTLE)
+    )
+    with each.drive as drive:
+        drive.enable()
+        drive.start_move(123.4567, 100.0)
+        drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+        known = each.servo.position_actual_counts
+        matches = drive.parameters.probe_order(name, known)
+        assert {(match.offset, match.layout) for match in matches} == {
+            (0, Layout(kind, order)) for kind in (RegisterType.I32, RegisterType.U32)
+        }
+        assert drive.parameters.probe_order(name, known + 3, tolerance=5.0) == matches

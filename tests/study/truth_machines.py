@@ -1,0 +1,407 @@
+"""Machines that err for a known reason, to judge the diagnosis: written apart, numbers only, nothing imported from the project.
+
+The forms are not the fitted ones: temperatures act through a lag and saturate, cyclic errors swell along the travel and carry a
+harmonic, lost motion fades as a rational or stretched curve with a Stribeck hump, steps settle, beams wander as 1/f noise.
+A machine is drawn from a seed; `campaign` measures it cold, at fresh targets, with every sensor of the record format present.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+Columns = dict[str, Array]
+
+DYNAMIC = (
+    "cyclic",
+    "thermal_expansion",
+    "thermal_drift",
+    "lost_motion",
+    "velocity_lag",
+    "load_deflection",
+    "abbe",
+    "cross_axis",
+    "local_wear",
+    "datum_step",
+    "dead_path",
+    "air_index",
+    "beam_drift",
+)
+"""Effects that show beside a table fitted to the same records (local wear and cyclic at scattered targets)."""
+STATIC = ("backlash", "backlash_position", "pitch_shape", "cosine", "local_wear", "cyclic")
+"""Functions of position and direction: they show against a table that was measured before they appeared."""
+OUTSIDE = (
+    "humidity_times_position",
+    "coolant",
+    "torque_times_temperature",
+    "chirp",
+    "feed_resonance",
+    "telegraph",
+    "cross_product",
+    "direction_times_humidity",
+)
+NOISES = ("normal", "student", "correlated", "walk", "offsets")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a campaign is run. scatter: 'random' (fresh random targets each run), 'jitter' (about fixed ones), 'fixed'."""
+
+    runs: int = 8
+    targets: int = 21
+    scatter: str = "jitter"
+    shuffled: bool = False
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One machine. strength: RMS of each hidden effect, as far as a table cannot hold it, over the noise standard deviation."""
+
+    seed: int
+    effects: tuple[str, ...] = ()
+    strength: tuple[float, ...] = ()
+    noise: str = "normal"
+    sensors: str = "mixed"
+
+    def campaign(self, number: int = 0, plan: Plan | None = None) -> tuple[Columns, dict[str, Array]]:
+        """Records of one campaign, and the true contributions per row in µm ('clean' is table and effects without noise)."""
+        plan = plan or Plan()
+        c, base, shapes = self._draw(number, plan)
+        zero = (c, shapes) if number == 0 else self._draw(0, plan)[::2]
+        first = {name: _size(zero[0], shape, name in STATIC) for name, shape in zero[1].items()}
+        sigma = float(np.random.default_rng([self.seed, 5]).uniform(0.2, 1.2))
+        parts: dict[str, Array] = {"table": base}
+        for name, strength in zip(self.effects, self.strength, strict=True):
+            parts[name] = shapes[name] * strength * sigma / first[name]
+        clean = np.sum(list(parts.values()), axis=0)
+        noise = _noise(self.noise, c, np.random.default_rng([self.seed, 6, number])) * sigma
+        c["measured_mm"] = c["target_mm"] + (clean + noise) / 1e3
+        return c, parts | {"clean": clean, "noise": noise, "sigma": np.array(sigma)}
+
+    def _draw(self, number: int, plan: Plan) -> tuple[Columns, Array, dict[str, Array]]:
+        """Columns, table error and the unscaled shape of each effect."""
+        fixed = np.random.default_rng([self.seed, 1])
+        rng = np.random.default_rng([self.seed, 2, number])
+        half = float(fixed.choice([150.0, 250.0, 400.0, 600.0]))
+        origin = float(fixed.choice([0.0, 0.0, half, half * 0.3]))
+        c = _motion(fixed, rng, plan, half, origin)
+        _sensors(c, fixed, rng, half, self.sensors)
+        base = _pitch(c, fixed, half, origin)
+        shapes: dict[str, Array] = {}
+        for index, name in enumerate(self.effects):
+            own = np.random.default_rng([self.seed, 3, index])
+            happening = np.random.default_rng([self.seed, 4, index, number])
+            shapes[name] = (EFFECTS | OUTSIDE_EFFECTS)[name](c, own, happening, half, origin)
+        return c, base, shapes
+
+
+def _motion(fixed: np.random.Generator, rng: np.random.Generator, plan: Plan, half: float, origin: float) -> Columns:
+    step = 2 * half / plan.targets
+    middle = origin - half + step * (np.arange(plan.targets) + 0.5)
+    steady = middle + fixed.uniform(-0.3, 0.3, plan.targets) * step
+    interval = fixed.uniform(3.0, 9.0)
+    run, direction, target, time = [], [], [], []
+    now = 0.0
+    for r in range(plan.runs):
+        if plan.scatter == "random":
+            points = np.sort(rng.uniform(origin - half, origin + half, plan.targets))
+        elif plan.scatter == "jitter":
+            points = middle + rng.uniform(-0.5, 0.5, plan.targets) * step
+        else:
+            points = steady
+        stops = [(1, t) for t in points] + [(-1, t) for t in points[::-1]]
+        if plan.shuffled:
+            stops = [stops[i] for i in rng.permutation(len(stops))]
+        for d, t in stops:
+            now += interval * rng.uniform(0.9, 1.1)
+            run.append(r + 1)
+            direction.append(d)
+            target.append(t)
+            time.append(now)
+        now += fixed.uniform(5.0, 40.0)
+    return {
+        "run": np.array(run, float),
+        "direction": np.array(direction, float),
+        "target_mm": np.round(np.array(target), 4),
+        "time_s": np.array(time),
+    }
+
+
+def _walk(rng: np.random.Generator, n: int, memory: float = 60.0) -> Array:
+    """A smooth random course of unit size."""
+    white = rng.normal(size=n + int(6 * memory))
+    kernel = np.exp(-0.5 * (np.arange(-3 * memory, 3 * memory + 1) / memory) ** 2)
+    course = np.convolve(white, kernel, "same")[int(3 * memory) : int(3 * memory) + n]
+    return course / np.sqrt(np.sum(kernel**2))
+
+
+def _lag(time: Array, value: Array, tau: float) -> Array:
+    out = np.empty_like(value)
+    state = value[0]
+    before = time[0]
+    for i, (t, v) in enumerate(zip(time, value, strict=True)):
+        state += (v - state) * (1 - np.exp(-(t - before) / tau))
+        before = t
+        out[i] = state
+    return out
+
+
+def _sensors(c: Columns, fixed: np.random.Generator, rng: np.random.Generator, half: float, mode: str) -> None:
+    n = len(c["run"])
+    t, d, run = c["time_s"], c["direction"], c["run"].astype(int)
+    span = t[-1]
+
+    def levels(values: Array) -> Array:
+        """Per row, per run or per block, by mode."""
+        kind = mode if mode != "mixed" else str(fixed.choice(["row", "block", "run"]))
+        if kind == "row":
+            return rng.choice(values, n)
+        if kind == "block":
+            return np.repeat(rng.choice(values, n // 7 + 1), 7)[:n]
+        return rng.choice(values, run.max() + 1)[run]
+
+    c["velocity_mm_s"] = levels(np.array([10.0, 25.0, 50.0, 100.0])) * rng.uniform(0.98, 1.02, n)
+    c["since_reversal_mm"] = rng.uniform(0.5, 1.0, n) * np.exp(rng.uniform(np.log(2.0), np.log(half), n))
+    c["stroke_mm"] = rng.uniform(0.2 * half, 2 * half, n)
+    c["load_kg"] = levels(np.array([0.0, 40.0, 80.0, 160.0])) + rng.normal(0, 0.5, n)
+    duty = _lag(t, levels(np.array([0.2, 0.6, 1.0])), span / 12)
+    heat = _lag(t, duty * fixed.uniform(4.0, 10.0), span * fixed.uniform(0.1, 0.4))
+    ambient = 20 + rng.normal(0, 1.0) + 0.5 * _walk(rng, n)
+    c["temp_screw_c"] = ambient + heat - heat[0] + rng.normal(0, 0.03, n)
+    nut = _lag(t, duty * fixed.uniform(3.0, 8.0), span * fixed.uniform(0.03, 0.1))
+    c["temp_nut_c"] = ambient + nut - nut[0] + 0.5 * _walk(rng, n, 30) + rng.normal(0, 0.03, n)
+    c["temp_bed_c"] = (
+        20 + rng.normal(0, 0.5) + fixed.choice([-1.0, 1.0]) * 1.2 * _walk(rng, n, 90) + rng.normal(0, 0.03, n)
+    )
+    c["air_temp_c"] = 20 + rng.normal(0, 0.5) + 0.9 * _walk(rng, n, 40) + rng.normal(0, 0.03, n)
+    c["air_pressure_hpa"] = 1005 + rng.normal(0, 8.0) + 2.5 * _walk(rng, n, 80) + rng.normal(0, 0.05, n)
+    c["air_humidity_percent"] = 50 + rng.normal(0, 5.0) + 6.0 * _walk(rng, n, 50) + rng.normal(0, 0.3, n)
+    friction = 8 + 0.05 * c["velocity_mm_s"] + 0.03 * c["load_kg"]
+    c["torque_percent"] = d * friction + 3.0 * rng.normal(size=n) + 2.0 * _walk(rng, n, 25)
+    u = (c["target_mm"] - np.mean(c["target_mm"])) / half
+    tilt = 8 * np.sin(2.1 * u + 0.4) + 6.0 * _walk(rng, n, 35) + 0.02 * c["load_kg"] * u
+    c["pitch_urad"] = tilt + rng.normal(0, 0.5, n)
+    c["yaw_urad"] = 5 * u**2 + 4.0 * _walk(rng, n, 20) + rng.normal(0, 0.5, n)
+    c["pos_y_mm"] = levels(np.linspace(-200.0, 200.0, 5)) + rng.uniform(-1, 1, n)
+    c["coolant_lpm"] = 12 + 2.0 * _walk(rng, n, 30) + rng.normal(0, 0.1, n)
+
+
+def _pitch(c: Columns, fixed: np.random.Generator, half: float, origin: float) -> Array:
+    u = (c["target_mm"] - origin) / half
+    size = fixed.uniform(5.0, 25.0)
+    f = np.zeros_like(u)
+    for k in range(1, 6):
+        f += size * k**-1.5 * fixed.normal() * np.sin(0.5 * np.pi * k * u + fixed.uniform(0, 6.28))
+    gap = fixed.uniform(1.0, 8.0) + fixed.uniform(0, 1.0) * u + fixed.uniform(0, 0.6) * np.cos(2 * u)
+    return f + fixed.uniform(-10, 10) * u - 0.5 * gap * c["direction"]
+
+
+def _noise(kind: str, c: Columns, rng: np.random.Generator) -> Array:
+    n = len(c["run"])
+    white = rng.normal(size=n)
+    if kind == "student":
+        return rng.standard_t(4, n) / np.sqrt(2.0)
+    if kind == "correlated":
+        slow = np.zeros(n)
+        rho = rng.uniform(0.4, 0.85)
+        for i in range(1, n):
+            slow[i] = rho * slow[i - 1] + np.sqrt(1 - rho**2) * rng.normal()
+        return np.sqrt(0.6) * white + np.sqrt(0.4) * slow
+    if kind == "walk":
+        walk = np.cumsum(rng.normal(size=n)) / np.sqrt(n)
+        return white + 0.5 * (walk - walk.mean())
+    if kind == "offsets":
+        return white + 0.4 * rng.normal(size=64)[c["run"].astype(int)]
+    return white
+
+
+def _size(c: Columns, shape: Array, static: bool) -> float:
+    """RMS of a shape about its mean; of a dynamic one, beside any smooth function of position and direction."""
+    z = shape - np.mean(shape)
+    if not static:
+        u = c["target_mm"] - np.mean(c["target_mm"])
+        smooth = np.polynomial.legendre.legvander(u / np.max(np.abs(u)), 10)
+        columns = np.hstack([smooth, smooth * c["direction"][:, None]])
+        z = z - columns @ np.linalg.lstsq(columns, z, rcond=None)[0]
+    return max(float(np.std(z)), 1e-12)
+
+
+Maker = Callable[[Columns, np.random.Generator, np.random.Generator, float, float], Array]
+
+
+def _cyclic(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    period = float(own.choice([4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0]))
+    phase = own.uniform(0, 2 * np.pi)
+    u = (c["target_mm"] - origin) / half
+    angle = 2 * np.pi * c["target_mm"] / period + phase
+    return (1 + own.uniform(0, 0.35) * u) * np.sin(angle) + own.uniform(0, 0.2) * np.sin(2 * angle + 1.0)
+
+
+def _temperature(c: Columns, own: np.random.Generator) -> Array:
+    place = str(own.choice(["screw", "nut", "bed"]))
+    value = c[f"temp_{place}_c"]
+    slow = _lag(c["time_s"], value, own.uniform(0.01, 0.05) * c["time_s"][-1])
+    return slow - 20.0
+
+
+def _saturate(z: Array, own: np.random.Generator) -> Array:
+    size = float(np.max(np.abs(z))) or 1.0
+    return z / (1 + own.uniform(0, 0.25) * np.abs(z) / size)
+
+
+def _thermal_expansion(
+    c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float
+) -> Array:
+    if own.random() < 0.25:
+        tau = own.uniform(400, 1200)
+        return c["target_mm"] * (1 - np.exp(-((c["time_s"] / tau) ** own.uniform(0.85, 1.1))))
+    return c["target_mm"] * _saturate(_temperature(c, own), own)
+
+
+def _thermal_drift(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    if own.random() < 0.35:
+        tau = own.uniform(300, 1200)
+        return 1 - np.exp(-((c["time_s"] / tau) ** own.uniform(0.85, 1.1)))
+    return _saturate(_temperature(c, own), own)
+
+
+def _lost_motion(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    s = c["since_reversal_mm"] / (own.uniform(0.03, 0.2) * half)
+    if own.random() < 0.5:
+        return c["direction"] / (1 + s**2)
+    hump = own.uniform(0, 0.25) * s * np.exp(-s)
+    return c["direction"] * (np.exp(-(s ** own.uniform(0.8, 1.4))) - hump)
+
+
+def _velocity_lag(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    v = c["velocity_mm_s"]
+    return c["direction"] * v / (1 + own.uniform(0, 0.25) * v / 100.0)
+
+
+def _load_deflection(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    force = c["load_kg"] / (1 + own.uniform(0, 0.2) * c["load_kg"] / 160.0)
+    u = (c["target_mm"] - origin) / half
+    kind = own.integers(3)
+    if kind == 0:
+        return force
+    if kind == 1:
+        return c["direction"] * force * u
+    return c["torque_percent"] / (1 + 0.1 * np.abs(c["torque_percent"]) / 20.0)
+
+
+def _abbe(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    u = (c["target_mm"] - origin) / half
+    return c[str(own.choice(["pitch_urad", "yaw_urad"]))] * (1 + own.uniform(-0.15, 0.15) * u)
+
+
+def _cross_axis(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    u = (c["target_mm"] - origin) / half
+    y = c["pos_y_mm"] / 200.0
+    return y * (1 + own.uniform(-0.3, 0.3) * u) if own.random() < 0.6 else y * (u + 0.1 * u**3)
+
+
+def _local_wear(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    centre = origin + own.uniform(-0.7, 0.7) * half
+    width = own.uniform(0.03, 0.08) * half
+    s = np.clip((c["target_mm"] - centre) / width, -np.pi / 1.6, np.pi / 1.6) * 0.8
+    bump = np.cos(s) ** 2 * (1 + 0.3 * np.sin(s))
+    return bump * (c["direction"] if own.random() < 0.4 else 1.0)
+
+
+def _datum_step(c: Columns, own: np.random.Generator, now: np.random.Generator, half: float, origin: float) -> Array:
+    at = now.uniform(0.12, 0.88) * c["time_s"][-1]
+    since = np.clip(c["time_s"] - at, 0, None)
+    return (c["time_s"] > at) * (1 - 0.3 * np.exp(-since / 8.0))
+
+
+def _index_ppm(c: Columns) -> Array:
+    kelvin = c["air_temp_c"] + 273.15
+    return 78.66 * c["air_pressure_hpa"] / kelvin - 0.0085 * (c["air_humidity_percent"] - 50) - 271.4
+
+
+def _dead_path(c: Columns, own: np.random.Generator, now: np.random.Generator, half: float, origin: float) -> Array:
+    return _index_ppm(c)
+
+
+def _air_index(c: Columns, own: np.random.Generator, now: np.random.Generator, half: float, origin: float) -> Array:
+    return c["target_mm"] * _index_ppm(c)
+
+
+def _beam_drift(c: Columns, own: np.random.Generator, now: np.random.Generator, half: float, origin: float) -> Array:
+    grid = np.linspace(0, 1, 512)
+    course = np.zeros(512)
+    for k in range(1, 60):
+        course += k**-1.0 * now.normal() * np.sin(np.pi * k * grid + now.uniform(0, 2 * np.pi))
+    return np.interp(c["time_s"] / c["time_s"][-1], grid, course)
+
+
+def _backlash(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    return c["direction"].copy()
+
+
+def _backlash_position(
+    c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float
+) -> Array:
+    u = (c["target_mm"] - origin) / half
+    return c["direction"] * (np.sin(own.uniform(0.7, 1.2) * u) + own.uniform(-0.4, 0.4) * u**2)
+
+
+def _pitch_shape(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    u = (c["target_mm"] - origin) / half
+    return np.tanh(own.uniform(0.8, 2) * (u - own.uniform(-0.4, 0.4))) + own.uniform(0.3, 1.0) * np.cos(
+        own.uniform(2, 4) * u
+    )
+
+
+def _cosine(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
+    return -c["target_mm"]
+
+
+EFFECTS: dict[str, Maker] = {
+    "cyclic": _cyclic,
+    "thermal_expansion": _thermal_expansion,
+    "thermal_drift": _thermal_drift,
+    "lost_motion": _lost_motion,
+    "velocity_lag": _velocity_lag,
+    "load_deflection": _load_deflection,
+    "abbe": _abbe,
+    "cross_axis": _cross_axis,
+    "local_wear": _local_wear,
+    "datum_step": _datum_step,
+    "dead_path": _dead_path,
+    "air_index": _air_index,
+    "beam_drift": _beam_drift,
+    "backlash": _backlash,
+    "backlash_position": _backlash_position,
+    "pitch_shape": _pitch_shape,
+    "cosine": _cosine,
+}
+
+
+def _unit(z: Array) -> Array:
+    return (z - np.mean(z)) / (np.std(z) or 1.0)
+
+
+def _telegraph(now: np.random.Generator, n: int) -> Array:
+    return np.where(np.cumsum(now.random(n) < 0.12) % 2 == 0, 1.0, -1.0)
+
+
+OUTSIDE_EFFECTS: dict[str, Maker] = {
+    "humidity_times_position": lambda c, _o, _n, half, origin: (
+        _unit(c["air_humidity_percent"]) * (c["target_mm"] - origin) / half
+    ),
+    "coolant": lambda c, _o, _n, _h, _x: np.tanh(_unit(c["coolant_lpm"])),
+    "torque_times_temperature": lambda c, _o, _n, _h, _x: (
+        _unit(c["torque_percent"] * c["direction"]) * _unit(c["temp_bed_c"])
+    ),
+    "chirp": lambda c, own, _n, half, origin: np.sin(
+        2 * np.pi * own.uniform(6, 12) * (1 + (c["target_mm"] - origin) / half) ** 2
+    ),
+    "feed_resonance": lambda c, _o, _n, _h, _x: np.exp(-0.5 * ((c["velocity_mm_s"] - 50) / 4) ** 2),
+    "telegraph": lambda c, _o, now, _h, _x: _telegraph(now, len(c["run"])),
+    "cross_product": lambda c, _o, _n, _h, _x: _unit(c["pos_y_mm"]) * _unit(c["load_kg"]),
+    "direction_times_humidity": lambda c, _o, _n, _h, _x: c["direction"] * _unit(c["air_humidity_percent"]),
+}

@@ -1,0 +1,55 @@
+"""An axis file for the bench, small enough for a test, with the builder's keys beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hil.sealed import Cost, new_key, save_private_key, save_public_key
+
+PASSWORDS = {"HIL_PASSWORD": "reading", "HIL_KEY_PASSWORD": "builder"}
+
+TEXT = """
+[axis]
+name = "X"
+travel_min_mm = -2.0
+travel_max_mm = 502.0
+max_velocity_mm_s = 200.0
+max_acceleration_mm_s2 = 1000.0
+
+[scaling]
+encoder_counts_per_motor_rev = 1_000_000
+feed_mm_per_shaft_rev = 10.0
+
+[drive]
+backend = "bench"
+machine = "{machine}"
+seed = 5
+
+[instrument]
+place_temps = {{ screw = 4 }}
+
+[measurement]
+first_mm = 20.0
+last_mm = 260.0
+sections = {sections}
+runs = {runs}
+velocity_mm_s = 100.0
+dwell_s = 0.3
+reading_s = 0.3
+
+[correction]
+{correction}
+"""
+
+
+def lay_out(
+    directory: Path, *, machine: str = "geometric", sections: int = 5, runs: int = 2, correction: str = ""
+) -> Path:
+    """Write axis.toml and the builder's pair into a directory; the axis file's path."""
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / "axis.toml"
+    path.write_text(TEXT.format(machine=machine, sections=sections, runs=runs, correction=correction))
+    key = new_key()
+    save_private_key(directory / "builder.key", key, PASSWORDS["HIL_KEY_PASSWORD"], cost=Cost(n=1 << 10, r=8, p=1))
+    save_public_key(directory / "builder.pub", key.public_key())
+    return path

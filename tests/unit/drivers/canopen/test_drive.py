@@ -1,0 +1,562 @@
+"""CanOpenDrive beyond the contract: what is particular to CiA-402, against the simulated drive in simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.cia402 import Mode
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.canopen.eds import load_eds
+from drivers.canopen.power import PowerTimes
+from drivers.drive import Capability, DriveLimits, DriveState
+from drivers.errors import (
+    CapabilityError,
+    DriveFaultError,
+    InputError,
+    LimitError,
+    LinkLostError,
+    MotionTimeoutError,
+    NoAnswerError,
+    ProtocolError,
+    StateError,
+)
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import SMALL_SERVO, CanBench
+from sim_backends.canopen_drive import EDS
+from sim_backends.canopen_faults import CanFault, CanFaultKind
+
+NODE = 5
+LIMITS = DriveLimits(-200.0, 200.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
+K = CanFaultKind
+
+
+class Rig:
+    """A bench with one drive on it."""
+
+    def __init__(
+        self, *faults: CanFault, parameters: dict[tuple[int, int], int] | None = None, **settings: object
+    ) -> None:
+        servo = replace(SMALL_SERVO, coast_rev_s2=300.0)
+        self.bench = CanBench((NODE,), faults={NODE: faults}, parameters=parameters or {}, servo_parameters=servo)
+        self.stack = ExitStack()
+        self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
+        self.drive = CanOpenDrive(
+            "X",
+            AxisScaling(100_000, 10.0),
+            LIMITS,
+            self.bench.clock,
+            link=self.link,
+            node_id=NODE,
+            settings=CanOpenSettings(**settings),  # type: ignore[arg-type]
+        )
+
+    def opened(self) -> CanOpenDrive:
+        self.drive.open()
+        self.stack.callback(self.drive.close)
+        return self.drive
+
+    def enabled(self) -> CanOpenDrive:
+        drive = self.opened()
+        drive.enable()
+        return drive
+
+    def run(self, seconds: float) -> None:
+        self.bench.clock.sleep_s(seconds)
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        return self.bench.slave.dictionary.number(index, subindex)
+
+
+MakeRig = Callable[..., Rig]
+
+
+@pytest.fixture
+def make() -> Iterator[MakeRig]:
+    with ExitStack() as stack:
+
+        def build(*faults: CanFault, **how: object) -> Rig:
+            rig = Rig(*faults, **how)  # type: ignore[arg-type]
+            stack.push(rig.stack)
+            return rig
+
+        yield build
+
+
+# -- opening -------------------------------------------------------------------------------------------------------------
+
+
+def test_identity_and_capabilities(make: MakeRig) -> None:
+    drive = make().opened()
+    assert drive.identity is not None
+    assert (drive.identity.vendor_id, drive.identity.product_code) == (0x4E1, 0x402)
+    assert drive.identity.device_name == "Simulated feed axis servo drive"
+    assert drive.capabilities >= {Capability.STREAMING, Capability.TOUCH_PROBE, Capability.PROFILE_VELOCITY}
+
+
+def test_modes_that_6502h_does_not_list_are_not_offered(make: MakeRig) -> None:
+    drive = make(parameters={(0x6502, 0): 0x01}).opened()
+    assert Capability.HOMING not in drive.capabilities
+    drive.enable()
+    with pytest.raises(CapabilityError, match="homing"):
+        drive.start_homing()
+    with pytest.raises(CapabilityError, match="no mode cyclic_position"):
+        drive.set_mode(Mode.CYCLIC_POSITION)
+
+
+def test_a_device_of_another_profile_is_refused(make: MakeRig) -> None:
+    rig = make(parameters={(0x1000, 0): 0x000F0191})
+    with pytest.raises(ProtocolError, match="device profile 401, not 402"):
+        rig.drive.open()
+
+
+def test_opening_and_closing_leave_every_parameter_as_it_was(make: MakeRig) -> None:
+    rig = make(guard_s=0.2)
+    dictionary = rig.bench.slave.dictionary
+
+    def image() -> dict[tuple[int, int], bytes]:
+        return {
+            (index, subindex): dictionary.raw((index, subindex))
+            for index, subindex in dictionary.items
+            if not (0x1600 <= index < 0x1C00 and index & 0x200 and subindex > dictionary.number(index, 0))
+        }
+
+    before = image()
+    with rig.drive as drive:
+        assert image() != before
+        drive.sample()
+    assert image() == before
+
+
+def test_opening_writes_no_motion_parameter(make: MakeRig) -> None:
+    rig = make()
+    written: set[int] = set()
+    spy = rig.bench.wire.add_node()
+
+    def see(cob_id: int, data: bytes, _now_ns: int) -> None:
+        if cob_id == 0x605 and data[0] >> 5 == 1:
+            written.add(int.from_bytes(data[1:3], "little"))
+
+    spy.on_frame = see
+    rig.drive.open()
+    assert {index for index in written if index >= 0x6000} == set()
+    spy.on_frame = lambda *_: None
+    rig.drive.close()
+
+
+def test_a_failed_opening_puts_everything_back(make: MakeRig) -> None:
+    rig = make(CanFault(K.TPDO_LOST, duration_s=10.0))
+    before = rig.number(0x1017), rig.number(0x1800, 1), rig.number(0x1A00, 0)
+    with pytest.raises(NoAnswerError, match="SYNC"):
+        rig.drive.open()
+    assert (rig.number(0x1017), rig.number(0x1800, 1), rig.number(0x1A00, 0)) == before
+    with pytest.raises(StateError, match="not open"):
+        rig.drive.sample()
+
+
+def test_a_weak_quick_stop_is_pointed_out(make: MakeRig) -> None:
+    drive = make(parameters={(0x6085, 0): 1_000_000}).opened()
+    assert drive.notes == [
+        "drive X: quick stop (6085h) brakes with 100 mm/s², moves with up to 2000 mm/s²: a stop may overshoot the target"
+    ]
+
+
+# -- enabling ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_target_is_the_actual_position_before_power_comes(make: MakeRig) -> None:
+    """A stale 607Ah in the drive must not become a jump."""
+    rig = make(parameters={(0x607A, 0): 1_500_000})
+    drive = rig.opened()
+    seen: list[tuple[int, int]] = []
+    rig.bench.slave.dictionary.on_write(0x6040, 0, lambda word: seen.append((word, rig.number(0x607A))))
+    drive.enable()
+    assert seen[-1] == (0x0F, 0)
+    drive.set_mode(Mode.CYCLIC_POSITION)
+    rig.run(0.5)
+    assert drive.sample().position_load_mm == 0.0
+
+
+def test_a_brake_that_takes_its_time(make: MakeRig) -> None:
+    rig = make(power=PowerTimes(enable_s=1.0))
+    rig.bench.slave.profile.brake_delay_ns = 600_000_000
+    drive = rig.enabled()
+    assert drive.sample().state is DriveState.ENABLED
+    assert rig.bench.clock.now_ns() >= 600_000_000
+
+
+def test_a_brake_that_never_opens_is_named(make: MakeRig) -> None:
+    rig = make(CanFault(K.BRAKE_STUCK), power=PowerTimes(enable_s=0.5))
+    drive = rig.opened()
+    with pytest.raises(MotionTimeoutError, match=r"not enabled within 0.5 s, it stays in switched on .*brake"):
+        drive.enable()
+
+
+def test_safe_torque_off_is_named(make: MakeRig) -> None:
+    rig = make(CanFault(K.SAFE_TORQUE_OFF), power=PowerTimes(enable_s=0.5))
+    drive = rig.opened()
+    with pytest.raises(MotionTimeoutError, match=r"stays in switch on disabled .*safe torque off \(STO\) is active"):
+        drive.enable()
+
+
+def test_local_control_is_named(make: MakeRig) -> None:
+    rig = make(CanFault(K.LOCAL_CONTROL), power=PowerTimes(enable_s=0.5))
+    drive = rig.opened()
+    with pytest.raises(MotionTimeoutError, match="remote bit 9 is 0"):
+        drive.enable()
+
+
+def test_a_fault_that_stays_is_named(make: MakeRig) -> None:
+    rig = make(CanFault(K.FAULT_STAYS))
+    drive = rig.opened()
+    rig.bench.servo.raise_fault(0x3210)
+    rig.run(0.1)
+    with pytest.raises(
+        DriveFaultError, match=r"the fault stays after a reset: DC link over-voltage \(0x3210\)"
+    ) as caught:
+        drive.reset_fault()
+    assert caught.value.code == 0x3210
+    assert rig.number(0x6040) == 0
+
+
+def test_the_reset_bit_is_an_edge_and_is_taken_back(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.opened()
+    words: list[int] = []
+    rig.bench.slave.dictionary.on_write(0x6040, 0, words.append)
+    rig.bench.servo.raise_fault(0x3210)
+    rig.run(0.1)
+    drive.reset_fault()
+    assert words == [0x0000, 0x0080, 0x0000]
+
+
+# -- quick stop endings ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("option", range(9))
+def test_quick_stop_ends_as_605ah_says(make: MakeRig, option: int) -> None:
+    rig = make(parameters={(0x605A, 0): option})
+    drive = rig.enabled()
+    drive.start_move(150.0, 100.0)
+    rig.run(0.5)
+    drive.quick_stop()
+    rig.run(1.0)
+    sample = drive.sample()
+    assert sample.velocity_mm_s == 0.0
+    stays = option >= 5
+    assert sample.state is (DriveState.QUICK_STOP if stays else DriveState.SWITCH_ON_DISABLED)
+    assert rig.bench.servo.powered is stays
+    place_mm = sample.position_load_mm
+    drive.enable()  # out of quick stop (16) without ever letting go, or from the bottom
+    rig.run(0.2)
+    assert drive.sample().state is DriveState.ENABLED
+    assert drive.sample().position_load_mm == pytest.approx(place_mm, abs=1e-3)
+    drive.start_move(0.0, 100.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+
+
+def test_an_axis_that_holds_after_quick_stop_is_enabled_without_being_let_go(make: MakeRig) -> None:
+    rig = make(parameters={(0x605A, 0): 6})
+    drive = rig.enabled()
+    drive.quick_stop()
+    rig.run(0.1)
+    powered: list[bool] = []
+    rig.bench.clock.attach(lambda _now_ns, _dt_s: powered.append(rig.bench.servo.powered))
+    drive.enable()
+    rig.run(0.1)
+    assert powered
+    assert all(powered)
+
+
+def test_quick_stop_goes_by_rpdo_when_sdo_does_not(make: MakeRig) -> None:
+    rig = make(CanFault(K.SDO_LOST, at_s=1.0, duration_s=5.0), CanFault(K.SDO_REQUEST_LOST, at_s=1.0, duration_s=5.0))
+    drive = rig.enabled()
+    drive.start_move(150.0, 50.0)
+    rig.run(1.2)
+    with pytest.raises(NoAnswerError):
+        drive.quick_stop()
+    assert not rig.bench.servo.powered or rig.bench.servo.stopping
+    rig.run(5.0)
+
+
+# -- profile moves -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_handshake_on_the_wire(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.enabled()
+    words: list[tuple[int, bool]] = []
+    profile = rig.bench.slave.profile
+    rig.bench.slave.dictionary.on_write(
+        0x6040, 0, lambda word: words.append((word, bool(profile.statusword() & 0x1000)))
+    )
+    drive.start_move(10.0, 50.0)
+    # (controlword, bit 12 after it): new set-point and change immediately; acknowledged; taken back
+    assert words == [(0x3F, True), (0x0F, False)]
+    assert rig.number(0x607A) == 100_000
+    assert rig.number(0x6081) == 500_000
+
+
+def test_a_following_set_point_is_started_when_the_first_is_reached(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.enabled()
+    drive.start_move(20.0, 50.0)
+    drive.queue_move(-10.0, 100.0)
+    with pytest.raises(StateError, match="holds a following set-point already"):
+        drive.queue_move(0.0, 50.0)
+    rig.run(0.3)
+    assert 0.0 < drive.sample().position_load_mm < 20.0
+    peak = 0.0
+    for _ in range(200):
+        rig.run(0.01)
+        peak = max(peak, drive.sample().position_load_mm)
+    assert peak == pytest.approx(20.0, abs=0.01)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    assert drive.sample().position_load_mm == pytest.approx(-10.0, abs=1e-3)
+
+
+def test_a_drive_without_room_for_a_set_point_says_so(make: MakeRig) -> None:
+    """Bit 12 stays set while a following set-point waits: nothing can be handed over, and nothing is lost in silence."""
+    rig = make(handshake_timeout_s=0.2)
+    drive = rig.enabled()
+    drive.start_move(150.0, 50.0)
+    drive.queue_move(-10.0, 100.0)
+    with pytest.raises(ProtocolError, match=r"bit 12\) stays set"):
+        drive.start_move(5.0, 50.0)
+
+
+def test_a_new_target_is_handed_over_when_there_is_room_again(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.enabled()
+    drive.start_move(20.0, 50.0)
+    drive.queue_move(-10.0, 100.0)
+    drive.start_move(5.0, 50.0)  # taken when the first is reached and the second started
+    arrived = drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    assert arrived.position_load_mm == pytest.approx(5.0, abs=1e-3)
+
+
+def test_halt_holds_and_resume_goes_on(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.enabled()
+    drive.start_move(100.0, 50.0)
+    rig.run(0.5)
+    drive.halt()
+    rig.run(0.5)
+    held = drive.sample()
+    assert held.state is DriveState.ENABLED
+    assert held.velocity_mm_s == 0.0
+    assert held.position_load_mm < 40.0
+    rig.run(0.5)
+    assert drive.sample().position_load_mm == held.position_load_mm
+    drive.resume()
+    arrived = drive.wait_for(
+        lambda sample: sample.target_reached and sample.position_load_mm > 99.0, 5.0, "arrived after the halt"
+    )
+    assert arrived.position_load_mm == pytest.approx(100.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("velocity_mm_s", [80.0, -80.0])
+def test_a_velocity_run(make: MakeRig, velocity_mm_s: float) -> None:
+    rig = make()
+    drive = rig.enabled()
+    drive.start_velocity(velocity_mm_s)
+    rig.run(0.5)
+    assert drive.sample().velocity_mm_s == pytest.approx(velocity_mm_s, rel=0.01)
+    drive.start_velocity(0.0)
+    rig.run(0.5)
+    sample = drive.sample()
+    assert sample.velocity_mm_s == 0.0
+    assert sample.state is DriveState.ENABLED
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_velocity_run_stops_before_the_end_of_the_travel(make: MakeRig, direction: int) -> None:
+    rig = make()
+    drive = rig.enabled()
+    drive.start_velocity(direction * 150.0)
+    with pytest.raises(LimitError, match=r"velocity run stopped at -?1\d\d\.\d+ mm"):
+        drive.wait_for(lambda _: False, 10.0, "the end")
+    rig.run(1.0)
+    assert drive.sample().velocity_mm_s == 0.0
+    assert abs(drive.sample().position_load_mm) <= 200.5  # one look of 10 ms at 150 mm/s is 1.5 mm
+
+
+def test_a_velocity_run_out_of_the_travel_is_refused(make: MakeRig) -> None:
+    drive = make().enabled()
+    with pytest.raises(LimitError, match="velocity 201"):
+        drive.start_velocity(-201.0)
+    drive.start_move(199.95, 100.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    with pytest.raises(LimitError, match="velocity run stopped"):
+        drive.start_velocity(50.0)
+
+
+# -- homing ---------------------------------------------------------------------------------------------------------------
+
+
+def test_homing_settings_are_written_in_the_drives_units(make: MakeRig) -> None:
+    rig = make(homing=HomingSettings(method=17, speed_switch_mm_s=40.0, speed_zero_mm_s=2.0, home_position_mm=-310.0))
+    drive = rig.enabled()
+    drive.start_homing()
+    assert drive.sample().homed is False
+    drive.wait_for(lambda sample: sample.homed is True, 60.0, "homed")
+    assert (rig.number(0x6098), rig.number(0x6099, 1), rig.number(0x6099, 2)) == (17, 400_000, 20_000)
+    assert rig.number(0x607C) == -3_100_000
+    drive.start_move(0.0, 200.0)
+    drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+    # the switch is at -32 rev = -320 mm of the shaft, and now shows -310
+    assert rig.bench.servo.motor_rev * 10.0 == pytest.approx(-10.0, abs=0.02)
+
+
+def test_homing_is_tried_a_bounded_number_of_times(make: MakeRig) -> None:
+    rig = make(homing=HomingSettings(method=-4))  # allowed by the dictionary, unknown to the motor
+    drive = rig.enabled()
+    begun: list[int] = []
+    rig.bench.slave.dictionary.on_write(0x6040, 0, lambda word: begun.append(word) if word & 0x10 else None)
+    with pytest.raises(DriveFaultError, match="homing failed"):
+        drive.home(5.0, attempts=3)
+    assert len(begun) == 3
+    assert drive.sample().state is DriveState.ENABLED
+
+
+def test_homing_and_waiting(make: MakeRig) -> None:
+    drive = make(homing=HomingSettings(method=37, home_position_mm=12.0)).enabled()
+    sample = drive.home(5.0)
+    assert sample.homed is True
+    assert sample.position_load_mm == pytest.approx(12.0, abs=1e-3)
+
+
+def test_a_homing_that_does_not_end_is_stopped(make: MakeRig) -> None:
+    rig = make(homing=HomingSettings(method=17, speed_switch_mm_s=1.0))
+    drive = rig.enabled()
+    with pytest.raises(MotionTimeoutError, match="homed not within 1 s"):
+        drive.home(1.0, attempts=3)
+    rig.run(0.5)
+    assert rig.bench.servo.velocity_actual_counts_s == 0
+
+
+def test_a_target_that_the_drive_would_clip_is_refused(make: MakeRig) -> None:
+    rig = make(parameters={(0x607D, 1): -500_000, (0x607D, 2): 500_000})
+    drive = rig.enabled()
+    with pytest.raises(
+        LimitError, match=r"limits the target 1000000 to its own software limits \(607Dh\) -500000 to 500000"
+    ):
+        drive.start_move(100.0, 50.0)
+    rig.run(0.5)
+    assert drive.sample().velocity_mm_s == 0.0
+    assert drive.sample().position_load_mm < 1.0
+    drive.start_move(20.0, 50.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+
+
+def test_the_dictionary_file_is_asked_before_mapping(make: MakeRig, tmp_path: Path) -> None:
+    text = EDS.read_text(encoding="utf-8").replace(
+        "ParameterName=Torque actual value\nObjectType=0x7\nDataType=0x0003\nAccessType=ro\nPDOMapping=1",
+        "ParameterName=Torque actual value\nObjectType=0x7\nDataType=0x0003\nAccessType=ro\nPDOMapping=0",
+    )
+    path = tmp_path / "drive.eds"
+    path.write_text(text, encoding="utf-8")
+    rig = make()
+    rig.drive.eds = load_eds(path, NODE)
+    with pytest.raises(InputError, match="6077h:00 torque actual value cannot be mapped"):
+        rig.drive.open()
+    rig.drive.eds = load_eds(EDS, NODE)
+    rig.opened()
+
+
+# -- supervision -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_silent_heartbeat_is_a_lost_link(make: MakeRig) -> None:
+    rig = make(CanFault(K.HEARTBEAT_STOPS, at_s=1.0), heartbeat_s=0.1)
+    drive = rig.opened()
+    rig.run(0.9)
+    drive.sample()
+    rig.run(0.4)
+    with pytest.raises(LinkLostError, match=r"no heartbeat of node 5 for 0\.\d+ s, expected every 0.25 s at least"):
+        drive.sample()
+
+
+def test_a_restart_is_noticed(make: MakeRig) -> None:
+    rig = make(CanFault(K.REBOOT, at_s=1.0))
+    drive = rig.opened()
+    rig.run(1.2)
+    with pytest.raises(LinkLostError, match="node 5 restarted by itself; open it again"):
+        drive.sample()
+    drive.close()
+    drive.open()
+    assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_emergencies_are_logged_with_their_meaning(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.opened()
+    rig.bench.servo.raise_fault(0x4310)
+    rig.run(0.1)
+    drive.sample()
+    assert [code & 0xFFFF for code in drive.error_history()] == [0x4310]
+    drive.reset_fault()
+    drive.sample()
+    texts = [str(emergency) for emergency in drive.monitor.log]
+    assert texts == [
+        "drive over-temperature (0x4310), register 09h, extra 0000000000",
+        "no error (0x0000), register 00h, extra 0000000000",
+    ]
+
+
+def test_the_log_of_a_burst_is_bounded_and_counted(make: MakeRig) -> None:
+    rig = make(CanFault(K.EMCY_BURST, at_s=0.5, size=1000))
+    drive = rig.opened()
+    rig.run(0.6)
+    assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
+    assert drive.monitor.emergencies_seen == 1000
+    assert len(drive.monitor.log) == 256
+
+
+def test_a_master_that_dies_stops_the_axis(make: MakeRig) -> None:
+    """The process is gone in the middle of a move: the drive misses our heartbeat (1016h) and quick-stops (6007h)."""
+    rig = make(guard_s=0.2)
+    rig.drive.open()
+    rig.drive.enable()
+    rig.drive.start_move(190.0, 50.0)
+    rig.run(1.0)
+    rig.link.close()
+    rig.run(1.0)
+    assert rig.bench.servo.velocity_actual_counts_s == 0
+    assert rig.bench.servo.motor_rev * 10.0 < 70.0
+    assert rig.bench.slave.profile.state is DriveState.SWITCH_ON_DISABLED
+    rig.drive.close()
+
+
+def test_a_following_error_becomes_a_fault_with_its_code(make: MakeRig) -> None:
+    rig = make(parameters={(0x6065, 0): 50, (0x6066, 0): 5})
+    drive = rig.enabled()
+    drive.start_move(150.0, 150.0)
+    rig.run(0.5)
+    sample = drive.sample()
+    assert sample.state is DriveState.FAULT
+    assert sample.fault_code == 0x8611
+
+
+def test_two_drives_share_a_link(make: MakeRig) -> None:
+    bench = CanBench((3, 4))
+    with CanLink(bench.port(), bench.clock) as link, ExitStack() as stack:
+        drives = [
+            stack.enter_context(
+                CanOpenDrive(
+                    f"axis {node_id}", AxisScaling(100_000, 10.0), LIMITS, bench.clock, link=link, node_id=node_id
+                )
+            )
+            for node_id in (3, 4)
+        ]
+        for drive, target_mm in zip(drives, (30.0, -40.0), strict=True):
+            drive.enable()
+            drive.start_move(target_mm, 100.0)
+        for drive, target_mm in zip(drives, (30.0, -40.0), strict=True):
+            arrived = drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+            assert arrived.position_load_mm == pytest.approx(target_mm, abs=1e-3)

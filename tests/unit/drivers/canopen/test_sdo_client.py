@@ -1,0 +1,222 @@
+"""The guarded SDO client against the simulated drive, in simulated time: late, lost, foreign and refused answers."""
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.canopen import objects
+from drivers.canopen.bus import CanLink
+from drivers.canopen.objects import DataType, Entry
+from drivers.canopen.sdo import SdoClient, read_together
+from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError, StateError
+from sim_backends.canopen_bench import CanBench
+from sim_backends.canopen_faults import CanFault, CanFaultKind
+
+NODE = 5
+BUFFER = 0x2100
+GAIN = Entry(0x2210, 1, DataType.U32, "proportional gain")
+
+
+class Desk:
+    """A bench with one client."""
+
+    def __init__(self, *faults: CanFault, bitrate: int | None = None) -> None:
+        self.bench = CanBench((NODE,), bitrate, {NODE: faults})
+        self.link = CanLink(self.bench.port(), self.bench.clock)
+        self.sdo = SdoClient(self.link, NODE, "drive X")
+
+    def stored(self, entry: Entry) -> int:
+        return self.bench.slave.dictionary.number(entry.index, entry.subindex)
+
+    def close(self) -> None:
+        self.sdo.close()
+        self.link.close()
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    desk = Desk()
+    yield desk
+    desk.close()
+
+
+def _desk(*faults: CanFault) -> Desk:
+    return Desk(*faults)
+
+
+def test_numbers_and_texts(desk: Desk) -> None:
+    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.read_text(objects.DEVICE_NAME) == "Simulated feed axis servo drive"
+    desk.sdo.write(objects.HOME_OFFSET, -123_456)
+    assert desk.sdo.read(objects.HOME_OFFSET) == -123_456
+
+
+def test_a_value_that_does_not_fit_is_refused_before_it_is_sent(desk: Desk) -> None:
+    with pytest.raises(InputError, match="605Ah:00 quick stop option code: 40000 does not fit I16"):
+        desk.sdo.write(objects.QUICK_STOP_OPTION, 40_000)
+    assert desk.sdo.counters.transfers == 0
+
+
+def test_a_refusal_names_drive_object_and_reason(desk: Desk) -> None:
+    with pytest.raises(AbortError, match=r"drive X: 605Ah:00 refused: value too high \(0x06090031\)"):
+        desk.sdo.write(objects.QUICK_STOP_OPTION, 9)
+    assert desk.sdo.counters.aborts == 1
+    assert desk.stored(objects.QUICK_STOP_OPTION) == 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.binary(max_size=1200), block=st.booleans(), bitrate=st.sampled_from([None, 1_000_000]))
+def test_any_length_comes_back_as_it_was_written(data: bytes, block: bool, bitrate: int | None) -> None:
+    desk = Desk(bitrate=bitrate)
+    desk.sdo.write_bytes(BUFFER, 0, data, block=block)
+    assert desk.bench.slave.dictionary.raw((BUFFER, 0)) == data
+    assert desk.sdo.read_bytes(BUFFER, 0, block=block) == data
+    assert desk.sdo.read_bytes(BUFFER, 0, block=not block) == data
+    desk.close()
+
+
+# -- time-outs -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_node_that_is_not_there_costs_the_time_out_and_no_more() -> None:
+    desk = _desk(CanFault(CanFaultKind.NODE_DEAD))
+    with pytest.raises(NoAnswerError, match="drive X: SDO 1000h:00 was not answered in time"):
+        desk.sdo.read(objects.DEVICE_TYPE)
+    assert desk.bench.clock.now_ns() == pytest.approx(1.2e9, abs=1e6)  # two time-outs and the quiet time between
+    desk.close()
+
+
+def test_a_lost_answer_to_a_read_is_asked_again() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_LOST, count=1))
+    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.counters.timeouts == 1
+    desk.close()
+
+
+def test_a_write_whose_answer_was_lost_is_resolved_by_reading_back() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_LOST, count=1))
+    desk.sdo.write(GAIN, 777)
+    assert desk.stored(GAIN) == 777
+    assert desk.sdo.counters.writes_read_back == 1
+    desk.close()
+
+
+def test_a_write_whose_request_was_lost_is_reported_not_repeated() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_REQUEST_LOST, count=1))
+    with pytest.raises(NoAnswerError, match="it reads back e8030000, not 09030000: not written"):
+        desk.sdo.write(GAIN, 777)
+    assert desk.stored(GAIN) == 1000
+    desk.close()
+
+
+def test_a_write_that_cannot_be_read_back_stays_unknown() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_LOST))
+    with pytest.raises(NoAnswerError, match="whether it was written is unknown"):
+        desk.sdo.write(GAIN, 777)
+    desk.close()
+
+
+def test_a_late_confirmation_counts_for_its_own_write() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_LATE, size=0.6, count=1))
+    desk.sdo.write(GAIN, 777)
+    assert desk.stored(GAIN) == 777
+    assert desk.sdo.counters.writes_confirmed_late == 1
+    desk.close()
+
+
+def test_a_late_refusal_counts_for_its_own_write() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_LATE, size=0.6, count=1))
+    with pytest.raises(AbortError, match="value too high"):
+        desk.sdo.write(objects.QUICK_STOP_OPTION, 9)
+    desk.close()
+
+
+@pytest.mark.parametrize("late_s", [0.55, 0.8, 1.1, 1.6])
+def test_a_late_answer_never_confirms_the_next_write(late_s: float) -> None:
+    """However late the first answer comes, the refused second write is reported as refused."""
+    desk = _desk(CanFault(CanFaultKind.SDO_LATE, size=late_s, count=1))
+    desk.sdo.write(objects.HOME_OFFSET, 1)  # late, found out by itself or by reading back
+    with pytest.raises(AbortError, match="605Ah"):
+        desk.sdo.write(objects.QUICK_STOP_OPTION, 9)
+    assert desk.stored(objects.QUICK_STOP_OPTION) == 2
+    desk.close()
+
+
+def test_an_answer_with_a_foreign_index_is_ignored() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_WRONG_INDEX, count=1))
+    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.counters.stale_frames >= 1
+    desk.close()
+
+
+def test_every_answer_twice_does_no_harm() -> None:
+    desk = _desk(CanFault(CanFaultKind.DUPLICATES))
+    for value in range(20):
+        desk.sdo.write(GAIN, value)
+        assert desk.sdo.read(GAIN) == value
+    desk.close()
+
+
+@pytest.mark.parametrize("block", [False, True])
+def test_a_doubled_segment_is_not_taken_for_two(block: bool) -> None:
+    desk = _desk(CanFault(CanFaultKind.DUPLICATES))
+    data = bytes(range(250)) * 8
+    desk.sdo.write_bytes(BUFFER, 0, data)
+    assert desk.sdo.read_bytes(BUFFER, 0, block=block) == data
+    desk.close()
+
+
+def test_doubled_block_acknowledgements_never_leave_wrong_data() -> None:
+    """They cannot be told from the next ones: the transfer fails, and the drive keeps what it had."""
+    desk = _desk(CanFault(CanFaultKind.DUPLICATES))
+    with pytest.raises(ProtocolError):
+        desk.sdo.write_bytes(BUFFER, 0, bytes(range(250)) * 8, block=True)
+    assert desk.bench.slave.dictionary.raw((BUFFER, 0)) == b""
+    desk.close()
+
+
+def test_an_impossible_answer_is_an_error() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_GARBAGE, count=1))
+    with pytest.raises(ProtocolError, match="drive X: SDO 1000h:00: answered with command E0h"):
+        desk.sdo.read(objects.DEVICE_TYPE)
+    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    desk.close()
+
+
+# -- several nodes -------------------------------------------------------------------------------------------------------
+
+
+def test_many_nodes_are_read_in_the_time_of_few() -> None:
+    node_ids = tuple(range(1, 21))
+    bench = CanBench(node_ids, 1_000_000)
+    for node_id, slave in bench.slaves.items():
+        slave.dictionary.set_number(0x1018, 4, 1000 + node_id)
+    with CanLink(bench.port(), bench.clock) as link:
+        clients = [SdoClient(link, node_id, f"node {node_id}") for node_id in node_ids]
+        start_ns = bench.clock.now_ns()
+        values = read_together([(client, objects.SERIAL_NUMBER) for client in clients])
+        together_ns = bench.clock.now_ns() - start_ns
+        assert values == [1000 + node_id for node_id in node_ids]
+    wire_ns = bench.wire.busy_ns
+    assert together_ns <= wire_ns  # the bus is never idle between them
+
+
+def test_one_dead_node_does_not_stall_the_others() -> None:
+    bench = CanBench((1, 2, 3), faults={2: [CanFault(CanFaultKind.NODE_DEAD)]})
+    with CanLink(bench.port(), bench.clock) as link:
+        clients = [SdoClient(link, node_id, f"node {node_id}") for node_id in (1, 2, 3)]
+        values = read_together([(client, objects.DEVICE_TYPE) for client in clients])
+        assert values[0] == values[2] == 0x20192
+        assert isinstance(values[1], NoAnswerError)
+        assert "node 2" in str(values[1])
+
+
+def test_one_channel_carries_one_transfer() -> None:
+    bench = CanBench((1,))
+    with CanLink(bench.port(), bench.clock) as link:
+        client = SdoClient(link, 1, "node 1")
+        with pytest.raises(StateError, match="already in use"):
+            read_together([(client, objects.DEVICE_TYPE), (client, objects.STATUSWORD)])
+        assert client.read(objects.DEVICE_TYPE) == 0x20192

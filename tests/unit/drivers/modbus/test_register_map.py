@@ -1,0 +1,346 @@
+"""Register maps: addresses in every manual's notation, values with scale and limits, and refusals that name their place."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drivers.drive import DriveState
+from drivers.errors import InputError
+from drivers.modbus.codec import Order, RegisterType
+from drivers.modbus.drive_map import Handshake
+from drivers.modbus.map_loader import load_drive_map, load_register_map
+from drivers.modbus.plan import Span, Table, WireCost, plan_reads
+from drivers.modbus.register_map import Access, Memory, find_map, shipped_maps
+
+HEAD = """\
+[map]
+name = "small"
+address_base = "{base}"
+word_order = "big"
+
+"""
+DRIVE = """
+[registers.status]
+address = 0
+table = "holding"
+type = "bits"
+access = "ro"
+bits = {{ on = 0, fault = 1, reached = 2 }}
+
+[registers.control]
+address = 1
+table = "holding"
+type = "u16"
+
+[registers.position]
+address = 2
+table = "holding"
+type = "i32"
+unit = "counts"
+
+[registers.speed]
+address = 4
+table = "holding"
+type = "u32"
+unit = "counts/s"
+
+[registers.nameplate]
+address = 20
+table = "holding"
+type = "string"
+length = 2
+
+[registers.kept]
+address = 30
+table = "holding"
+type = "i32"
+unit = "counts"
+memory = "eeprom"
+
+[registers.order]
+address = 40
+table = "holding"
+type = "u16"
+access = "wo"
+
+[drive]
+position = "position"
+state = [
+    {{ register = "status", bit = "fault", state = "fault" }},
+    {{ register = "status", bit = "on", state = "operation enabled" }},
+    {{ register = "status", bit = "on", set = 0, state = "switch on disabled" }},
+]
+quick_stop = {{ write = [{{ register = "control", value = 2 }}] }}
+halt = {{ write = [{{ register = "control", value = 3 }}] }}
+
+[[drive.enable]]
+from = ["switch on disabled"]
+write = [{{ register = "control", mask = 1, value = 1 }}]
+to = ["operation enabled"]
+
+[[drive.disable]]
+from = ["operation enabled"]
+write = [{{ register = "control", value = 0 }}]
+to = ["switch on disabled"]
+
+[[drive.reset_fault]]
+from = ["fault"]
+write = [{{ register = "control", value = 4 }}]
+to = ["switch on disabled"]
+
+[drive.move]
+handshake = "on write"
+target = "position"
+velocity = "speed"
+window = 5
+"""
+SMALL = HEAD.format(base="pdu0") + DRIVE.format()
+
+Write = Callable[[str], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def put(text: str) -> Path:
+        path = tmp_path / "model.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return put
+
+
+def one_register(base: str, body: str) -> str:
+    return HEAD.format(base=base) + "[registers.it]\n" + body
+
+
+@pytest.mark.parametrize(
+    ("base", "address", "table", "start"),
+    [
+        ("pdu0", "0", 'table = "holding"', (Table.HOLDING, 0)),
+        ("pdu0", "0x2000", 'table = "input"', (Table.INPUT, 0x2000)),
+        ("one", "1", 'table = "holding"', (Table.HOLDING, 0)),
+        ("modicon5", "40001", "", (Table.HOLDING, 0)),
+        ("modicon5", "49999", "", (Table.HOLDING, 9998)),
+        ("modicon5", "30010", 'table = "input"', (Table.INPUT, 9)),
+        ("modicon5", "10001", "", (Table.DISCRETE, 0)),
+        ("modicon5", '"00017"', "", (Table.COIL, 16)),
+        ("modicon6", "400001", "", (Table.HOLDING, 0)),
+        ("modicon6", "465536", "", (Table.HOLDING, 65535)),
+        ("modicon6", "300001", "", (Table.INPUT, 0)),
+    ],
+)
+def test_addresses_in_the_manuals_notation(
+    write: Write, base: str, address: str, table: str, start: tuple[Table, int]
+) -> None:
+    kind = "" if start[0].is_bits else 'type = "u16"'
+    registers = load_register_map(write(one_register(base, f"address = {address}\n{table}\n{kind}\n")))
+    assert (registers["it"].table, registers["it"].span.start) == start
+
+
+@pytest.mark.parametrize(
+    ("base", "body", "what"),
+    [
+        ("pdu0", "address = 5\ntype = 'u16'", "lacks table"),
+        ("pdu0", "address = 65536\ntable = 'holding'\ntype = 'u16'", "expected 0 to 65535"),
+        ("one", "address = 0\ntable = 'holding'\ntype = 'u16'", "expected 1 to 65536"),
+        ("pdu0", "address = 65535\ntable = 'holding'\ntype = 'u32'", "leaves the 65536 registers"),
+        ("modicon5", "address = 400001\ntype = 'u16'", "expected a modicon5 address such as 40001"),
+        ("modicon5", "address = 20001\ntype = 'u16'", "expected a modicon5 address"),
+        ("modicon5", "address = 40000\ntype = 'u16'", "expected a modicon5 address"),
+        ("modicon6", "address = 465537\ntype = 'u16'", "expected a modicon6 address"),
+        ("modicon5", "address = 40001\ntable = 'input'\ntype = 'u16'", "address 40001 is of table holding"),
+        ("pdu0", "address = 1\ntable = 'holding'", "lacks type"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u24'", "expected bit or bits or u16"),
+        ("pdu0", "address = 1\ntable = 'coil'\ntype = 'u16'", "which table coil cannot hold"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'bit'", "which table holding cannot hold"),
+        ("pdu0", "address = 1\ntable = 'input'\ntype = 'u16'\naccess = 'rw'", "table input is read only"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u16'\nscale = 0", "expected a number other than 0"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u16'\nscale = true", "expected a number other than 0"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u16'\nlimits = [5, 1]", "expected [low, high]"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u16'\nbits = { a = 1 }", "belongs to the type bits"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'bits'\nbits = { a = 16 }", "bit number, 0 to 15"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u16'\nword_order = 'middle'", "expected big or little"),
+        ("pdu0", "address = 1.5\ntable = 'holding'\ntype = 'u16'", "expected a whole number"),
+    ],
+)
+def test_a_bad_register_is_refused_with_its_place(write: Write, base: str, body: str, what: str) -> None:
+    path = write(one_register(base, body.replace("'", '"') + "\n"))
+    with pytest.raises(InputError) as caught:
+        load_register_map(path)
+    assert what in str(caught.value)
+    assert str(caught.value).startswith(f"{path}:{caught.value.line}: registers.it")
+    assert caught.value.line is not None
+    assert caught.value.line >= 6  # the header of [registers.it], or the key's own line
+
+
+def test_the_line_is_that_of_the_key(write: Write) -> None:
+    path = write(one_register("pdu0", 'address = 1\ntable = "holding"\ntype = "u16"\nscael = 0.1\n'))
+    with pytest.raises(
+        InputError, match=r"model.toml:10: registers.it.scael is an unknown key, expected one of: .*scale"
+    ):
+        load_register_map(path)
+
+
+def replaced(old: str, new: str) -> str:
+    assert SMALL.count(old) >= 1, old
+    return SMALL.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (SMALL + "\n[extra]\nx = 1\n", "extra is an unknown key"),
+        (replaced('name = "small"', 'name = "small"\nspeed = 1'), "map.speed is an unknown key"),
+        (replaced("window = 5", "window = 5\nwindw = 1"), "drive.move.windw is an unknown key"),
+        (replaced("window = 5", ""), "lacks window"),
+        (replaced('target = "position"', 'target = "kept"'), "kept in EEPROM; motion would wear it out"),
+        (replaced('target = "position"', 'target = "status"'), "read only"),
+        (replaced('velocity = "speed"', 'velocity = "position"'), "expected a unit of counts/s, rpm, rev/s"),
+        (replaced('velocity = "speed"', 'velocity = "sped"'), "expected the name of a register"),
+        (replaced('position = "position"', 'position = "order"'), "write only"),
+        (replaced('position = "position"', 'position = "nameplate"'), "expected a unit of counts, rev"),
+        (replaced('bit = "fault", state', 'bit = "falt", state'), "expected a bit of status (on, fault, reached)"),
+        (replaced('state = "fault"', 'state = "broken"'), "expected not ready to switch on, switch on disabled"),
+        (replaced('{ register = "status", bit = "fault", state = "fault" },', ""), "has no rule for 'fault'"),
+        (replaced('to = ["operation enabled"]', 'to = ["switched on"]'), "which no rule in drive.state shows"),
+        (replaced('to = ["operation enabled"]', 'to = ["switch on disabled"]'), "has no way from 'switch on disabled'"),
+        (
+            replaced('from = ["switch on disabled"]', 'from = ["switch on disabled", "fault"]'),
+            "a fault is reset on purpose",
+        ),
+        (
+            replaced('value = 4 }]\nto = ["switch on disabled"]', 'value = 4 }]\nto = ["operation enabled"]'),
+            "a reset leaves the axis disabled",
+        ),
+        (
+            replaced('from = ["operation enabled"]', 'from = ["switch on disabled"]'),
+            "has no way out of operation enabled",
+        ),
+        (replaced('"control", mask = 1, value = 1', '"control", mask = 1, value = 3'), "bits outside the mask"),
+        (replaced('"control", mask = 1, value = 1', '"control", mask = 0x10000, value = 0'), "does not fit control"),
+        (replaced('"control", mask = 1, value = 1', '"order", mask = 1, value = 1'), "needs order to be readable"),
+        (replaced('"control", value = 2', '"control", value = 65536'), "expected a whole number 0 to 65535"),
+        (replaced('"control", value = 2', '"nameplate", value = 2'), "no whole number"),
+        (replaced('"control", value = 2', '"kept", value = 2'), "commands would wear it out"),
+        (
+            replaced('quick_stop = { write = [{ register = "control", value = 2 }] }', ""),
+            "lacks the table drive.quick_stop",
+        ),
+        (replaced("address = 1\n", "address = 3\n"), "overlaps"),
+        (replaced("[registers.status]", "[registers.status"), "is not TOML"),
+    ],
+)
+def test_a_drive_that_cannot_work_is_refused(write: Write, text: str, what: str) -> None:
+    path = write(text)
+    with pytest.raises(InputError) as caught:
+        load_drive_map(path)
+    assert what in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.path == str(path)
+    assert caught.value.line is not None or "unknown key" in what or "lacks the table" in what
+
+
+def test_the_small_drive_is_read_as_written(write: Write) -> None:
+    drive = load_drive_map(write(SMALL))
+    assert drive.sampled() == ("position", "status")
+    assert drive.move.handshake is Handshake.ON_WRITE
+    assert [rule.state for rule in drive.states] == [
+        DriveState.FAULT,
+        DriveState.ENABLED,
+        DriveState.SWITCH_ON_DISABLED,
+    ]
+    assert drive.states[0].condition.holds(0b010)
+    assert not drive.states[0].condition.holds(0b101)
+    with pytest.raises(InputError, match="has no register 'velocity'"):
+        _ = drive.registers["velocity"]
+
+
+def test_a_long_register_overlapping_several_is_found(write: Write) -> None:
+    text = HEAD.format(base="pdu0") + (
+        '[registers.a]\naddress = 0\ntable = "holding"\ntype = "u64"\n'
+        '[registers.b]\naddress = 1\ntable = "holding"\ntype = "u16"\n'
+    )
+    with pytest.raises(InputError, match="overlaps a: both take the holding at 1"):
+        load_register_map(write(text))
+    assert load_register_map(write(text.replace('1\ntable = "holding"', '1\ntable = "input"')))
+
+
+def test_values_scale_and_are_held_to_their_limits(write: Write) -> None:
+    body = (
+        'address = 1\ntable = "holding"\ntype = "i16"\nscale = 0.1\noffset = -40.0\nunit = "°C"\nlimits = [-40, 100]\n'
+    )
+    register = load_register_map(write(one_register("pdu0", body)))["it"]
+    assert register.decode((652,)) == pytest.approx(25.2)
+    assert register.encode(25.2) == (652,)
+    assert register.encode(-40.0) == (0,)
+    for value in (-40.1, 100.1):
+        with pytest.raises(InputError, match=r"it cannot be .* °C, allowed is -40 to 100"):
+            register.encode(value)
+    for value in (float("nan"), float("inf")):
+        with pytest.raises(InputError, match="expected a finite number"):
+            register.encode(value)
+
+
+def test_integers_without_scale_stay_exact(write: Write) -> None:
+    body = 'address = 1\ntable = "holding"\ntype = "u64"\n'
+    register = load_register_map(write(one_register("pdu0", body)))["it"]
+    value = 2**63 + 1
+    assert register.decode(register.encode(value)) == value
+    with pytest.raises(InputError, match=r"it: value .* does not fit a u64"):
+        register.encode(-1)
+
+
+def test_finding_a_map(tmp_path: Path) -> None:
+    assert set(shipped_maps()) == {"cia402_over_modbus", "vendor_style"}
+    assert find_map("vendor_style") == shipped_maps()["vendor_style"]
+    with pytest.raises(
+        InputError, match=r"neither a file nor a shipped register map \(cia402_over_modbus, vendor_style\)"
+    ):
+        find_map(tmp_path / "none.toml")
+
+
+def test_the_shipped_maps_are_complete_and_of_different_shape() -> None:
+    cia402, vendor = load_drive_map("cia402_over_modbus"), load_drive_map("vendor_style")
+    for drive in (cia402, vendor):
+        for role in (drive.velocity, drive.torque, drive.following_error, drive.fault_code, drive.homing):
+            assert role is not None
+    assert cia402.move.handshake is Handshake.SET_POINT_BIT
+    assert vendor.move.handshake is Handshake.TRIGGER
+    target = vendor.registers["target"]
+    assert (target.span, target.layout.type, target.layout.word_order) == (Span(0, 2), RegisterType.I32, Order.LITTLE)
+    assert vendor.registers["servo_on"].table is Table.COIL
+    assert vendor.registers["name_plate"].access is Access.RO
+    assert vendor.registers["origin_offset"].memory is Memory.EEPROM
+    assert cia402.registers["statusword"].span == Span(0x2000, 1)
+
+
+@pytest.mark.parametrize(("name", "requests"), [("cia402_over_modbus", 1), ("vendor_style", 2)])
+def test_a_sample_of_a_shipped_map_is_one_request_per_table(name: str, requests: int) -> None:
+    drive = load_drive_map(name)
+    wanted = [drive.registers[each].place for each in drive.sampled()]
+    plan = plan_reads(wanted, WireCost.rtu(115_200), gaps_readable=drive.registers.gaps_readable)
+    assert len(plan.requests) == requests
+
+
+@pytest.mark.parametrize(
+    ("statusword", "state"),
+    [
+        # CiA 402 / IEC 61800-7-201, table of statusword bits: xxxx xxxx x0xx 0000 and so on, don't-care bits set and clear
+        (0x0000, DriveState.NOT_READY),
+        (0xFFB0, DriveState.NOT_READY),
+        (0x0250, DriveState.SWITCH_ON_DISABLED),
+        (0x0240, DriveState.SWITCH_ON_DISABLED),
+        (0x0231, DriveState.READY),
+        (0x0233, DriveState.SWITCHED_ON),
+        (0x0637, DriveState.ENABLED),
+        (0x1627, DriveState.ENABLED),
+        (0x0217, DriveState.QUICK_STOP),
+        (0x021F, DriveState.FAULT_REACTION),
+        (0x0218, DriveState.FAULT),
+        (0x0008, DriveState.FAULT),
+    ],
+)
+def test_statuswords_of_the_standard(statusword: int, state: DriveState) -> None:
+    rules = load_drive_map("cia402_over_modbus").states
+    assert [rule.state for rule in rules if rule.condition.holds(statusword)] == [state]

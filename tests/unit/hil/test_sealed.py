@@ -1,0 +1,473 @@
+"""Sealed files: what opens, and every way of meddling that must not."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import stat
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, NoEncryption, PrivateFormat
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InputError
+from hil import files
+from hil.sealed import (
+    Cost,
+    CostError,
+    DamagedError,
+    ForeignSignatureError,
+    NotSealedError,
+    SealedError,
+    SwappedError,
+    TruncatedError,
+    UnknownVersionError,
+    UnsignedError,
+    WrongPasswordError,
+    check,
+    check_detached,
+    fingerprint,
+    load_private_key,
+    load_public_key,
+    new_key,
+    open_sealed,
+    read_sealed,
+    reseal,
+    resign,
+    save_private_key,
+    save_public_key,
+    seal,
+    sign_detached,
+    write_sealed,
+)
+from hil.sealed.sealing import _DOMAIN
+
+CHEAP = Cost(n=2, r=1, p=1)
+BUILDER = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+STRANGER = Ed25519PrivateKey.from_private_bytes(bytes(range(1, 33)))
+PUBLIC = BUILDER.public_key()
+ENTRIES = {"pitch.json": b'{"section_mm": [0.0, 10.0]}', "backlash.json": b'{"amount_um": 4.5}', "empty": b""}
+SEALED = seal(ENTRIES, "correct horse", BUILDER, cost=CHEAP)
+
+
+def header_end(data: bytes) -> int:
+    return 12 + int(struct.unpack(">I", data[8:12])[0])
+
+
+def with_header(data: bytes, header: bytes, key: Ed25519PrivateKey | None = None) -> bytes:
+    """`data` with another header; signed with `key`, else with the old signature left on."""
+    body = data[:8] + struct.pack(">I", len(header)) + header + data[header_end(data) : -64]
+    return body + (data[-64:] if key is None else key.sign(_DOMAIN + body))
+
+
+def chunks(data: bytes) -> list[bytes]:
+    position, found = header_end(data), []
+    while position < len(data) - 64:
+        (length,) = struct.unpack(">I", data[position + 18 : position + 22])
+        found.append(data[position : position + 22 + length])
+        position += 22 + length
+    return found
+
+
+def flipped(data: bytes, position: int, bit: int) -> bytes:
+    return data[:position] + bytes([data[position] ^ 1 << bit]) + data[position + 1 :]
+
+
+# what works
+
+
+@given(
+    entries=st.dictionaries(
+        st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,20}", fullmatch=True),
+        st.binary(max_size=300),
+        min_size=1,
+        max_size=5,
+    ),
+    password=st.text(min_size=1, max_size=30).filter(lambda text: text.isprintable()),
+)
+@settings(max_examples=50, deadline=None)
+def test_what_is_sealed_opens_again(entries: dict[str, bytes], password: str) -> None:
+    data = seal(entries, password, BUILDER, cost=CHEAP)
+    assert open_sealed(data, password, PUBLIC) == entries
+    for content, chunk in zip(entries.values(), chunks(data), strict=True):
+        assert len(content) < 6 or content not in chunk[22:]
+
+
+def test_individual_passwords_open_their_own_entry_only() -> None:
+    own = {"pitch.json": "one", "backlash.json": "two", "empty": "three"}
+    data = seal(ENTRIES, own, BUILDER, cost=CHEAP)
+    assert open_sealed(data, own, PUBLIC) == ENTRIES
+    assert open_sealed(data, {"backlash.json": "two"}, PUBLIC) == {"backlash.json": ENTRIES["backlash.json"]}
+    assert open_sealed(data, "one", PUBLIC, names=["pitch.json"]) == {"pitch.json": ENTRIES["pitch.json"]}
+    with pytest.raises(WrongPasswordError, match=r"entry backlash\.json"):
+        open_sealed(data, "one", PUBLIC)
+
+
+def test_same_input_sealed_twice_shares_no_secret_material() -> None:
+    again = seal(ENTRIES, "correct horse", BUILDER, cost=CHEAP)
+    assert not {c[22:] for c in chunks(again)} & {c[22:] for c in chunks(SEALED)}
+
+
+def test_a_password_is_the_same_however_its_accents_are_typed() -> None:
+    data = seal({"a": b"x"}, "Ma\u00dfst\u00e4be", BUILDER, cost=CHEAP)
+    assert open_sealed(data, "Ma\u00dfsta\u0308be", PUBLIC) == {"a": b"x"}
+
+
+def test_check_shows_entries_and_cost_without_a_password() -> None:
+    info = check(SEALED, PUBLIC)
+    assert dict(info.entries) == {name: len(content) for name, content in ENTRIES.items()}
+    assert info.kdf == "scrypt n=2 r=1 p=1"
+    assert info.builder == fingerprint(PUBLIC)
+    assert json.dumps(info.as_json())
+
+
+def test_default_cost_is_memory_hard() -> None:
+    cost = Cost()
+    assert 128 * cost.n * cost.r >= 32 << 20
+    assert cost.n * cost.r * cost.p >= 3 << 18
+
+
+# every byte
+
+
+def test_every_flipped_bit_is_refused() -> None:
+    for position in range(len(SEALED)):
+        for bit in range(8):
+            with pytest.raises(SealedError):
+                open_sealed(flipped(SEALED, position, bit), "correct horse", PUBLIC)
+
+
+def test_every_shorter_file_is_refused_as_truncated() -> None:
+    for size in range(1, len(SEALED)):
+        expected = UnsignedError if size == len(SEALED) - 64 else TruncatedError
+        with pytest.raises(expected):
+            check(SEALED[:size], PUBLIC)
+    with pytest.raises(NotSealedError):
+        check(b"", PUBLIC)
+
+
+@given(data=st.binary(max_size=400))
+@settings(max_examples=200, deadline=None)
+def test_arbitrary_bytes_are_refused_cleanly(data: bytes) -> None:
+    for form in (data, b"HILSEAL\x01" + data, SEALED[:60] + data, SEALED + data + b"."):
+        with pytest.raises(SealedError):
+            check(form, PUBLIC)
+
+
+@given(
+    header=st.recursive(
+        st.none() | st.integers() | st.text(max_size=5),
+        lambda x: st.lists(x) | st.dictionaries(st.sampled_from(["builder", "cipher", "entries", "id", "kdf", "n"]), x),
+        max_leaves=8,
+    )
+)
+@settings(max_examples=100, deadline=None)
+def test_a_strange_header_is_damage_even_if_signed(header: object) -> None:
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, json.dumps(header).encode(), BUILDER), PUBLIC)
+
+
+@pytest.mark.parametrize("header", [b"[" * 200_000, b"\xff\xfe", b"", b"{}", b"NaN"])
+def test_a_header_that_is_no_header(header: bytes) -> None:
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, header, BUILDER), PUBLIC)
+
+
+# each kind of meddling by its own name
+
+
+def test_wrong_password() -> None:
+    with pytest.raises(WrongPasswordError, match=r"wrong password for entry pitch\.json"):
+        open_sealed(SEALED, "wrong horse", PUBLIC)
+
+
+def test_a_flipped_bit_in_the_contents_is_damage_not_a_wrong_password() -> None:
+    with pytest.raises(DamagedError, match="changed after the builder signed it"):
+        open_sealed(flipped(SEALED, header_end(SEALED) + 30, 0), "correct horse", PUBLIC)
+
+
+def test_header_of_another_valid_file() -> None:
+    other = seal(ENTRIES, "correct horse", BUILDER, cost=CHEAP)
+    with pytest.raises(SwappedError, match="belong to another sealed file"):
+        check(with_header(SEALED, other[12 : header_end(other)]), PUBLIC)
+    # and the cipher refuses it too, should the signature have been made anew
+    with pytest.raises(SealedError):
+        open_sealed(with_header(SEALED, other[12 : header_end(other)], BUILDER), "correct horse", PUBLIC)
+
+
+def test_header_of_another_file_is_refused_by_the_cipher_alone() -> None:
+    """The header is authenticated: same key, same nonce, same contents, one other header field, and a good signature."""
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    for change in ({"name": "other.json"}, {"nonce": "00" * 12}):
+        changed = {**header, "entries": [{**header["entries"][0], **change}, *header["entries"][1:]]}
+        text = json.dumps(changed, sort_keys=True, separators=(",", ":")).encode()
+        data = with_header(SEALED, text, BUILDER)
+        check(data, PUBLIC)
+        with pytest.raises(WrongPasswordError):
+            open_sealed(data, "correct horse", PUBLIC, names=[changed["entries"][0]["name"]])
+
+
+def test_swapped_entries() -> None:
+    first, second, third = chunks(SEALED)
+    front = SEALED[: header_end(SEALED)]
+    with pytest.raises(SwappedError, match="those of entry number 1, expected 0"):
+        check(front + second + first + third + SEALED[-64:], PUBLIC)
+    # renumbered, so that only the signature tells
+    forged = front + first[:16] + b"\0\0" + second[18:] + first[:16] + b"\0\1" + first[18:] + third
+    with pytest.raises(DamagedError):
+        check(forged + SEALED[-64:], PUBLIC)
+    # renumbered and signed by the builder: the cipher tells
+    with pytest.raises(WrongPasswordError):
+        open_sealed(forged + BUILDER.sign(_DOMAIN + forged), "correct horse", PUBLIC)
+
+
+def test_foreign_signature() -> None:
+    foreign = seal(ENTRIES, "correct horse", STRANGER, cost=CHEAP)
+    with pytest.raises(ForeignSignatureError, match=fingerprint(STRANGER.public_key())):
+        check(foreign, PUBLIC)
+    # a stranger's signature under the builder's header is not even that
+    body = SEALED[:-64]
+    with pytest.raises(DamagedError):
+        check(body + STRANGER.sign(_DOMAIN + body), PUBLIC)
+
+
+def test_unknown_version_and_other_files() -> None:
+    with pytest.raises(UnknownVersionError, match="version 2, expected 1"):
+        check(SEALED[:7] + b"\x02" + SEALED[8:], PUBLIC)
+    with pytest.raises(NotSealedError):
+        check(b"run,direction,target_mm,measured_mm\n", PUBLIC)
+
+
+def test_bytes_behind_the_end() -> None:
+    with pytest.raises(DamagedError, match="3 bytes behind its end"):
+        check(SEALED + b"abc", PUBLIC)
+
+
+@pytest.mark.parametrize(
+    "kdf",
+    [
+        {"n": 1 << 40, "r": 8, "p": 1},
+        {"n": 1 << 15, "r": 1 << 20, "p": 1},
+        {"n": 1 << 15, "r": 8, "p": 1 << 30},
+        {"n": 12345, "r": 8, "p": 1},
+        {"n": 0, "r": 8, "p": 1},
+        {"n": -4, "r": 8, "p": 1},
+        {"n": 1 << 15, "r": 0, "p": 1},
+    ],
+)
+def test_absurd_cost_is_refused_before_anything_is_computed(kdf: dict[str, int]) -> None:
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    header["kdf"] |= kdf
+    text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
+    with pytest.raises(CostError):
+        open_sealed(with_header(SEALED, text, BUILDER), "correct horse", PUBLIC)
+    with pytest.raises(CostError):
+        Cost(**kdf)
+
+
+@pytest.mark.parametrize("value", [True, 8.0, "8", None])
+def test_a_cost_that_is_no_whole_number_is_damage(value: object) -> None:
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    header["kdf"]["r"] = value
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, json.dumps(header, sort_keys=True, separators=(",", ":")).encode(), BUILDER), PUBLIC)
+
+
+# bad calls
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "../up", "a/b", "a b", "ü", "x" * 101])
+def test_names_that_are_no_plain_file_names_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="entry name"):
+        seal({name: b""}, "p", BUILDER, cost=CHEAP)
+
+
+def test_missing_and_surplus_passwords_are_refused() -> None:
+    with pytest.raises(InputError, match="no password is given for entry empty"):
+        seal(ENTRIES, {"pitch.json": "a", "backlash.json": "b"}, BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="not among those"):
+        seal({"a": b""}, {"a": "x", "b": "y"}, BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="password is empty"):
+        seal({"a": b""}, "", BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="at least one entry"):
+        seal({}, "x", BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="holds no entry nowhere"):
+        open_sealed(SEALED, "correct horse", PUBLIC, names=["nowhere"])
+
+
+# changing
+
+
+def test_reseal_needs_only_the_changed_entrys_password() -> None:
+    own = {"pitch.json": "one", "backlash.json": "two", "empty": "three"}
+    data = seal(ENTRIES, own, BUILDER, cost=CHEAP)
+    changed = reseal(data, {"backlash.json": b"new", "added": b"more"}, {"backlash.json": "2", "added": "4"}, BUILDER)
+    assert open_sealed(changed, {**own, "backlash.json": "2", "added": "4"}, PUBLIC) == {
+        **ENTRIES,
+        "backlash.json": b"new",
+        "added": b"more",
+    }
+    with pytest.raises(WrongPasswordError):
+        open_sealed(changed, {"backlash.json": "two"}, PUBLIC)
+
+
+def test_only_the_builder_reseals_and_only_good_files() -> None:
+    with pytest.raises(ForeignSignatureError):
+        reseal(SEALED, {"a": b""}, "x", STRANGER)
+    with pytest.raises(DamagedError):
+        reseal(flipped(SEALED, -70, 1), {"a": b""}, "x", BUILDER)
+
+
+def test_resign_hands_on_a_good_file_without_passwords() -> None:
+    handed = resign(SEALED, PUBLIC, STRANGER)
+    assert open_sealed(handed, "correct horse", STRANGER.public_key()) == ENTRIES
+    with pytest.raises(ForeignSignatureError):
+        check(handed, PUBLIC)
+    assert resign(SEALED, PUBLIC, BUILDER) == SEALED
+    with pytest.raises(DamagedError):
+        resign(flipped(SEALED, header_end(SEALED) + 25, 3), PUBLIC, STRANGER)
+    with pytest.raises(ForeignSignatureError):
+        resign(SEALED, STRANGER.public_key(), STRANGER)
+    with pytest.raises(UnsignedError):
+        resign(SEALED[:-64], PUBLIC, BUILDER)
+
+
+# detached signatures
+
+
+def test_detached_signatures() -> None:
+    data = b"run,direction\n" * 3
+    signature = sign_detached(data, BUILDER)
+    check_detached(data, signature, PUBLIC)
+    for position in range(len(data)):
+        with pytest.raises(DamagedError):
+            check_detached(flipped(data, position, position % 8), signature, PUBLIC)
+    with pytest.raises(ForeignSignatureError):
+        check_detached(data, sign_detached(data, STRANGER), PUBLIC)
+    form = json.loads(signature)
+    with pytest.raises(DamagedError, match="public key in it was changed"):
+        check_detached(data, json.dumps({**form, "builder": "00" * 32}).encode(), PUBLIC)
+    for bad in (b"", b"[]", b"{}", signature[:-20], json.dumps({**form, "signature": "00"}).encode(), b"[" * 100_000):
+        with pytest.raises(InputError, match="not a detached signature"):
+            check_detached(data, bad, PUBLIC)
+
+
+def test_a_sealed_files_signature_is_no_detached_signature() -> None:
+    form = {"format": "hil-signature-1", "builder": PUBLIC.public_bytes_raw().hex(), "signature": SEALED[-64:].hex()}
+    with pytest.raises(DamagedError):
+        check_detached(SEALED[:-64], json.dumps(form).encode(), PUBLIC)
+
+
+# keys on disk
+
+
+def test_key_files(tmp_path: Path) -> None:
+    key = new_key()
+    save_private_key(tmp_path / "b.key", key, "pässword", cost=CHEAP)
+    save_public_key(tmp_path / "b.pub", key.public_key())
+    assert stat.S_IMODE((tmp_path / "b.key").stat().st_mode) == 0o600
+    assert load_private_key(tmp_path / "b.key", "pässword").private_bytes_raw() == key.private_bytes_raw()
+    assert load_public_key(tmp_path / "b.pub").public_bytes_raw() == key.public_key().public_bytes_raw()
+    with pytest.raises(WrongPasswordError):
+        load_private_key(tmp_path / "b.key", "password")
+    for save in (lambda p: save_private_key(p, key, "x"), lambda p: save_public_key(p, key.public_key())):
+        with pytest.raises(InputError, match="never overwritten"):
+            save(tmp_path / "b.key")
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl command to read the key with")
+def test_the_private_key_file_is_pkcs8_that_a_foreign_tool_reads(tmp_path: Path) -> None:
+    key = new_key()
+    save_private_key(tmp_path / "b.key", key, "secret")
+    command = ["openssl", "pkey", "-in", str(tmp_path / "b.key"), "-passin", "pass:secret", "-outform", "DER"]
+    der = subprocess.run(command, check=True, capture_output=True).stdout
+    assert der[-32:] == key.private_bytes_raw()
+
+
+def test_what_is_no_builders_key_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "k"
+    elliptic = ec.generate_private_key(ec.SECP256R1())
+    cases = {
+        "not a password-protected": [
+            b"hello",
+            BUILDER.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
+        ],
+        "of another kind": [elliptic.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"x"))],
+    }
+    for says, contents in cases.items():
+        for content in contents:
+            path.write_bytes(content)
+            with pytest.raises(InputError, match=says):
+                load_private_key(path, "x")
+    path.write_bytes(b"hello")
+    with pytest.raises(InputError, match="not a public key"):
+        load_public_key(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_public_key(tmp_path / "absent")
+
+
+# the disk
+
+
+def test_write_and_read_sealed_name_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "axis.sealed"
+    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    assert read_sealed(path, "pw", PUBLIC) == ENTRIES
+    with pytest.raises(WrongPasswordError, match=r"axis\.sealed: wrong password"):
+        read_sealed(path, "no", PUBLIC)
+
+
+def test_replacing_keeps_permissions_and_leaves_no_litter(tmp_path: Path) -> None:
+    path = tmp_path / "axis.sealed"
+    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    path.chmod(0o640)
+    (tmp_path / "link").symlink_to(path)
+    write_sealed(tmp_path / "link", {"a": b"1"}, "pw", BUILDER, cost=CHEAP)
+    assert read_sealed(path, "pw", PUBLIC) == {"a": b"1"}
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["axis.sealed", "link"]
+
+
+@pytest.mark.parametrize("fails", ["fsync", "replace", "fchmod"])
+def test_a_failure_while_replacing_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    path = tmp_path / "axis.sealed"
+    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    before = path.read_bytes()
+
+    def broken(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, fails, broken)
+    with pytest.raises(InputError, match=r"axis\.sealed: cannot be written: No space left"):
+        write_sealed(path, {"a": b"1"}, "pw", BUILDER, cost=CHEAP)
+    monkeypatch.undo()
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["axis.sealed"]
+
+
+def test_the_order_of_replacing_is_flush_rename_flush(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps: list[str] = []
+    fsync, replace = os.fsync, os.replace
+
+    def spy_fsync(handle: int) -> None:
+        steps.append("flush directory" if stat.S_ISDIR(os.fstat(handle).st_mode) else "flush file")
+        fsync(handle)
+
+    def spy_replace(source: str, target: str) -> None:
+        steps.append("rename")
+        assert Path(source).parent == Path(target).parent
+        replace(source, target)
+
+    monkeypatch.setattr(files.os, "fsync", spy_fsync)
+    monkeypatch.setattr(files.os, "replace", spy_replace)
+    files.replace_file(tmp_path / "x", b"1")
+    assert steps == ["flush file", "rename", "flush directory"]

@@ -1,0 +1,120 @@
+"""The drive layer where only a kernel can prove it: SYNC and heartbeat from the broadcast manager, frames as candump sees them."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import pytest
+from can.interfaces.socketcan import CyclicSendTask
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
+from drivers.canopen.node import SYNC
+from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
+from drivers.clock import WallClock
+from drivers.drive import DriveLimits, DriveState
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.canopen_drive import CanOpenSlave, served
+from sim_backends.servo import SimulatedServo
+
+pytestmark = pytest.mark.vcan
+
+NODE = 5
+MARK = 0x77F  # the heartbeat of a node that is not there
+LIMITS = DriveLimits(-300.0, 300.0, 200.0, 2000.0)
+Until = Callable[[Callable[[], bool], str], None]
+
+
+@pytest.fixture
+def slave() -> Iterator[CanOpenSlave]:
+    servo = SimulatedServo(BareShaft(), SMALL_SERVO)
+    with served(servo, WallClock(), interface="socketcan", channel="vcan0", node_id=NODE, step_s=0.005) as slave:
+        yield slave
+
+
+def _drive(link: CanLink, **settings: object) -> CanOpenDrive:
+    how = CanOpenSettings(sdo_timeout_s=2.0, sample_timeout_s=1.0, heartbeat_s=None, **settings)  # type: ignore[arg-type]
+    return CanOpenDrive("X", AxisScaling(100_000, 10.0), LIMITS, link.clock, link=link, node_id=NODE, settings=how)
+
+
+def test_a_stream_is_paced_by_the_kernel(slave: CanOpenSlave) -> None:
+    period_s, cycles = 0.1, 30  # the guest is slow and its host shared: what counts is who keeps time
+    settings = StreamSettings(
+        period_s, sync=SyncSource.BROADCAST_MANAGER, missed_limit=1000, late_limit=1000, following_error_mm=50.0
+    )
+    clock = WallClock()
+    with (
+        CanLink.open(clock, interface="socketcan", channel="vcan0") as link,
+        can.Bus(interface="socketcan", channel="vcan0", can_filters=[{"can_id": SYNC, "can_mask": 0x7FF}]) as witness,
+        _drive(link) as drive,
+    ):
+        drive.enable()
+        with CyclicStream([drive], settings) as stream:
+            assert isinstance(stream._sync_task, CyclicSendTask)
+            start_ns = clock.now_ns()
+            for cycle in range(cycles):
+                stream.cycle([0.1 * cycle])  # at most 1 mm/s
+            elapsed_s = (clock.now_ns() - start_ns) * 1e-9
+            counters = stream.counters
+        assert counters.cycles == cycles
+        assert counters.sync_losses == 0
+        # the kernel's clock paces it: as many periods as cycles, and those missed
+        assert elapsed_s == pytest.approx(period_s * (cycles + counters.missed_cycles), rel=0.25)
+        assert drive.sample().position_load_mm == pytest.approx(0.1 * (cycles - 1), abs=0.2)
+        assert slave.servo.powered
+        while witness.recv(0.0) is not None:  # sent while the stream ran, or by sample()
+            pass
+        assert witness.recv(5 * period_s) is None, "SYNC goes on after the stream's end"
+
+
+def test_an_axis_stops_when_its_master_is_gone(slave: CanOpenSlave, until: Until) -> None:
+    """The kernel sends our heartbeat; when the socket is closed nobody does, and the drive stops by itself."""
+    with CanLink.open(WallClock(), interface="socketcan", channel="vcan0") as link:
+        drive = _drive(link, guard_s=1.0)
+        drive.open()
+        drive.enable()
+        drive.start_move(250.0, 10.0)
+        assert drive.sample().state is DriveState.ENABLED
+    until(lambda: slave.profile.state is not DriveState.ENABLED, "the drive misses our heartbeat")
+    until(lambda: slave.servo.velocity_actual_counts_s == 0, "the axis is at rest")
+    assert slave.servo.motor_rev * 10.0 < 200.0
+    drive.close()
+
+
+def test_candump_shows_the_frames_that_the_standard_has(slave: CanOpenSlave, until: Until, tmp_path: Path) -> None:
+    if shutil.which("candump") is None:
+        pytest.skip("candump is not installed (can-utils)")
+    log = tmp_path / "log"
+    with CanLink.open(WallClock(), interface="socketcan", channel="vcan0") as link, _drive(link) as drive:
+        with log.open("wb") as out, subprocess.Popen(["candump", "-L", "vcan0"], stdout=out) as dump:
+            try:
+
+                def is_heard() -> bool:
+                    link.send(MARK, b"")
+                    return log.stat().st_size > 0
+
+                until(is_heard, "candump listens")
+                drive.enable()
+                drive.sample()
+                until(lambda: log.read_text().count("185#") > 0, "candump prints the TPDO")
+            finally:
+                dump.terminate()
+        frames = [line.split()[2] for line in log.read_text().splitlines()]
+    writes = [frame for frame in frames if frame.startswith(("605#2", "605#3"))]
+    assert writes == [
+        "605#2F60600001000000",
+        "605#2B40600006000000",
+        "605#2B40600007000000",
+        "605#237A600000000000",
+        "605#23FF600000000000",
+        "605#2B71600000000000",
+        "605#2B4060000F000000",
+    ]
+    assert frames[frames.index("605#2B40600006000000") + 1] == "585#6040600000000000"
+    assert "080#" in frames
+    assert slave.profile.state is not DriveState.FAULT

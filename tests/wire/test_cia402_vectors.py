@@ -1,0 +1,157 @@
+"""The CiA-402 state tables against literal patterns of IEC 61800-7-201 (statusword: table 30, controlword: table 28, figure 9).
+
+Master and simulated drive share these tables, so nothing here may be computed from them.
+"""
+
+import pytest
+
+from drivers.canopen import cia402
+from drivers.canopen.cia402 import Command, Event, HomingStatus, Mode, decode_command, decode_homing, decode_state
+from drivers.drive import DriveState as S
+
+
+# x bits of the standard's patterns are tried both as 0 and as 1
+def _words(pattern: str) -> list[int]:
+    digits = pattern.replace(" ", "")
+    assert len(digits) == 16
+    words = [0]
+    for digit in digits:
+        options = (0, 1) if digit == "x" else (int(digit),)
+        words = [word << 1 | option for word in words for option in options]
+    return words
+
+
+@pytest.mark.parametrize(
+    ("pattern", "state"),
+    [
+        ("xxxx xxxx x0xx 0000", S.NOT_READY),
+        ("xxxx xxxx x1xx 0000", S.SWITCH_ON_DISABLED),
+        ("xxxx xxxx x01x 0001", S.READY),
+        ("xxxx xxxx x01x 0011", S.SWITCHED_ON),
+        ("xxxx xxxx x01x 0111", S.ENABLED),
+        ("xxxx xxxx x00x 0111", S.QUICK_STOP),
+        ("xxxx xxxx x0xx 1111", S.FAULT_REACTION),
+        ("xxxx xxxx x0xx 1000", S.FAULT),
+    ],
+)
+def test_statusword_patterns(pattern: str, state: S) -> None:
+    assert {decode_state(word) for word in _words(pattern)} == {state}
+
+
+@pytest.mark.parametrize("word", [0x0004, 0x000C, 0x0041, 0x0002, 0x0067, 0x0009])
+def test_patterns_that_the_standard_does_not_have_are_unknown(word: int) -> None:
+    assert decode_state(word) is S.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("pattern", "command"),
+    [
+        ("xxxx xxxx 0xxx x110", Command.SHUTDOWN),
+        ("xxxx xxxx 0xxx 0111", Command.SWITCH_ON),
+        ("xxxx xxxx 0xxx xx0x", Command.DISABLE_VOLTAGE),
+        ("xxxx xxxx 0xxx x01x", Command.QUICK_STOP),
+        ("xxxx xxxx 0xxx 1111", Command.ENABLE_OPERATION),
+    ],
+)
+def test_controlword_patterns(pattern: str, command: Command) -> None:
+    assert {decode_command(word) for word in _words(pattern)} == {command}
+
+
+def test_words_with_the_reset_bit_command_nothing_else() -> None:
+    assert {decode_command(word) for word in _words("xxxx xxxx 1xxx xxxx")} == {None}
+
+
+@pytest.mark.parametrize(
+    ("command", "word"),
+    [
+        (Command.SHUTDOWN, 0x06),
+        (Command.SWITCH_ON, 0x07),
+        (Command.ENABLE_OPERATION, 0x0F),
+        (Command.DISABLE_VOLTAGE, 0x00),
+        (Command.QUICK_STOP, 0x02),
+    ],
+)
+def test_the_words_a_master_sends(command: Command, word: int) -> None:
+    assert command.word == word
+
+
+def test_only_the_rising_edge_resets_a_fault() -> None:
+    assert cia402.is_fault_reset(0x0000, 0x0080)
+    assert cia402.is_fault_reset(0x000F, 0x008F)
+    assert not cia402.is_fault_reset(0x0080, 0x0080)
+    assert not cia402.is_fault_reset(0x0080, 0x0000)
+    assert not cia402.is_fault_reset(0x0000, 0x000F)
+
+
+# number, from, cause, to: figure 9, written out
+ARROWS = [
+    (0, S.UNKNOWN, Event.AUTOMATIC, S.NOT_READY),
+    (1, S.NOT_READY, Event.AUTOMATIC, S.SWITCH_ON_DISABLED),
+    (2, S.SWITCH_ON_DISABLED, Command.SHUTDOWN, S.READY),
+    (3, S.READY, Command.SWITCH_ON, S.SWITCHED_ON),
+    (4, S.SWITCHED_ON, Command.ENABLE_OPERATION, S.ENABLED),
+    (5, S.ENABLED, Command.SWITCH_ON, S.SWITCHED_ON),
+    (6, S.SWITCHED_ON, Command.SHUTDOWN, S.READY),
+    (7, S.READY, Command.DISABLE_VOLTAGE, S.SWITCH_ON_DISABLED),
+    (7, S.READY, Command.QUICK_STOP, S.SWITCH_ON_DISABLED),
+    (8, S.ENABLED, Command.SHUTDOWN, S.READY),
+    (9, S.ENABLED, Command.DISABLE_VOLTAGE, S.SWITCH_ON_DISABLED),
+    (10, S.SWITCHED_ON, Command.DISABLE_VOLTAGE, S.SWITCH_ON_DISABLED),
+    (10, S.SWITCHED_ON, Command.QUICK_STOP, S.SWITCH_ON_DISABLED),
+    (11, S.ENABLED, Command.QUICK_STOP, S.QUICK_STOP),
+    (12, S.QUICK_STOP, Event.AUTOMATIC, S.SWITCH_ON_DISABLED),
+    (12, S.QUICK_STOP, Command.DISABLE_VOLTAGE, S.SWITCH_ON_DISABLED),
+    (13, S.NOT_READY, Event.FAULT, S.FAULT_REACTION),
+    (13, S.SWITCH_ON_DISABLED, Event.FAULT, S.FAULT_REACTION),
+    (13, S.READY, Event.FAULT, S.FAULT_REACTION),
+    (13, S.SWITCHED_ON, Event.FAULT, S.FAULT_REACTION),
+    (13, S.ENABLED, Event.FAULT, S.FAULT_REACTION),
+    (13, S.QUICK_STOP, Event.FAULT, S.FAULT_REACTION),
+    (14, S.FAULT_REACTION, Event.AUTOMATIC, S.FAULT),
+    (15, S.FAULT, Event.FAULT_RESET, S.SWITCH_ON_DISABLED),
+    (16, S.QUICK_STOP, Command.ENABLE_OPERATION, S.ENABLED),
+]
+
+
+@pytest.mark.parametrize(("number", "source", "cause", "target"), ARROWS)
+def test_each_arrow_of_the_figure(number: int, source: S, cause: Command | Event, target: S) -> None:
+    assert cia402.next_state(source, cause) == (number, target)
+
+
+def test_no_arrow_but_those_of_the_figure() -> None:
+    drawn = {(source, cause) for _, source, cause, _ in ARROWS}
+    # "enable operation" in one word from ready to switch on: 3, which 4 then follows (note to the figure)
+    drawn.add((S.READY, Command.ENABLE_OPERATION))
+    drawn.add((S.UNKNOWN, Event.FAULT))  # 13 leaves from anywhere
+    for state in S:
+        for cause in (*Command, *Event):
+            if (state, cause) not in drawn:
+                assert cia402.next_state(state, cause) is None, (state, cause)
+
+
+def test_supported_mode_bits() -> None:
+    """6502h: pp bit 0, pv bit 2, hm bit 5, csp bit 7, csv bit 8, cst bit 9."""
+    assert [mode.supported_bit for mode in Mode] == [0x0, 0x1, 0x4, 0x20, 0x80, 0x100, 0x200]
+
+
+@pytest.mark.parametrize(
+    ("statusword", "homing"),
+    [
+        (0x0237, HomingStatus.IN_PROGRESS),
+        (0x0637, HomingStatus.INTERRUPTED),
+        (0x1237, HomingStatus.ATTAINED_NOT_REACHED),
+        (0x1637, HomingStatus.COMPLETED),
+        (0x2237, HomingStatus.ERROR_MOVING),
+        (0x2637, HomingStatus.ERROR_STANDSTILL),
+        (0x3237, None),
+        (0x3637, None),
+    ],
+)
+def test_homing_bits_13_12_10(statusword: int, homing: HomingStatus | None) -> None:
+    assert decode_homing(statusword) is homing
+
+
+def test_quick_stop_endings() -> None:
+    """605Ah: 1 to 4 end in switch on disabled, 5 to 8 stay in quick stop active; 0 takes the power away at once."""
+    assert [code for code, ending in cia402.QUICK_STOP_ENDINGS.items() if ending.stays] == [5, 6, 7, 8]
+    assert [code for code, ending in cia402.QUICK_STOP_ENDINGS.items() if not ending.stays] == [0, 1, 2, 3, 4]

@@ -1,0 +1,57 @@
+"""Whatever bytes arrive, in whatever pieces: only events, all bytes accounted for, bounded memory, and good lines are found."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.instruments.umd import MAX_LINE_BYTES, BadLine, UmdDecoder, UmdSample
+
+int32 = st.integers(-(2**31), 2**31 - 1)
+counts = st.integers(0, 2**31 - 1)
+good_line = st.builds(
+    lambda ref, meas, rest: (" ".join(map(str, (ref, meas, *rest)))).encode(),
+    counts,
+    counts,
+    st.lists(int32, min_size=6, max_size=6),
+)
+noise = st.one_of(
+    st.binary(max_size=60),
+    st.text("0123456789 -\r\n", max_size=60).map(str.encode),
+    st.binary(min_size=MAX_LINE_BYTES, max_size=3 * MAX_LINE_BYTES),
+)
+
+
+@given(st.lists(noise, max_size=12))
+@settings(max_examples=300)
+def test_nothing_upsets_the_decoder(chunks: list[bytes]) -> None:
+    decoder = UmdDecoder()
+    for chunk in chunks:
+        for event in decoder.feed(chunk):
+            assert isinstance(event, UmdSample | BadLine)
+            if isinstance(event, BadLine):
+                assert 0 < len(event.raw) <= MAX_LINE_BYTES
+        assert decoder.pending_bytes <= MAX_LINE_BYTES
+
+
+@given(st.lists(st.one_of(good_line, noise), max_size=10), st.lists(st.integers(1, 50), min_size=1, max_size=30))
+def test_the_pieces_do_not_matter(lines: list[bytes], cuts: list[int]) -> None:
+    stream = b"\r\n".join(lines) + b"\r\n"
+    short = all(len(line) <= MAX_LINE_BYTES for line in stream.replace(b"\r", b"\n").split(b"\n"))
+    whole = UmdDecoder(from_line_start=True).feed(stream)
+    decoder = UmdDecoder(from_line_start=True)
+    cut_events = []
+    at = i = 0
+    while at < len(stream):
+        step = cuts[i % len(cuts)]
+        cut_events += decoder.feed(stream[at : at + step])
+        at, i = at + step, i + 1
+    if short:
+        assert cut_events == whole
+    else:  # an overlong line is given up as soon as it is too long, so its raw bytes may end earlier
+        assert [e for e in cut_events if isinstance(e, UmdSample)] == [e for e in whole if isinstance(e, UmdSample)]
+
+
+@given(st.lists(st.tuples(good_line, st.binary(max_size=30)), min_size=1, max_size=10))
+def test_good_lines_between_noise_are_all_found(pairs: list[tuple[bytes, bytes]]) -> None:
+    stream = b"".join(junk.replace(b"\r", b"").replace(b"\n", b"") + b"x\n" + line + b"\r\n" for line, junk in pairs)
+    found = [event for event in UmdDecoder().feed(stream) if isinstance(event, UmdSample)]
+    assert [" ".join(map(str, event[:8])).encode() for event in found] == [line for line, _ in pairs]
