@@ -32,7 +32,6 @@ class CanLink:
         self.bus = bus
         self.clock = clock
         self.error_frames = 0
-        self.frames_sent = 0
         self.frames_received = 0
         self._handlers: dict[int, tuple[FrameHandler, ...]] = {}
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
@@ -134,7 +133,6 @@ class CanLink:
             self.bus.send(message)
         except _GONE as error:
             raise LinkLostError(f"CAN frame {message.arbitration_id:03X}h cannot be sent: {error}") from error
-        self.frames_sent += 1
 
     def produce_heartbeat(self, node_id: int, period_s: float) -> None:
         """Send our own heartbeat (operational) from now until the link is closed; drives that consume it stop when we are gone.
@@ -164,16 +162,18 @@ class CanLink:
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds."""
         with self._lock:
-            now_ns = self.clock.now_ns
-            end_ns = now_ns() + round(timeout_s * NS_PER_S)
-            while not done():
-                remaining_s = (end_ns - now_ns()) / NS_PER_S
-                if remaining_s <= 0:
-                    return False
+            if done():
+                return True
+            left_s, now_ns = timeout_s, self.clock.now_ns
+            start_ns = now_ns()
+            while left_s > 0:
                 # a bus that waited all the time that was left has spent it, even where the clock is not the bus's own
-                if not self._receive(remaining_s):
+                if not self._receive(left_s):
                     return done()
-            return True
+                if done():
+                    return True
+                left_s = timeout_s - (now_ns() - start_ns) / NS_PER_S
+            return False
 
     def _receive(self, timeout_s: float) -> bool:
         """Take and dispatch one frame; False when none came in time."""

@@ -8,152 +8,44 @@ which keeps its time when Python does not.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from enum import Enum
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import can
 
 from drivers.canopen import objects
-from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Command, Mode, Status, decode_state
+from drivers.canopen.cia402 import Command, Mode, decode_state
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.node import SYNC
-from drivers.canopen.objects import Entry
-from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
-from drivers.canopen.pdo_setup import PdoSetup
+from drivers.canopen.stream_axis import (
+    RUNNING,
+    RUNNING_MASK,
+    TARGETS,
+    Axis,
+    Feedback,
+    StreamCounters,
+    StreamSettings,
+    SyncSource,
+)
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
     BridgeError,
     CapabilityError,
-    DriveFaultError,
-    FollowingErrorError,
     InputError,
-    LimitError,
     LinkLostError,
     NoAnswerError,
     SafetyError,
     StateError,
 )
 
-
-class SyncSource(Enum):
-    """Who sends SYNC."""
-
-    HOST = "this process, when a cycle is due"
-    BROADCAST_MANAGER = "the bus itself: the kernel's broadcast manager on SocketCAN"
-
-
-@dataclass(frozen=True)
-class StreamSettings:
-    """period_s: the SYNC cycle. bitrate: for the prediction whether the cycle fits, bit/s; None skips it.
-
-    The limits are cycles in a row: after that many the stream is stopped. following_error_mm: largest allowed difference between
-    the set-point that was in force and the position that came back (position streams). torque_limit_percent bounds torque streams.
-    """
-
-    period_s: float
-    mode: Mode = Mode.CYCLIC_POSITION
-    bitrate: int | None = 1_000_000
-    budget: float = 0.7
-    sync: SyncSource = SyncSource.HOST
-    missed_limit: int = 3
-    late_limit: int = 3
-    feedback_share: float = 0.8  # of the period, within which feedback must have come
-    following_error_mm: float = 1.0
-    torque_limit_percent: float = 100.0
-
-
-@dataclass
-class StreamCounters:
-    """What happened since the start. jitter is how late the host was with SYNC at most."""
-
-    cycles: int = 0
-    missed_cycles: int = 0  # SYNCs that went by without new set-points
-    late_feedback: int = 0
-    sync_losses: int = 0
-    worst_late_ns: int = 0
-
-
-class Feedback(NamedTuple):
-    """What an axis showed at a SYNC. late: this is an older value, the one of this cycle did not come in time."""
-
-    time_ns: int
-    status: int
-    position_load_mm: float
-    late: bool
-
-    @property
-    def state(self) -> DriveState:
-        return decode_state(self.status)
-
-
-_TARGETS: dict[Mode, Entry] = {
-    Mode.CYCLIC_POSITION: objects.TARGET_POSITION,
-    Mode.CYCLIC_VELOCITY: objects.TARGET_VELOCITY,
-    Mode.CYCLIC_TORQUE: objects.TARGET_TORQUE,
-}
-
+__all__ = ["CyclicStream", "Feedback", "StreamCounters", "StreamSettings", "SyncSource"]
 
 _RUN = Command.ENABLE_OPERATION.word
-_RUNNING = 0x0027 | int(Status.FOLLOWS_COMMAND)  # operation enabled, and the set-points are followed
-_RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
-
-
-class _Axis:
-    """One drive in the stream: its frames, its latest feedback, its limits in counts. Everything that a cycle needs is at hand."""
-
-    def __init__(self, drive: CanOpenDrive, settings: StreamSettings) -> None:
-        node_id, scaling, limits = drive.node_id, drive.scaling, drive.limits
-        self.drive = drive
-        self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, _TARGETS[settings.mode]))
-        self.tpdo = PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
-        self.setup = PdoSetup(drive.sdo, node_id, (self.rpdo, self.tpdo), alone=True)
-        self.pack_into = self.rpdo.codec.pack_into
-        self.unpack = self.tpdo.codec.unpack_from
-        self.message = can.Message(
-            arbitration_id=self.rpdo.cob_id, data=bytes(self.rpdo.codec.size), is_extended_id=False
-        )
-        self.status = 0
-        self.position_counts = 0
-        self.heard_ns = 0
-        self.fresh = False
-        self.awaited: set[_Axis] = set()  # the stream's: who has not answered the last SYNC
-        self.late_in_a_row = 0
-        self.demand_counts = 0  # in force at the last SYNC
-        self.next_counts = 0  # sent for the next one
-        self.sync_period_before: int | None = None
-        self.taken = False  # the drive is ours for now
-        self.mm_per_count = scaling.direction * scaling.resolution_load_mm
-        self.counts_per_mm = scaling.direction * scaling.counts_per_load_mm
-        # one count of rounding at either end is not a matter of speed
-        self.max_step_counts = limits.max_velocity_mm_s * settings.period_s * scaling.counts_per_load_mm + 1
-        self.travel_min_mm, self.travel_max_mm = limits.travel_min_mm, limits.travel_max_mm
-        self.max_error_counts = settings.following_error_mm * scaling.counts_per_load_mm
-
-    def receive(self, time_ns: int, data: bytes) -> None:
-        """The TPDO of this axis."""
-        if len(data) >= 6:
-            self.status, self.position_counts = self.unpack(data)
-            self.heard_ns = time_ns
-            self.fresh = True
-            self.awaited.discard(self)
-
-    def send(self, link: CanLink, controlword: int, counts: int) -> None:
-        """The RPDO of this axis."""
-        self.next_counts = counts
-        self.pack_into(self.message.data, 0, controlword, counts)
-        link.send_message(self.message)
-
-    def feedback(self) -> Feedback:
-        return Feedback(self.heard_ns, self.status, self.position_counts * self.mm_per_count, not self.fresh)
 
 
 class CyclicStream:
@@ -166,7 +58,7 @@ class CyclicStream:
     def __init__(self, drives: Sequence[CanOpenDrive], settings: StreamSettings) -> None:
         if not drives or len({id(drive.link) for drive in drives}) != 1:
             raise InputError("a stream needs drives, all on one link")
-        if settings.mode not in _TARGETS:
+        if settings.mode not in TARGETS:
             raise InputError(f"mode {settings.mode.name} is not a cyclic synchronous one")
         if not settings.period_s > 0:
             raise InputError(f"stream period is {settings.period_s} s, expected > 0")
@@ -174,12 +66,10 @@ class CyclicStream:
         self.counters = StreamCounters()
         self.link = drives[0].link
         self.clock = self.link.clock
-        self._axes = [_Axis(drive, settings) for drive in drives]
-        self._awaited: set[_Axis] = set()
-        for axis in self._axes:
-            axis.awaited = self._awaited
-        self._by_host = settings.sync is SyncSource.HOST
-        self._by_position = settings.mode is Mode.CYCLIC_POSITION
+        self._axes = [Axis(drive, settings) for drive in drives]
+        self._last_first = sorted(self._axes, key=lambda axis: -axis.tpdo.cob_id)
+        by_host = settings.sync is SyncSource.HOST
+        self._exchange = self._exchange_with_host_sync if by_host else self._exchange_with_foreign_sync
         self._sync_message = can.Message(arbitration_id=SYNC, data=b"", is_extended_id=False)
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._feedback_s = settings.period_s * settings.feedback_share
@@ -215,7 +105,7 @@ class CyclicStream:
         cycle = Cycle(self.settings.period_s * 1e6, self.settings.bitrate, self.settings.budget)
         refuse_errors(lint({axis.drive.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}, cycle=cycle))
 
-    def _prepare(self, axis: _Axis) -> None:
+    def _prepare(self, axis: Axis) -> None:
         """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes hold."""
         drive = axis.drive
         sample = drive.sample()
@@ -273,11 +163,11 @@ class CyclicStream:
                 self.link.unsubscribe(SYNC, self._on_sync)
 
     @staticmethod
-    def _unwatch_sync(axis: _Axis, _stopped: bool) -> None:
+    def _unwatch_sync(axis: Axis, _stopped: bool) -> None:
         if axis.sync_period_before is not None:
             axis.drive.sdo.write(objects.SYNC_PERIOD, axis.sync_period_before)
 
-    def _give_back(self, axis: _Axis, stopped: bool) -> None:
+    def _give_back(self, axis: Axis, stopped: bool) -> None:
         self.link.unsubscribe(axis.tpdo.cob_id, axis.receive)
         axis.taken = False
         try:
@@ -294,90 +184,53 @@ class CyclicStream:
         Raises LimitError before anything is sent; SafetyError (cycles missed), NoAnswerError (feedback missing), LinkLostError
         (no SYNC, heartbeat), DriveFaultError, FollowingErrorError, StateError - each with all axes quick-stopped.
         """
+        axes = self._axes
         if not self._running:
             raise StateError("the stream is not running")
-        if len(values) != len(self._axes):
-            raise InputError(f"{len(values)} values for {len(self._axes)} drives")
+        if len(values) != len(axes):
+            raise InputError(f"{len(values)} values for {len(axes)} drives")
         try:
-            checked = self._checked_position if self._by_position else self._checked_other
-            counts = [checked(axis, value) for axis, value in zip(self._axes, values, strict=True)]
-            if self._by_host:
-                self._send_with_host_sync(counts)
-            else:
-                self._send_with_foreign_sync(counts)
+            for axis, value in zip(axes, values, strict=False):
+                axis.planned = axis.counts_of(value)
+            self._exchange()
             self.counters.cycles += 1
-            if self._awaited and not self.link.wait(self._all_answered, self._feedback_s):
+            if not self.link.wait(self._all_answered, self._feedback_s):
                 self._account_for_late()
             feedback = []
-            for axis in self._axes:
-                if axis.fresh:
+            for axis in axes:
+                counts, status, late = axis.position_counts, axis.status, not axis.fresh
+                if not late:
                     axis.late_in_a_row = 0
-                    self._judge(axis)
-                feedback.append(axis.feedback())
+                    if status & RUNNING_MASK != RUNNING:
+                        self._judge_status(axis)
+                    if abs(counts - axis.demand_counts) > axis.max_error_counts:
+                        raise axis.explain_error()
+                feedback.append(Feedback(axis.heard_ns, status, counts * axis.mm_per_count, late))
             return feedback
         except BaseException:
             self._quick_stop_all()
             self._running = False
             raise
 
-    def _checked_position(self, axis: _Axis, value: float) -> int:
-        """Load mm -> counts. Raises LimitError for a place outside the travel, or too far from the last one."""
-        if not axis.travel_min_mm <= value <= axis.travel_max_mm:
-            axis.drive.limits.check_target(value)
-        counts = round(value * axis.counts_per_mm)
-        if not -axis.max_step_counts <= counts - axis.next_counts <= axis.max_step_counts:
-            step_mm = abs(counts - axis.next_counts) * abs(axis.mm_per_count)
-            raise LimitError(
-                f"drive {axis.drive.name}: step of {step_mm:.6f} mm in one cycle is"
-                f" {step_mm / self.settings.period_s:g} mm/s, allowed are {axis.drive.limits.max_velocity_mm_s:g} mm/s"
-            )
-        return counts
-
-    def _checked_other(self, axis: _Axis, value: float) -> int:
-        """Velocity in load mm/s, or torque in percent -> the drive's units. Raises LimitError."""
-        limits = axis.drive.limits
-        if not math.isfinite(value):
-            raise LimitError(f"drive {axis.drive.name}: {value} is no set-point")
-        self._check_inside(axis, value)
-        if self.settings.mode is Mode.CYCLIC_VELOCITY:
-            if abs(value) > limits.max_velocity_mm_s:
-                limits.check_velocity(abs(value))
-            return round(value * axis.counts_per_mm)
-        if abs(value) > self.settings.torque_limit_percent:
-            raise LimitError(
-                f"drive {axis.drive.name}: torque {value:g} %, allowed are ±{self.settings.torque_limit_percent:g} %"
-            )
-        return axis.drive.scaling.direction * round(10 * value)
-
-    @staticmethod
-    def _check_inside(axis: _Axis, value: float) -> None:
-        """Velocity and torque streams must not push an axis further out of its travel."""
-        limits, place_mm = axis.drive.limits, axis.position_counts * axis.mm_per_count
-        if (place_mm >= limits.travel_max_mm and value > 0) or (place_mm <= limits.travel_min_mm and value < 0):
-            raise LimitError(f"drive {axis.drive.name}: at {place_mm:.3f} mm, the end of its travel")
-
-    def _send_with_host_sync(self, counts: list[int]) -> None:
+    def _exchange_with_host_sync(self) -> None:
         """Set-points out at once, SYNC when it is due."""
-        now_ns = self.clock.now_ns()
+        link, clock = self.link, self.clock
+        now_ns = clock.now_ns()
         if not self.counters.cycles:
             self._next_sync_ns = now_ns + self._period_ns  # time runs from the first set-point on
-        late_ns = now_ns - self._next_sync_ns
-        if late_ns > 0:
-            self.counters.worst_late_ns = max(self.counters.worst_late_ns, late_ns)
-            missed = late_ns // self._period_ns
-            self._next_sync_ns += missed * self._period_ns
-            self._account_for_missed(missed)
+        if now_ns > self._next_sync_ns:
+            self._account_for_lateness(now_ns - self._next_sync_ns)
         else:
             self._missed_in_a_row = 0
-        for axis, count in zip(self._axes, counts, strict=True):
-            axis.send(self.link, _RUN, count)
-        self.clock.sleep_until_ns(self._next_sync_ns)
-        self.link.poll()  # what came late belongs to the cycle before
+        for axis in self._axes:
+            link.send_message(axis.message_with(_RUN, axis.planned))
+        clock.sleep_until_ns(self._next_sync_ns)
+        link.poll()  # what came late belongs to the cycle before
         self._begin_cycle()
-        self.link.send_message(self._sync_message)
+        link.send_message(self._sync_message)
         self._next_sync_ns += self._period_ns
 
-    def _send_with_foreign_sync(self, counts: list[int]) -> None:
+    def _exchange_with_foreign_sync(self) -> None:
         """Set-points out at once, then wait for the SYNC that takes them."""
         self.link.poll()
         if not self.counters.cycles:
@@ -385,12 +238,19 @@ class CyclicStream:
         missed = self._sync_count - self._sync_taken
         self._sync_taken = self._sync_count
         self._account_for_missed(missed)
-        for axis, count in zip(self._axes, counts, strict=True):
-            axis.send(self.link, _RUN, count)
+        for axis in self._axes:
+            self.link.send_message(axis.message_with(_RUN, axis.planned))
         if not self.link.wait(lambda: self._sync_count > self._sync_taken, 2.5 * self.settings.period_s):
             self.counters.sync_losses += 1
             raise LinkLostError(f"stream: no SYNC on the bus for {2.5e3 * self.settings.period_s:g} ms")
         self._sync_taken = self._sync_count
+
+    def _account_for_lateness(self, late_ns: int) -> None:
+        """The set-points come after the SYNC that was to take them: whole periods are missed cycles."""
+        self.counters.worst_late_ns = max(self.counters.worst_late_ns, late_ns)
+        missed = late_ns // self._period_ns
+        self._next_sync_ns += missed * self._period_ns
+        self._account_for_missed(missed)
 
     def _account_for_missed(self, missed: int) -> None:
         """SYNCs went by without new set-points: count them, and stop when it is too many in a row."""
@@ -409,14 +269,16 @@ class CyclicStream:
         for axis in self._axes:
             axis.fresh = False
             axis.demand_counts = axis.next_counts
-        self._awaited.update(self._axes)
 
     def _on_sync(self, _time_ns: int, _data: bytes) -> None:
         self._sync_count += 1
         self._begin_cycle()
 
     def _all_answered(self) -> bool:
-        return not self._awaited
+        for axis in self._last_first:  # noqa: SIM110 - each cycle comes here, a generator would cost as much as a frame
+            if not axis.fresh:  # arbitration lets them answer in order: one look is enough until the last is in
+                return False
+        return True
 
     def _account_for_late(self) -> None:
         """Somebody's feedback did not come in time."""
@@ -432,36 +294,16 @@ class CyclicStream:
                     f" {1e3 * self.settings.period_s:g} ms"
                 )
 
-    def _judge(self, axis: _Axis) -> None:
-        """Is the axis still doing what it was told?"""
-        if axis.status & _RUNNING_MASK != _RUNNING:
-            self._explain_status(axis)
-        if (
-            not -axis.max_error_counts <= axis.position_counts - axis.demand_counts <= axis.max_error_counts
-            and self._by_position
-        ):
-            error_mm = abs(axis.position_counts - axis.demand_counts) * abs(axis.mm_per_count)
-            raise FollowingErrorError(
-                f"drive {axis.drive.name}: {error_mm:.3f} mm from its set-point,"
-                f" allowed are {self.settings.following_error_mm:g} mm"
-            )
-
-    def _explain_status(self, axis: _Axis) -> None:
+    def _judge_status(self, axis: Axis) -> None:
         """Raise what a statusword other than "enabled and following" means; the first cycle may not follow yet."""
-        state, name = decode_state(axis.status), axis.drive.name
-        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            code = axis.drive.monitor.last_error_code() or None
-            raise DriveFaultError(f"drive {name} went into {state.value} while streaming", code)
-        if state is not DriveState.ENABLED:
-            raise StateError(f"drive {name} left operation enabled while streaming: {state.value}")
-        if self.counters.cycles > 1:
-            raise StateError(f"drive {name} does not follow the set-points (bit 12 is 0)")
+        if self.counters.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
+            raise axis.explain_status()
 
     def _quick_stop_all(self) -> None:
         """Whatever happens: every axis gets its quick stop, by RPDO at once and by SDO with an answer."""
         for axis in self._axes:
             with suppress(BridgeError):
-                axis.send(self.link, Command.QUICK_STOP.word, axis.next_counts)
+                self.link.send_message(axis.message_with(Command.QUICK_STOP.word, axis.next_counts))
         with suppress(BridgeError):
             self.link.send(SYNC, b"")
         for axis in self._axes:

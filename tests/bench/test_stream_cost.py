@@ -1,9 +1,14 @@
 """What streaming costs the host per axis and cycle, as a ratio to the same through the canopen package's own PDO objects.
 
-Both run in this process in turn, over a bus that answers SYNC at once with the same frames and costs the same; the canopen side is
-spared its receiver thread. Both do what a cycle needs: pack a controlword and a target, send, SYNC, receive, unpack status and
-position. Ours besides checks limits, following error, states and time. A third is asked of the sets that fill a bus (two axes at
-1 ms, five at 2 ms); with a single axis, what a cycle costs once, SYNC and time, weighs more.
+Both run in this process in turn, over a bus that answers SYNC at once with the same frames and costs both the same. What each does:
+
+    both    one RPDO per axis (6040h, 607Ah), SYNC, one TPDO per axis (6041h, 6064h), every value packed, sent, received and unpacked
+    ours    besides: mm <-> counts, travel, speed, following error and state of each axis, the time of SYNC and of each answer, missed
+            cycles, late answers, a look for stray frames before SYNC, dispatch with a lock
+    theirs  bare: raw values only, nothing checked, no time kept, spared the thread that would receive for it
+    theirs  checked: what a user would have to add to be told the same - mm, limits, state, following error
+
+A third is asked against the bare one, which does less than ours; the other figure is shown beside it.
 """
 
 from __future__ import annotations
@@ -119,7 +124,8 @@ def _ours(axes: int, stack: ExitStack) -> Callable[[int], None]:
     return run
 
 
-def _theirs(axes: int, stack: ExitStack) -> Callable[[int], None]:
+def _nodes(axes: int, stack: ExitStack) -> tuple[AnsweringBus, canopen.Network, list[tuple[Any, ...]]]:
+    """The canopen package's own objects on a bus: of each node its RPDO, and the four mapped variables."""
     bus = AnsweringBus(tuple(range(1, axes + 1)), LeapingClock())
     bus.streaming = True
     stack.callback(bus.shutdown)
@@ -136,6 +142,11 @@ def _theirs(axes: int, stack: ExitStack) -> Callable[[int], None]:
         rpdo.cob_id, tpdo.cob_id = 0x200 + node_id, 0x180 + node_id
         tpdo.subscribe()
         nodes.append((rpdo, *(rpdo[0], rpdo[1], tpdo[0], tpdo[1])))
+    return bus, network, nodes
+
+
+def _theirs_bare(axes: int, stack: ExitStack) -> Callable[[int], None]:
+    bus, network, nodes = _nodes(axes, stack)
 
     def run(cycles: int) -> None:
         for cycle in range(cycles):
@@ -153,6 +164,39 @@ def _theirs(axes: int, stack: ExitStack) -> Callable[[int], None]:
     return run
 
 
+def _theirs_checked(axes: int, stack: ExitStack) -> Callable[[int], None]:
+    bus, network, nodes = _nodes(axes, stack)
+    counts_per_mm, step, lag = 10_000, 20_000, 10_000
+
+    def run(cycles: int) -> None:
+        sent = [0] * axes
+        for cycle in range(cycles):
+            targets_mm = [0.001 * (cycle % 100)] * axes
+            planned = []
+            for target_mm, before in zip(targets_mm, sent, strict=True):
+                counts = round(target_mm * counts_per_mm)
+                if not -300.0 <= target_mm <= 300.0 or abs(counts - before) > step:
+                    pytest.fail("outside")
+                planned.append(counts)
+            sent = planned
+            for (rpdo, control, position, _, _), counts in zip(nodes, planned, strict=True):
+                control.raw = 0x0F
+                position.raw = counts
+                rpdo.transmit()
+            network.sync.transmit()
+            while (message := bus.recv(0.0)) is not None:
+                network.notify(message.arbitration_id, message.data, message.timestamp)
+            feedback = []
+            for (_, _, _, status, actual), counts in zip(nodes, planned, strict=True):
+                word, place = status.raw, actual.raw
+                if word & 0x106F != 0x1027 or abs(place - counts) > lag:
+                    pytest.fail("does not follow")
+                feedback.append((word, place / counts_per_mm))
+            assert abs(feedback[0][1] - targets_mm[0]) < 1e-3
+
+    return run
+
+
 def _seconds(run: Callable[[int], None]) -> float:
     """Processor time: what others do on this host does not count."""
     start = time.thread_time()
@@ -160,19 +204,20 @@ def _seconds(run: Callable[[int], None]) -> float:
     return time.thread_time() - start
 
 
-@pytest.mark.parametrize(("axes", "at_most"), [(1, 0.5), (2, 1 / 3), (5, 1 / 3)])
-def test_streaming_costs_at_most_a_third(
-    axes: int, at_most: float, record_property: Callable[[str, object], None]
-) -> None:
+@pytest.mark.parametrize("axes", [1, 2, 5])
+def test_streaming_costs_at_most_a_third(axes: int, record_property: Callable[[str, object], None]) -> None:
     with ExitStack() as stack:
-        ours, theirs = _ours(axes, stack), _theirs(axes, stack)
-        ours(20)
-        theirs(20)
-        pairs = [(_seconds(ours), _seconds(theirs)) for _ in range(ROUNDS)]
-    mine, other = (min(times) for times in zip(*pairs, strict=True))
-    ratio = mine / other
+        runs = [side(axes, stack) for side in (_ours, _theirs_bare, _theirs_checked)]
+        for run in runs:
+            run(20)
+        rounds = [[_seconds(run) for run in runs] for _ in range(ROUNDS)]
+    mine, bare, checked = (min(times) for times in zip(*rounds, strict=True))
     cost_us = 1e6 * mine / CYCLES / axes
-    record_property("ratio", ratio)
+    record_property("ratio", mine / bare)
+    record_property("ratio_checked", mine / checked)
     record_property("us_per_axis_and_cycle", cost_us)
-    print(f"{axes} axes: {cost_us:.1f} µs per axis and cycle, {ratio:.3f} of canopen's")
-    assert ratio <= at_most
+    print(
+        f"{axes} axes: {cost_us:.1f} µs per axis and cycle, {mine / bare:.3f} of canopen's,"
+        f" {mine / checked:.3f} with a user's checks added there"
+    )
+    assert mine <= bare / 3

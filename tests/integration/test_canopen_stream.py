@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -87,7 +87,9 @@ def _sine(time_s: float, number: int) -> float:
 
 @pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
 @pytest.mark.parametrize(("axes", "period_s"), [(1, 0.001), (2, 0.001), (5, 0.002)])
-def test_published_cycles_fit_without_a_miss(stack: ExitStack, axes: int, period_s: float, sync: SyncSource) -> None:
+def test_published_cycles_fit_without_a_miss(
+    stack: ExitStack, axes: int, period_s: float, sync: SyncSource, record_property: Callable[[str, object], None]
+) -> None:
     """Two axes at 1 ms and five at 2 ms: within 70 % of the bus, no cycle missed, no feedback late."""
     rig = _rig(stack, axes)
     settings = StreamSettings(period_s, sync=sync, following_error_mm=2.0)
@@ -102,6 +104,8 @@ def test_published_cycles_fit_without_a_miss(stack: ExitStack, axes: int, period
         load = rig.bench.wire.load(busy_ns, start_ns)
         counters = stream.counters
     elapsed_ns = rig.bench.clock.now_ns() - start_ns
+    record_property("bus_load", load)
+    print(f"{axes} axes at {1e3 * period_s:g} ms: {100 * load:.1f} % of the bus, {counters}")
     assert counters.cycles == cycles
     assert (counters.missed_cycles, counters.late_feedback, counters.sync_losses) == (0, 0, 0)
     assert load <= 0.70

@@ -1,0 +1,196 @@
+"""What a stream is made of: its settings and counters, and one axis with its frames, its latest feedback and its limits in counts.
+
+What may go in: data, and what concerns one axis alone. Pacing and the reactions to what goes wrong are `stream`'s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import can
+
+from drivers.canopen import objects
+from drivers.canopen.cia402 import Mode, Status, decode_state
+from drivers.canopen.drive import CanOpenDrive
+from drivers.canopen.objects import Entry
+from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
+from drivers.canopen.pdo_setup import PdoSetup
+from drivers.drive import DriveState
+from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
+
+
+class SyncSource(Enum):
+    """Who sends SYNC."""
+
+    HOST = "this process, when a cycle is due"
+    BROADCAST_MANAGER = "the bus itself: the kernel's broadcast manager on SocketCAN"
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """period_s: the SYNC cycle. bitrate: for the prediction whether the cycle fits, bit/s; None skips it.
+
+    The limits are cycles in a row: after that many the stream is stopped. following_error_mm: largest allowed difference between
+    the set-point that was in force and the position that came back (position streams). torque_limit_percent bounds torque streams.
+    """
+
+    period_s: float
+    mode: Mode = Mode.CYCLIC_POSITION
+    bitrate: int | None = 1_000_000
+    budget: float = 0.7
+    sync: SyncSource = SyncSource.HOST
+    missed_limit: int = 3
+    late_limit: int = 3
+    feedback_share: float = 0.8  # of the period, within which feedback must have come
+    following_error_mm: float = 1.0
+    torque_limit_percent: float = 100.0
+
+
+@dataclass
+class StreamCounters:
+    """What happened since the start. worst_late_ns: how late the host was with its set-points at most."""
+
+    cycles: int = 0
+    missed_cycles: int = 0  # SYNCs that went by without new set-points
+    late_feedback: int = 0
+    sync_losses: int = 0
+    worst_late_ns: int = 0
+
+
+class Feedback(NamedTuple):
+    """What an axis showed at a SYNC. late: this is an older value, the one of this cycle did not come in time."""
+
+    time_ns: int
+    status: int
+    position_load_mm: float
+    late: bool
+
+    @property
+    def state(self) -> DriveState:
+        return decode_state(self.status)
+
+
+TARGETS: dict[Mode, Entry] = {
+    Mode.CYCLIC_POSITION: objects.TARGET_POSITION,
+    Mode.CYCLIC_VELOCITY: objects.TARGET_VELOCITY,
+    Mode.CYCLIC_TORQUE: objects.TARGET_TORQUE,
+}
+ANY = 1 << 62  # more counts than there are
+RUNNING = 0x0027 | int(Status.FOLLOWS_COMMAND)  # operation enabled, and the set-points are followed
+RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
+
+
+class Axis:
+    """One drive in the stream: its frames, its latest feedback, its limits in counts. Everything that a cycle needs is at hand.
+
+    counts_of(value): a set-point (load mm, mm/s, percent of rated torque) in the drive's units; raises LimitError.
+    """
+
+    def __init__(self, drive: CanOpenDrive, settings: StreamSettings) -> None:
+        node_id, scaling, limits = drive.node_id, drive.scaling, drive.limits
+        self.drive = drive
+        self.settings = settings
+        self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, TARGETS[settings.mode]))
+        self.tpdo = PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
+        self.setup = PdoSetup(drive.sdo, node_id, (self.rpdo, self.tpdo), alone=True)
+        self._pack_into = self.rpdo.codec.pack_into
+        self._unpack_from = self.tpdo.codec.unpack_from
+        self.message = can.Message(
+            arbitration_id=self.rpdo.cob_id, data=bytes(self.rpdo.codec.size), is_extended_id=False
+        )
+        self.status = 0
+        self.position_counts = 0
+        self.heard_ns = 0
+        self.fresh = False  # the answer to the last SYNC is here
+        self.late_in_a_row = 0
+        self.planned = 0  # checked, to be sent next
+        self.demand_counts = 0  # in force at the last SYNC
+        self.next_counts = 0  # sent for the next one
+        self.sync_period_before: int | None = None
+        self.taken = False  # the drive is ours for now
+        self.counts_of = {
+            Mode.CYCLIC_POSITION: self._position_counts,
+            Mode.CYCLIC_VELOCITY: self._velocity_counts,
+            Mode.CYCLIC_TORQUE: self._torque_permille,
+        }[settings.mode]
+        self.mm_per_count = scaling.direction * scaling.resolution_load_mm
+        self.counts_per_mm = scaling.direction * scaling.counts_per_load_mm
+        # one count of rounding at either end is not a matter of speed
+        self.max_step_counts = math.floor(limits.max_velocity_mm_s * settings.period_s * scaling.counts_per_load_mm) + 1
+        self.travel_min_mm, self.travel_max_mm = limits.travel_min_mm, limits.travel_max_mm
+        by_position = settings.mode is Mode.CYCLIC_POSITION
+        self.max_error_counts = (
+            math.floor(settings.following_error_mm * scaling.counts_per_load_mm) if by_position else ANY
+        )
+
+    # -- frames ----------------------------------------------------------------------------------------------------------
+    def receive(self, time_ns: int, data: bytes) -> None:
+        """The TPDO of this axis."""
+        if len(data) >= 6:
+            self.status, self.position_counts = self._unpack_from(data)
+            self.heard_ns = time_ns
+            self.fresh = True
+
+    def message_with(self, controlword: int, counts: int) -> can.Message:
+        """The RPDO of this axis; one message for good, filled anew."""
+        self.next_counts = counts
+        message = self.message
+        self._pack_into(message.data, 0, controlword, counts)
+        return message
+
+    # -- set-points ------------------------------------------------------------------------------------------------------
+    def _position_counts(self, position_load_mm: float) -> int:
+        """Raises LimitError for a place outside the travel, or too far from the last one."""
+        if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
+            self.drive.limits.check_target(position_load_mm)
+        counts = round(position_load_mm * self.counts_per_mm)
+        if abs(counts - self.next_counts) > self.max_step_counts:
+            step_mm = abs(counts - self.next_counts) * abs(self.mm_per_count)
+            raise LimitError(
+                f"drive {self.drive.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / self.settings.period_s:g} mm/s,"
+                f" allowed are {self.drive.limits.max_velocity_mm_s:g} mm/s"
+            )
+        return counts
+
+    def _velocity_counts(self, velocity_mm_s: float) -> int:
+        self._check_inside(velocity_mm_s)
+        if abs(velocity_mm_s) > self.drive.limits.max_velocity_mm_s:
+            self.drive.limits.check_velocity(abs(velocity_mm_s))
+        return round(velocity_mm_s * self.counts_per_mm)
+
+    def _torque_permille(self, torque_percent: float) -> int:
+        self._check_inside(torque_percent)
+        allowed = self.settings.torque_limit_percent
+        if abs(torque_percent) > allowed:
+            raise LimitError(f"drive {self.drive.name}: torque {torque_percent:g} %, allowed are ±{allowed:g} %")
+        return self.drive.scaling.direction * round(10 * torque_percent)
+
+    def _check_inside(self, value: float) -> None:
+        """Velocity and torque streams must not push an axis further out of its travel."""
+        if not math.isfinite(value):
+            raise LimitError(f"drive {self.drive.name}: {value} is no set-point")
+        place_mm = self.position_counts * self.mm_per_count
+        if (place_mm >= self.travel_max_mm and value > 0) or (place_mm <= self.travel_min_mm and value < 0):
+            raise LimitError(f"drive {self.drive.name}: at {place_mm:.3f} mm, the end of its travel")
+
+    # -- feedback --------------------------------------------------------------------------------------------------------
+    def explain_error(self) -> FollowingErrorError:
+        """The axis is too far from the set-point that was in force."""
+        error_mm = abs(self.position_counts - self.demand_counts) * abs(self.mm_per_count)
+        return FollowingErrorError(
+            f"drive {self.drive.name}: {error_mm:.3f} mm from its set-point,"
+            f" allowed are {self.settings.following_error_mm:g} mm"
+        )
+
+    def explain_status(self) -> BridgeError:
+        """What a statusword other than "enabled and following" means."""
+        state, name = decode_state(self.status), self.drive.name
+        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            code = self.drive.monitor.last_error_code() or None
+            return DriveFaultError(f"drive {name} went into {state.value} while streaming", code)
+        if state is not DriveState.ENABLED:
+            return StateError(f"drive {name} left operation enabled while streaming: {state.value}")
+        return StateError(f"drive {name} does not follow the set-points (bit 12 is 0)")
