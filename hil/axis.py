@@ -37,6 +37,7 @@ __all__ = [
     "AxisConfig",
     "ConditionsConfig",
     "CorrectionConfig",
+    "DriveAxis",
     "DriveConfig",
     "HomingConfig",
     "InstrumentConfig",
@@ -44,6 +45,8 @@ __all__ = [
     "StoreConfig",
     "iso_targets",
     "load_axis",
+    "load_drive_axis",
+    "read_toml",
 ]
 
 _CLOSEST_MM = 0.01  # between two targets: far less than any section, far more than targets are rounded to
@@ -94,18 +97,24 @@ class ConditionsConfig:
 
 
 @dataclass(frozen=True)
-class AxisConfig:
-    """One axis."""
+class DriveAxis:
+    """What it takes to move an axis: its drive, its units and how far it may go."""
 
     path: Path
     name: str
     limits: DriveLimits
     scaling: AxisScaling
     drive: DriveConfig
+    store: StoreConfig
+
+
+@dataclass(frozen=True)
+class AxisConfig(DriveAxis):
+    """One axis that is measured."""
+
     instrument: InstrumentConfig
     measurement: MeasurementConfig
     correction: CorrectionConfig
-    store: StoreConfig
     conditions: ConditionsConfig
 
     @property
@@ -138,6 +147,25 @@ class AxisConfig:
 
 def load_axis(path: str | Path) -> AxisConfig:
     """Read an axis file. Raises InputError, one line, naming file, line, value and what was expected."""
+    return _axis(read_toml(path))
+
+
+def load_drive_axis(path: str | Path) -> DriveAxis:
+    """Read an axis file that may end with its drive: without [instrument] and [measurement], nothing is measured along the axis.
+
+    Raises InputError as `load_axis`.
+    """
+    root = read_toml(path)
+    if {"instrument", "measurement"} & set(root.keys_left()):
+        return _axis(root)
+    name, limits, scaling, drive = _moving(root)
+    store = _store(root.child("store", required=False), root.path, name)
+    root.finish(("axis", "scaling", "drive", "store"))
+    return DriveAxis(root.path, name, limits, scaling, drive, store)
+
+
+def read_toml(path: str | Path) -> Table:
+    """The root table of a TOML file. Raises InputError naming file and line."""
     path = Path(path)
     text = read_text(path).removeprefix("\ufeff")
     try:
@@ -151,20 +179,27 @@ def load_axis(path: str | Path) -> AxisConfig:
         raise InputError(
             "is not TOML that could be read: a number too long, or too deeply nested", path=path
         ) from error
-    root = Table(path, text, "", values)
+    return Table(path, text, "", values)
+
+
+def _moving(root: Table) -> tuple[str, DriveLimits, AxisScaling, DriveConfig]:
+    """[axis], [scaling] and [drive]."""
     axis = root.child("axis")
     name = axis.take("name", reader.name, "a name of letters, digits, _ . -")
     limits = _limits(axis)
     axis.finish(("name", "travel_min_mm", "travel_max_mm", "max_velocity_mm_s", "max_acceleration_mm_s2"))
-    scaling = _scaling(root.child("scaling"))
-    drive = read_drive(root.child("drive"))
+    return name, limits, _scaling(root.child("scaling")), read_drive(root.child("drive"))
+
+
+def _axis(root: Table) -> AxisConfig:
+    name, limits, scaling, drive = _moving(root)
     instrument = read_instrument(root.child("instrument"), has_port=drive.backend != "bench")
     measurement = _measurement(root.child("measurement"), limits)
     correction = _correction(root.child("correction", required=False), measurement.runs)
-    store = _store(root.child("store", required=False), path, name)
+    store = _store(root.child("store", required=False), root.path, name)
     conditions = _conditions(root.child("conditions", required=False))
     root.finish(("axis", "scaling", "drive", "instrument", "measurement", "correction", "store", "conditions"))
-    return AxisConfig(path, name, limits, scaling, drive, instrument, measurement, correction, store, conditions)
+    return AxisConfig(root.path, name, limits, scaling, drive, store, instrument, measurement, correction, conditions)
 
 
 def _limits(table: Table) -> DriveLimits:

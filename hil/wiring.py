@@ -8,7 +8,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -25,7 +25,7 @@ from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
 from drivers.scaling import AxisScaling
-from hil.axis import AxisConfig, InstrumentConfig
+from hil.axis import AxisConfig, DriveAxis, InstrumentConfig
 from hil.bench_conditions import BenchConditions
 from hil.files import held
 from hil.procedures.conditions import Conditions
@@ -93,7 +93,7 @@ def _bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -> B
 
 def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack) -> Machine:
     clock = WallClock()
-    drive = _hardware_drive(axis, clock, stack)
+    drive = hardware_drive(axis, clock, stack)
     return Machine(axis, _session(axis, drive, _umd(axis.instrument, axis.instrument.port, clock), conditions))
 
 
@@ -125,17 +125,26 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
 def _drive_alone(axis: AxisConfig, stack: ExitStack) -> ServoDrive:
     if axis.drive.backend == "bench":
         return _bench_drive(axis, _bench(axis, bench_parameters(axis), stack), stack)
-    return _hardware_drive(axis, WallClock(), stack)
+    return hardware_drive(axis, WallClock(), stack)
 
 
-def _hardware_drive(axis: AxisConfig, clock: Clock, stack: ExitStack) -> ServoDrive:
+@dataclass
+class Links:
+    """What the drives of one machine share: a link for each CAN bus, by interface and channel, and for each Modbus line."""
+
+    can: dict[tuple[str, str], CanLink] = field(default_factory=dict)
+    modbus: dict[Endpoint, ModbusLink] = field(default_factory=dict)
+
+
+def hardware_drive(axis: DriveAxis, clock: Clock, stack: ExitStack, links: Links | None = None) -> ServoDrive:
+    """The real drive of an axis file, not opened; links: of the machine's other drives."""
     if axis.drive.backend == "canopen":
-        return _canopen(axis, clock, (axis.drive.interface, axis.drive.channel), stack)
+        return canopen_drive(axis, clock, (axis.drive.interface, axis.drive.channel), stack, links=links)
     try:
         endpoint = parse_endpoint(axis.drive.url, baud=axis.drive.baud)
     except InputError as error:
         raise InputError(f"[drive] url: {error.what}", path=axis.path) from error
-    return _modbus(axis, clock, endpoint, axis.drive.unit)
+    return modbus_drive(axis, clock, endpoint, axis.drive.unit, links)
 
 
 def _bench_drive(axis: AxisConfig, bench: Bench, stack: ExitStack) -> ServoDrive:
@@ -146,7 +155,7 @@ def _bench_drive(axis: AxisConfig, bench: Bench, stack: ExitStack) -> ServoDrive
     if face == "canopen":
         channel, objects = f"bench-{uuid.uuid4().hex}", bench.parameters.objects
         stack.enter_context(served(bench.servo, clock, channel=channel, node_id=axis.drive.node_id, parameters=objects))
-        return _canopen(axis, clock, ("virtual", channel), stack, patience_s=BENCH_PATIENCE_S)
+        return canopen_drive(axis, clock, ("virtual", channel), stack, patience_s=BENCH_PATIENCE_S)
     shape = "vendor" if axis.drive.register_map == "vendor_style" else "cia402"
     faces = {axis.drive.unit: modbus_face(bench, shape)}
     endpoint: Endpoint
@@ -156,16 +165,26 @@ def _bench_drive(axis: AxisConfig, bench: Bench, stack: ExitStack) -> ServoDrive
     else:
         _, path = stack.enter_context(rtu_slave(faces, clock))
         endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
-    return _modbus(axis, clock, endpoint, axis.drive.unit)
+    return modbus_drive(axis, clock, endpoint, axis.drive.unit)
 
 
-def _canopen(
-    axis: AxisConfig, clock: Clock, bus: tuple[str, str], stack: ExitStack, *, patience_s: float = 0.0
+def canopen_drive(
+    axis: DriveAxis,
+    clock: Clock,
+    bus: tuple[str, str],
+    stack: ExitStack,
+    *,
+    patience_s: float = 0.0,
+    links: Links | None = None,
 ) -> CanOpenDrive:
     """bus: python-can's interface and channel; patience_s: real time that an answer may take at least."""
     config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus
     bitrate = None if interface == "virtual" else config.bitrate
-    link = stack.enter_context(CanLink.open(clock, interface=interface, channel=channel, bitrate=bitrate))
+    shared = Links() if links is None else links
+    if bus not in shared.can:
+        shared.can[bus] = stack.enter_context(
+            CanLink.open(clock, interface=interface, channel=channel, bitrate=bitrate)
+        )
     settings = CanOpenSettings(
         sdo_timeout_s=max(config.sdo_timeout_s, patience_s),
         sample_timeout_s=max(config.sample_timeout_s, patience_s),
@@ -174,18 +193,21 @@ def _canopen(
         homing=HomingSettings(homing.method, homing.speed_switch_mm_s, homing.speed_zero_mm_s, homing.home_position_mm),
     )
     return CanOpenDrive(
-        axis.name, axis.scaling, axis.limits, clock, link=link, node_id=config.node_id, settings=settings
+        axis.name, axis.scaling, axis.limits, clock, link=shared.can[bus], node_id=config.node_id, settings=settings
     )
 
 
-def _modbus(axis: AxisConfig, clock: Clock, endpoint: Endpoint, unit: int) -> ModbusDrive:
+def modbus_drive(
+    axis: DriveAxis, clock: Clock, endpoint: Endpoint, unit: int, links: Links | None = None
+) -> ModbusDrive:
     """The register map decides what the drive is; writes to its EEPROM are counted beside the axis's campaigns."""
+    shared = Links() if links is None else links
     return ModbusDrive(
         axis.name,
         axis.scaling,
         axis.limits,
         clock,
-        link=ModbusLink(endpoint, clock),
+        link=shared.modbus.setdefault(endpoint, ModbusLink(endpoint, clock)),
         unit=unit,
         drive_map=load_drive_map(axis.drive.register_map),
         wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
