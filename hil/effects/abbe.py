@@ -6,12 +6,16 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+from numpy.polynomial import legendre
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
 from hil.effects.survey import Survey
 
 ANGLES = ("pitch_urad", "yaw_urad")
 TILT, CHANGING = "tilt", "arm changing along the travel"
+SECOND_OFFSET = {"straight tilt, two offsets": 1, "tilt, two offsets": 3}
+"""Forms without a level, for a measuring line moved by `abbe_offset_mm` from where it was (0): orders of the tilt's course."""
+ARMS_MM = (-1000.0, -400.0, -150.0, -60.0, 60.0, 150.0, 400.0, 1000.0)
 UM_PER_URAD_MM = 1e-3
 
 
@@ -27,12 +31,22 @@ class Abbe(Effect):
     def forms(self, survey: Survey) -> tuple[Form, ...]:
         constants = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         angles = [name for name in ANGLES if survey.has(name)]
+        arm = NonLinear("arm_mm", -5000.0, 5000.0, logarithmic=False)
+        moved = ("abbe_offset_mm", "target_mm")
         return (
             *(Form(self.id, TILT, (name,)) for name in angles),
             *(Form(self.id, CHANGING, (name, "target_mm"), constants, scan=False) for name in angles),
+            *(
+                Form(self.id, name, moved, constants, (arm,), tuple((value,) for value in ARMS_MM))
+                for name in (SECOND_OFFSET if survey.has(*moved) else ())
+            ),
         )
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
+        if form.name in SECOND_OFFSET:
+            u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
+            course = legendre.legvander(np.clip(u, -1.1, 1.1), SECOND_OFFSET[form.name])[:, 1:]
+            return np.asarray((theta[0] + columns["abbe_offset_mm"])[:, None] * course * UM_PER_URAD_MM)
         tilt = columns[form.inputs[0]] * UM_PER_URAD_MM
         if form.name == TILT:
             return np.asarray(tilt)[:, None]
@@ -42,14 +56,21 @@ class Abbe(Effect):
         raise KeyError(form.name)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
+        if term.form.name in SECOND_OFFSET:
+            return {"arm_mm": term.nonlinear(0), "tilt_to_the_end_urad": term.coefficient(0)}
         found = {"arm_mm": term.coefficient(0)}
         if term.form.name == CHANGING:
             found["arm_change_mm"] = term.coefficient(1)
         return found
 
     def explain(self, term: Term) -> str:
+        if term.form.name in SECOND_OFFSET:
+            return (
+                f"The error changes with the offset of the measuring line, as a tilt on an arm of {term.nonlinear(0)} mm"
+                " does: Abbe offset."
+            )
         return f"The error follows {term.form.inputs[0]} on an arm of {term.coefficient(0)} mm: Abbe offset of the measuring line."
 
     def implausible(self, term: Term) -> str | None:
-        size = abs(term.coefficients[0])
+        size = abs(term.theta[0] if term.form.name in SECOND_OFFSET else term.coefficients[0])
         return f"an arm of {size:.0f} mm is longer than a machine" if size > 5000 else None

@@ -15,6 +15,9 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Ri
 from hil.effects.survey import Survey
 
 SCALE = "scale"
+AS_FOUND = "scale, gone since the realignment"
+FIRST_SETUP = 1.0
+"""Value of the column `setup` before the beam was realigned for the first time; it counts up with every realignment."""
 UM_PER_MM_PPM = 1e-3
 
 
@@ -30,12 +33,19 @@ class Cosine(Effect):
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
-        return (Form(self.id, SCALE, ("target_mm",)),) if survey.has("target_mm") else ()
+        if not survey.has("target_mm"):
+            return ()
+        if survey.has("setup"):
+            return (Form(self.id, AS_FOUND, ("target_mm", "setup")),)
+        return (Form(self.id, SCALE, ("target_mm",)),)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-        if form.name != SCALE:
-            raise KeyError(form.name)
-        return np.asarray(columns["target_mm"] * -UM_PER_MM_PPM)[:, None]
+        scale = np.asarray(columns["target_mm"] * -UM_PER_MM_PPM)
+        if form.name == SCALE:
+            return scale[:, None]
+        if form.name == AS_FOUND:
+            return np.asarray(np.where(columns["setup"] == FIRST_SETUP, scale, 0.0))[:, None]
+        raise KeyError(form.name)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         scale = term.coefficient(0)
@@ -43,9 +53,10 @@ class Cosine(Effect):
         return {"scale_ppm": scale, "angle_urad": Estimate(angle, 1e6 * scale.std / max(angle, 1.0))}
 
     def explain(self, term: Term) -> str:
+        rest = "a lead error of the screw looks the same" if term.form.name == SCALE else "realigning it took that away"
         return (
             f"The reading is short by {term.coefficient(0)} ppm of the position, as a beam misaligned by"
-            f" {term.parameters['angle_urad']} µrad is; a lead error of the screw looks the same."
+            f" {term.parameters['angle_urad']} µrad is; {rest}."
         )
 
     def implausible(self, term: Term) -> str | None:
