@@ -6,7 +6,7 @@ What may go in: enumeration and scoring of fixed columns. Refinement of the non-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,24 +26,27 @@ BLIND = 0.01
 
 @dataclass(frozen=True)
 class Blocks:
-    """Columns (n, J) in blocks: first column and width of each, whether its coefficients are shrunk, shape (c,)."""
+    """Columns (n, J) in blocks: first column and width of each, whether its coefficients are shrunk, log odds beforehand, (c,)."""
 
     columns: Floats
     first: Ints
     width: Ints
     shrunk: NDArray[np.bool_]
+    log_prior: Floats
 
     @classmethod
-    def of(cls, blocks: Sequence[Floats], rows: int, shrunk: Sequence[bool] | None = None) -> Blocks:
+    def of(cls, blocks: Sequence[Floats], rows: int) -> Blocks:
+        """Blocks (n, k) of free coefficients, none likelier than another."""
         width = np.array([block.shape[1] for block in blocks], dtype=np.int64)
         first = (np.cumsum(width) - width).astype(np.int64)
-        flags = np.zeros(len(blocks), dtype=np.bool_) if shrunk is None else np.array(shrunk, dtype=np.bool_)
-        return cls(np.hstack(blocks) if blocks else np.zeros((rows, 0)), first, width, flags)
+        columns = np.hstack(blocks) if blocks else np.zeros((rows, 0))
+        return cls(columns, first, width, np.zeros(len(blocks), dtype=np.bool_), np.zeros(len(blocks)))
 
     @classmethod
     def of_choices(cls, choices: Sequence[Choice], campaign: Campaign) -> Blocks:
-        columns = [choice.columns(campaign) for choice in choices]
-        return cls.of(columns, len(campaign), [choice.form.shrunk for choice in choices])
+        blocks = cls.of([choice.columns(campaign) for choice in choices], len(campaign))
+        shrunk = np.array([choice.form.shrunk for choice in choices], dtype=np.bool_)
+        return replace(blocks, shrunk=shrunk, log_prior=np.array([choice.log_prior for choice in choices]))
 
     def block(self, index: int) -> Floats:
         """Columns of one block, shape (n, k)."""
@@ -159,6 +162,7 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
     for i in np.flatnonzero(blocks.shrunk):
         values, ratios = random_gain(frame, blocks.block(int(i)))
         gain[i], variance[i], visible[i] = values, float(np.ravel(ratios)[0]), 1.0
+    gain += blocks.log_prior[:, None]
     gain[visible < blind] = -np.inf
     return Scores(gain if many else gain[:, 0], visible, variance)
 

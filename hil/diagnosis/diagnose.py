@@ -33,8 +33,6 @@ TEMPERATURE = 2.0
 LEAST_CONFIDENCE = 0.02
 ONCE = frozenset({"datum_step", "beam_drift"})
 """What happens once cannot be asked to help on a run left out."""
-RIVAL_SHARE = 0.05
-"""Weight from which a rival's help on a run left out counts for the effect, since either may be chosen there."""
 OUTSIDE = "unexplained"
 """Stands among the rivals for a dependence on other columns that no effect of the catalogue has."""
 
@@ -56,7 +54,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     campaign = prepare(records)
     problem = problem_of(campaign, effects, declared, seed)
     chosen = choose(problem)
-    left_out = held_out(problem, chosen.critical)
+    left_out = held_out(problem, chosen)
     chosen, unexplained, dropped = gated(chosen, left_out)
     noise = chosen.last.noise
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
@@ -88,13 +86,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
 def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
     """Without the terms that do not help on runs left out; whether the structure found does; the effects dropped."""
     last = chosen.last
-    none = np.zeros(len(left_out.structure))
-
-    def gain(effect: str) -> Floats:
-        alike = {effect, *(name for name, weight in _weights(chosen, effect).items() if weight > RIVAL_SHARE)}
-        return np.asarray(sum((left_out.gain.get(name, none) for name in alike), none))
-
-    kept = tuple(c for c in last.choices if c.effect.id in ONCE or earns_its_place(gain(c.effect.id)))
+    kept = tuple(c for c in last.choices if c.effect.id in ONCE or earns_its_place(left_out.gain[c.effect.id]))
     hits = [hit for selected in chosen.selections for hit in selected.hits]
     unexplained = bool(hits) and (max(hit.gain for hit in hits) > SURE or earns_its_place(left_out.structure))
     if len(kept) == len(last.choices):

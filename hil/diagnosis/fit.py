@@ -49,6 +49,11 @@ class Choice:
         none = columns[:, :0]
         return Extra(none, columns * math.sqrt(self.variance)) if self.form.shrunk else Extra(columns, none)
 
+    @property
+    def log_prior(self) -> float:
+        """Log odds of its parameters beforehand."""
+        return sum(p.log_prior(value) for p, value in zip(self.form.nonlinear, self.theta, strict=True))
+
     def as_term(self, coefficients: Floats, covariance: Floats | None = None) -> Term:
         """With coefficients (k,), and the covariance (k + t, k + t) of coefficients and parameters where it is known."""
         size = len(coefficients) + len(self.theta)

@@ -11,10 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.choose import Critical, Problem, choose_without
-from hil.diagnosis.search import LIGHT, Searcher
+from hil.diagnosis.choose import Chosen, Problem, choose_without
+from hil.diagnosis.fit import Choice
+from hil.diagnosis.refine import refine
+from hil.diagnosis.search import LIGHT, Searcher, View
+from hil.diagnosis.select import Selected
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 MOST_FOLDS = 10
 
 
@@ -23,7 +27,9 @@ class HeldOut:
     """Residuals of the rows when they were left out, each shape (n,), and how the rows were left out.
 
     before: of the declared model; after: with the machine's effects; setup: with those of instrument and set-up too
-    gain: by effect, squared error it took away in each fold, shape (folds,), µm²; structure: the same of unexplained structure
+    gain: by effect chosen on all rows, the squared error it takes away in each fold, shape (folds,), µm²: everything refitted
+        without the fold, with it and without it
+    structure: the same of unexplained structure, where the choice without the fold finds any
     """
 
     before: Floats
@@ -44,8 +50,8 @@ def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
     return (run * MOST_FOLDS // runs).astype(np.int64), "leave-runs-out in groups"
 
 
-def held_out(problem: Problem, critical: Sequence[Critical]) -> HeldOut:
-    """Leave out, choose, fit, predict. critical: gains an effect needs, for each step of the choice."""
+def held_out(problem: Problem, whole: Chosen) -> HeldOut:
+    """Leave out, choose, fit, predict. whole: what was chosen on all rows, with the gains an effect needs there."""
     campaign = problem.campaign
     y = campaign.error_um
     fold, how = folds(campaign.run)
@@ -57,7 +63,7 @@ def held_out(problem: Problem, critical: Sequence[Critical]) -> HeldOut:
     for index in range(count):
         out = fold == index
         columns = {name: values[out] for name, values in campaign.columns.items()}
-        chosen = choose_without(problem, out, critical)
+        chosen = choose_without(problem, out, whole.critical)
         if problem.declared is not None:
             base = problem.declared
         else:
@@ -68,11 +74,34 @@ def held_out(problem: Problem, critical: Sequence[Critical]) -> HeldOut:
         before[out] = y[out] - base.error_um(columns)
         setup[out] = y[out] - chosen.fit.whole.error_um(columns)
         after[out] = y[out] - chosen.fit.extended.error_um(columns)
-        for term in chosen.fit.found:
-            fall = np.sum((setup[out] + term.error_um(columns)) ** 2) - np.sum(setup[out] ** 2)
-            gain.setdefault(term.effect.id, [0.0] * count)[index] += float(fall)
+        for effect, fall in gains_without(problem, whole.last, out).items():
+            gain.setdefault(effect, []).append(fall)
         structure[index] = float(np.sum(setup[out] ** 2) - np.sum((setup[out] - chosen.fit.nuisance_um[out]) ** 2))
     return HeldOut(before, after, setup, {name: np.array(values) for name, values in gain.items()}, structure, how)
+
+
+def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:
+    """By effect, the squared error of the rows left out that it takes away, µm², with its parameters found again on the others.
+
+    A campaign of few runs hardly lets an effect be chosen again without one of them; whether it predicts that run is asked here.
+    """
+    campaign = problem.campaign
+    columns = {name: values[out] for name, values in campaign.columns.items()}
+    whole = selected.searcher
+    searcher = Searcher(whole.setting, whole.candidates, out, LIGHT)
+    searcher.nuisance = whole.nuisance
+    refound = list(selected.choices)
+    for i, choice in enumerate(refound):
+        view = View(searcher, [*refound[:i], *refound[i + 1 :]])
+        refound[i] = refine(view.frame(selected.noise), [choice], LIGHT.rounds)[0][0]
+
+    def left(choices: Sequence[Choice]) -> float:
+        model = searcher.fit(choices, selected.noise).whole
+        return float(np.sum((campaign.error_um[out] - model.error_um(columns)) ** 2))
+
+    everything = left(refound)
+    names = dict.fromkeys(choice.effect.id for choice in refound)
+    return {name: left([c for c in refound if c.effect.id != name]) - everything for name in names}
 
 
 def earns_its_place(gain: Floats) -> bool:

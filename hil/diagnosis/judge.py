@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.candidates import score
-from hil.diagnosis.evidence import Bench, Extra, Frame, Noise, random_gain
+from hil.diagnosis.evidence import MOST_OFFSET, Bench, Extra, Frame, Noise, random_gain
 from hil.diagnosis.fit import Choice
-from hil.diagnosis.null import Null, null_maxima, simulate, tail_probability
+from hil.diagnosis.null import CAMPAIGNS, Null, null_maxima, simulate, tail_probability
 from hil.diagnosis.search import Searcher, Stage
 from hil.diagnosis.structure import Catalogue, Structure
 
@@ -30,6 +30,7 @@ WINNER = 0.02
 SURE = 35.0
 HOPELESS = 2.0
 STRUCTURE_CAMPAIGNS = 300
+OFFSETS = np.linspace(0.0, MOST_OFFSET, 9)
 USUAL = 12.0
 USUAL_STRUCTURE = 12.0
 """Log Bayes factors: taken without asking, not worth asking, and what is asked where no null was simulated."""
@@ -58,9 +59,12 @@ class NullJudge:
         """Chance of any effect getting as far as the farthest one did, in noise alone."""
         key = len(chosen)
         if key not in self.asked:
-            beside = searcher.extra(chosen)
-            noises = tuple(dict.fromkeys((noise, noise.calm())))
-            self.asked[key] = null_maxima(searcher.bench, searcher.candidates, noises, beside, seed=self.seed)
+            offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
+            typical = replace(noise, offset=float(np.median(offsets)))
+            noises = tuple(dict.fromkeys((noise, noise.calm(), typical)))
+            self.asked[key] = null_maxima(
+                searcher.bench, searcher.candidates, noises, offsets, searcher.extra(chosen), seed=self.seed
+            )
         null = self.null = self.asked[key]
         values = [
             null.probability(r.effect, r.evidence - stage.before) for r in stage.ranking if r.effect in null.maxima
@@ -78,6 +82,17 @@ class NullJudge:
             good = [value for value in grid if self.null.probability(effect, float(value)) < wanted]
             critical[effect] = float(good[0]) if good else 40.0
         return critical
+
+
+def run_offsets(searcher: Searcher, choices: Sequence[Choice], noise: Noise, seed: int) -> Floats:
+    """Standard deviations the run offsets may have, as far as is known with some choices in the fit, shape (CAMPAIGNS,).
+
+    With the best candidate in it, so that a drift from run to run does not make the offsets it then hides behind.
+    """
+    trials = [replace(noise, offset=float(offset)) for offset in OFFSETS]
+    odds = np.array([searcher.evidence(choices, trial) for trial in trials])
+    weight = np.exp(odds - np.max(odds))
+    return np.random.default_rng(seed).choice(OFFSETS, CAMPAIGNS, p=weight / np.sum(weight))
 
 
 @dataclass(frozen=True)
@@ -135,7 +150,7 @@ class Scout:
 
     def _probability(self, frame: Frame, bench: Bench, structure: Structure, gain: float) -> float:
         catalogue = self.catalogue
-        y = simulate(bench, frame.noise, STRUCTURE_CAMPAIGNS, self.seed + 1)
+        y = simulate(bench, frame.noise, np.full(STRUCTURE_CAMPAIGNS, frame.noise.offset), self.seed + 1)
         null = bench.frame(frame.noise, y, frame.extra)
         tests = 1 + len(catalogue.fine)
         if structure in catalogue.fine:

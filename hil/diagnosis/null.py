@@ -52,22 +52,30 @@ def tail_probability(sample: Floats, floor: float, value: float) -> float:
     return float(max(gumbel, gamma))
 
 
-def simulate(bench: Bench, noise: Noise, count: int, seed: int) -> Floats:
-    """Campaigns of table roughness, run offsets and noise alone, unit white noise, shape (n, count)."""
+def simulate(bench: Bench, noise: Noise, offsets: Floats, seed: int) -> Floats:
+    """Campaigns of table roughness, run offsets and noise alone, unit white noise, shape (n, count).
+
+    offsets: standard deviation of the run offsets of each campaign, shape (count,)
+    """
     rng = np.random.default_rng(seed)
-    whitened = bench.whitened(noise)
-    y = whitened.colour(rng.normal(size=(len(bench.campaign), count)))
-    ridge = bench.table.ridge(noise)
-    random = ridge > 0
+    count = len(offsets)
+    y = bench.whitened(noise).colour(rng.normal(size=(len(bench.campaign), count)))
+    ridge = bench.table.ridge(noise)[: bench.table.table_width]
+    random = np.flatnonzero(ridge > 0)
     parts = bench.table.stacked[:, random] / np.sqrt(ridge[random])
-    return np.asarray(y + parts @ rng.normal(size=(parts.shape[1], count)))
+    y += parts @ rng.normal(size=(parts.shape[1], count))
+    return np.asarray(y + bench.table.offset @ (offsets * rng.normal(size=(bench.table.offset.shape[1], count))))
 
 
 def null_maxima(
-    bench: Bench, candidates: Candidates, noises: Sequence[Noise], beside: Extra, *, seed: int, count: int = CAMPAIGNS
+    bench: Bench, candidates: Candidates, noises: Sequence[Noise], offsets: Floats, beside: Extra, *, seed: int
 ) -> Null:
-    """The null distribution for noise model noises[0], profiled over all of `noises`, with the columns `beside` in every fit."""
-    y = simulate(bench, noises[0], count, seed)
+    """The null distribution for noise model noises[0], profiled over all of `noises`, with the columns `beside` in every fit.
+
+    offsets: standard deviation of the run offsets of each simulated campaign, shape (b,)
+    """
+    y = simulate(bench, noises[0], offsets, seed)
+    count = len(offsets)
     best_null = np.full(count, -np.inf)
     best = np.full((len(candidates.effects), count), -np.inf)
     for noise in noises:

@@ -138,7 +138,8 @@ class Searcher:
         """Log marginal likelihood of table, noise and some choices, up to a constant of the rows."""
         extra = self.extra(choices)
         frame = self.frame(noise, Extra(self.always.free, extra.random))
-        return float(frame.log_null) + frame.gain(extra.free[:, self.always.free.shape[1] :])
+        known = sum(choice.log_prior for choice in choices)
+        return float(frame.log_null) + frame.gain(extra.free[:, self.always.free.shape[1] :]) + known
 
     def profiled_evidence(self, choices: Sequence[Choice], noise: Noise) -> tuple[float, Noise]:
         """Best evidence of the choices over the grid of noise models."""

@@ -55,6 +55,15 @@ class NonLinear:
     upper: float
     logarithmic: bool = True
     """Searched, and its spread stated, in its logarithm."""
+    usual: tuple[float, float] | None = None
+    """Where it lies beforehand, for records that say little of it: middle, and standard deviation of its logarithm."""
+
+    def log_prior(self, value: float) -> float:
+        """Log odds of a value against the usual one; 0 where nothing is known beforehand."""
+        if self.usual is None:
+            return 0.0
+        middle, spread = self.usual
+        return -0.5 * (math.log(value / middle) / spread) ** 2
 
 
 @dataclass(frozen=True)
@@ -202,6 +211,9 @@ class Term:
         }
 
 
+LOADED_BY = "--effects FILE.py, or the package that brings it installed"
+
+
 def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
     """A term from plain values. Raises InputError naming `where` for anything that is not exactly one."""
     if not isinstance(obj, dict):
@@ -211,7 +223,9 @@ def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
         raise InputError(f"{where} has the keys {sorted(obj)}, expected {sorted(expected)}")
     known = {effect.id: effect for effect in effects}
     if obj["effect"] not in known:
-        raise InputError(f"{where} names the effect {obj['effect']!r}, which is not known; a user's own needs its file")
+        raise InputError(
+            f"{where} names the effect {obj['effect']!r}, which is not loaded; one of your own needs {LOADED_BY}"
+        )
     coefficients = numbers(obj["coefficients"], f"{where}.coefficients")
     constants = _named_numbers(obj["constants"], f"{where}.constants")
     nonlinear = _named_numbers(obj["nonlinear"], f"{where}.nonlinear")

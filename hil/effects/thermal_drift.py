@@ -1,6 +1,8 @@
 """Thermal drift: an offset of the whole axis that follows a temperature, or settles with time since the start.
 
-Mounts, spindle head, column or nut warm up and carry the origin with them, the same at both ends of the travel.
+Mounts, spindle head, column or nut warm up and carry the origin with them, the same at both ends of the travel. Where heat
+enters at one place (a nut that keeps to the middle, a motor at one end) the axis also bends: the drift then differs along the
+travel, as a cubic of position.
 """
 
 from __future__ import annotations
@@ -8,9 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
+import numpy as np
+
 from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
-from hil.effects.warming import SINCE_START, rise, temperature_forms, time_unit
+from hil.effects.warming import SINCE_START, WARMING, rise, temperature_forms, time_constants, time_unit
+
+UNEVEN = "warming since the start, unlike along the travel"
+POWERS = 4
 
 
 class ThermalDrift(Effect):
@@ -28,12 +35,24 @@ class ThermalDrift(Effect):
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
-        return temperature_forms(self.id, survey)
+        forms = temperature_forms(self.id, survey)
+        if not any(form.name == WARMING for form in forms) or not survey.has("target_mm"):
+            return forms
+        parameter, grid = time_constants(survey)
+        travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
+        return (*forms, Form(self.id, UNEVEN, (survey.time_column, "target_mm"), travel, (parameter,), grid[::2]))
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-        return rise(form, theta, columns)
+        if form.name != UNEVEN:
+            return rise(form, theta, columns)
+        u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
+        shape = np.polynomial.legendre.legvander(np.clip(u, -1.0, 1.0), POWERS - 1)
+        return np.asarray(shape * (1.0 - np.exp(-columns[form.inputs[0]] / theta[0]))[:, None])
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
+        if term.form.name == UNEVEN:
+            found = {"drift_um": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
+            return found | {f"along_the_travel_{i}_um": term.coefficient(i) for i in range(1, POWERS)}
         if term.form.name in SINCE_START:
             return {"drift_um": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
         found = {"coefficient_um_per_k": term.coefficient(0)}
@@ -42,6 +61,11 @@ class ThermalDrift(Effect):
         return found
 
     def explain(self, term: Term) -> str:
+        if term.form.name == UNEVEN:
+            return (
+                f"The axis drifts by {term.coefficient(0)} µm on average over the travel, unlike along it, and settles with a"
+                f" time constant of {term.nonlinear(0)} {time_unit(term)}: heat enters at one place and bends it."
+            )
         if term.form.name in SINCE_START:
             return (
                 f"The whole axis drifts by {term.coefficient(0)} µm and settles with a time constant of"

@@ -5,6 +5,7 @@ What may go in: the temperature rise as a column; what it does to the axis is sa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,11 +25,15 @@ GRID = 12
 
 
 def time_constants(survey: Survey) -> tuple[NonLinear, tuple[tuple[float, ...], ...]]:
-    """Bounds and grid of a settling time constant for a campaign: from a few rows to several times its length."""
+    """Bounds and grid of a settling time constant for a campaign: from a few rows to several times its length.
+
+    Beforehand it lies in the middle of these: what has hardly begun to settle looks straight, and a straight line goes on for ever.
+    """
     low = max(4 * survey.interval_s, survey.duration_s / 60)
     high = max(3 * survey.duration_s, 4 * low)
     grid = tuple((float(value),) for value in np.geomspace(low, high, GRID))
-    return NonLinear("time_constant", low / 2, 2 * high), grid
+    usual = (math.sqrt(low * high), math.log(high / low) / math.sqrt(12.0))
+    return NonLinear("time_constant", low / 2, 2 * high, usual=usual), grid
 
 
 def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...] = ()) -> tuple[Form, ...]:
