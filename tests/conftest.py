@@ -27,6 +27,11 @@ def vcan_here() -> bool:
     return True
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`pytest tests/contract/test_effects.py --effects FILE.py` runs the suite on a user's own effects."""
+    parser.addoption("--effects", metavar="FILE.py", action="append", default=[], help="Python code with EFFECTS = (…)")
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Two processes for the whole suite; named files stay in this one, where a debugger and -s work."""

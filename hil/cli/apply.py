@@ -12,6 +12,7 @@ from hil.cli.output import add_json_option, print_facts, write_json
 from hil.cli.records_input import add_records_argument, read_model, read_records
 from hil.files import replace_file
 from hil.records import to_csv
+from hil.user_effects import blaming
 
 EXAMPLE = """\
 example:
@@ -42,12 +43,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Apply and write. Raises InputError when the records lack a column the model needs."""
-    model = read_model(args.model, read_effects(args.effects))
-    records = read_records(args.records, args.runs)
-    try:
-        correction = model.correction_um(records.columns)
-    except InputError as error:
-        raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+    effects = read_effects(args.effects)
+    with blaming(effects):
+        model = read_model(args.model, effects)
+        records = read_records(args.records, args.runs)
+        try:
+            correction = model.correction_um(records.columns)
+        except InputError as error:
+            raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
     before = records.uncorrected_error_um
     after = before + correction
     out = records.with_column("correction_um", correction).with_column("residual_um", after)

@@ -10,11 +10,13 @@ from hil.cli.output import add_json_option, print_facts, print_table, write_json
 from hil.cli.records_input import add_records_argument, read_model, read_records
 from hil.diagnosis import Diagnosis, diagnose
 from hil.files import replace_file
+from hil.user_effects import blaming, check_on
 
 EXAMPLE = """\
 example:
   hil diagnose records.csv --json diagnosis.json --out extended.json
   hil diagnose check.csv --model model.json --json diagnosis.json --out extended.json
+  hil diagnose records.csv --effects coolant_level.py
 
 Without --model the declared model (a table per direction) is fitted from the records themselves. Exit 0: what is left is
 explained or within the noise; 1: structure is left that nothing in the catalogue explains.
@@ -42,12 +44,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write. Returns 1 when something is left unexplained. Raises InputError for bad records or model."""
     effects = read_effects(args.effects)
-    declared = read_model(args.model, effects) if args.model else None
-    records = read_records(args.records, args.runs)
-    try:
-        diagnosis = diagnose(records, declared, effects=effects)
-    except InputError as error:
-        raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+    with blaming(effects):
+        declared = read_model(args.model, effects) if args.model else None
+        records = read_records(args.records, args.runs)
+        try:
+            check_on(effects, records.columns)
+            diagnosis = diagnose(records, declared, effects=effects)
+        except InputError as error:
+            raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
     if args.out:
         replace_file(args.out, diagnosis.extended.to_json().encode("utf-8"))
     if args.json:

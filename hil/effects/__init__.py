@@ -1,7 +1,7 @@
 """The catalogue of effects: what can make an axis err, one file each behind one protocol.
 
-The registry is the explicit tuple `ALL`. A user's own effect is given beside it by hand (`hil diagnose --effects FILE.py`), never by a
-data file.
+The registry is the explicit tuple `ALL`. A user's own effect stands beside it in a tuple that is passed along
+(`hil.user_effects`): given by hand (`hil diagnose --effects FILE.py`) or by an installed package, never by a data file.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from hil.effects.abbe import Abbe
 from hil.effects.air_index import AirIndex
 from hil.effects.backlash import Backlash
 from hil.effects.backlash_position import BacklashPosition
-from hil.effects.base import Action, Columns, Effect, Estimate, Form, NonLinear, Rival, Term, term_from_json
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term, term_from_json
 from hil.effects.beam_drift import BeamDrift
 from hil.effects.cosine import Cosine
 from hil.effects.cross_axis import CrossAxis
@@ -52,6 +52,7 @@ __all__ = [
     "Columns",
     "Effect",
     "Estimate",
+    "Floats",
     "Form",
     "NonLinear",
     "Rival",

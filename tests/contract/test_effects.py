@@ -1,9 +1,16 @@
-"""One suite for every effect: what the diagnosis, the model file and the engine ask of each."""
+"""One suite for every effect: what the diagnosis, the model file and the engine ask of each.
+
+`pytest tests/contract/test_effects.py --effects FILE.py` runs it on a user's own. Columns that the record format does not name are
+made up from the file's `COLUMNS = {"name": usual value}`.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,6 +18,8 @@ import pytest
 from drivers.errors import InputError
 from hil.effects import ALL, Action, Effect, Form, Survey, Term, survey_of, term_from_json
 from hil.effects.history import complete
+from hil.examples import coolant_level
+from hil.user_effects import catalogue_with, effects_of_file
 
 PARAMETERS = {"cyclic": {"period_mm", "amplitude_um", "phase"}}
 """Names that users of the JSON rely on."""
@@ -31,8 +40,8 @@ IDS = {
 } | NEVER_COMPENSATED
 
 
-def rich_columns(rows: int = 96) -> dict[str, np.ndarray]:
-    """A campaign in which everything varies and nothing follows anything else."""
+def rich_columns(more: Mapping[str, float], rows: int = 96) -> dict[str, np.ndarray]:
+    """A campaign in which everything varies and nothing follows anything else; `more` columns by name and usual value."""
     rng = np.random.default_rng(4)
     names = {
         "temp_screw_c": 22.0,
@@ -56,25 +65,58 @@ def rich_columns(rows: int = 96) -> dict[str, np.ndarray]:
         "stroke_mm": rng.uniform(1.0, 200.0, rows),
         "air_pressure_hpa": 1000.0 + rng.normal(size=rows) * 5,
     }
+    columns |= {name: usual + 0.1 * max(abs(usual), 1.0) * rng.normal(size=rows) for name, usual in more.items()}
     return complete(columns)
 
 
-COLUMNS = rich_columns()
-SURVEY: Survey = survey_of(COLUMNS)
-FORMS = [(effect, form) for effect in ALL for form in effect.forms(SURVEY)]
+@dataclass(frozen=True)
+class Subject:
+    """An effect under test, those it may name as rivals, and a campaign that shows it."""
+
+    effect: Effect
+    others: frozenset[str]
+    columns: Mapping[str, np.ndarray]
+    survey: Survey
 
 
-def term_of(effect: Effect, form: Form) -> Term:
+CATALOGUE_COLUMNS = rich_columns({})
+CATALOGUE_SURVEY = survey_of(CATALOGUE_COLUMNS)
+
+
+def subjects(paths: Sequence[str]) -> list[Subject]:
+    """The catalogue, the shipped example and the effects of the files, or of the files alone."""
+    if not paths:
+        files = [coolant_level.__file__]
+        whole = [Subject(effect, frozenset(IDS) - {effect.id}, CATALOGUE_COLUMNS, CATALOGUE_SURVEY) for effect in ALL]
+    else:
+        files, whole = list(paths), []
+    known = frozenset(effect.id for effect in catalogue_with(files))  # as the command line does, with its checks
+    for path in files:
+        own = effects_of_file(path)
+        columns = rich_columns(getattr(sys.modules[type(own[0]).__module__], "COLUMNS", {}))
+        whole.extend(Subject(effect, known - {effect.id}, columns, survey_of(columns)) for effect in own)
+    return whole
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """`subject`: every effect; `subject, form`: every form of every effect."""
+    if "subject" not in metafunc.fixturenames:
+        return
+    chosen = subjects(metafunc.config.getoption("--effects"))
+    if "form" not in metafunc.fixturenames:
+        metafunc.parametrize("subject", chosen, ids=[s.effect.id for s in chosen])
+        return
+    pairs = [(s, form) for s in chosen for form in s.effect.forms(s.survey)]
+    metafunc.parametrize(("subject", "form"), pairs, ids=[f"{s.effect.id}-{form.name}" for s, form in pairs])
+
+
+def term_of(subject: Subject, form: Form) -> Term:
     """A term with made-up values, at the first grid point of its non-linear parameters."""
-    theta = form.starts[0]
-    width = effect.basis(form, theta, COLUMNS).shape[1]
+    effect, theta = subject.effect, form.starts[0]
+    width = effect.basis(form, theta, subject.columns).shape[1]
     size = width + len(theta)
     covariance = tuple(tuple(0.01 if i == j else 0.0 for j in range(size)) for i in range(size))
     return Term(effect, form, theta, tuple(1.0 + 0.1 * i for i in range(width)), covariance)
-
-
-def named(value: object) -> str:
-    return value.id if isinstance(value, Effect) else value.name if isinstance(value, Form) else str(value)
 
 
 def test_the_catalogue_is_the_agreed_one() -> None:
@@ -83,80 +125,75 @@ def test_the_catalogue_is_the_agreed_one() -> None:
     assert {effect.id for effect in ALL if effect.action is not Action.COMPENSATE} == NEVER_COMPENSATED
 
 
-@pytest.mark.parametrize("effect", ALL, ids=named)
-def test_it_shows_in_a_rich_campaign_and_names_its_rivals(effect: Effect) -> None:
-    assert effect.forms(SURVEY)
+def test_it_shows_in_a_rich_campaign_and_names_its_rivals(subject: Subject) -> None:
+    effect = subject.effect
+    assert effect.forms(subject.survey), "no form: does the file's COLUMNS name the columns that it reads?"
     assert effect.rivals
     for rival in effect.rivals:
-        assert rival.effect in IDS - {effect.id}
+        assert rival.effect in subject.others
         assert len(rival.separate_by) > 10
 
 
-@pytest.mark.parametrize(("effect", "form"), FORMS, ids=named)
-def test_its_basis_is_finite_and_of_one_width_over_its_whole_grid(effect: Effect, form: Form) -> None:
+def test_its_basis_is_finite_and_of_one_width_over_its_whole_grid(subject: Subject, form: Form) -> None:
     widths = set()
     for theta in form.starts:
         assert len(theta) == len(form.nonlinear)
         for value, parameter in zip(theta, form.nonlinear, strict=True):
             assert parameter.lower <= value <= parameter.upper
-        basis = effect.basis(form, theta, COLUMNS)
-        assert basis.shape[0] == SURVEY.rows
+        basis = subject.effect.basis(form, theta, subject.columns)
+        assert basis.shape[0] == subject.survey.rows
         assert np.all(np.isfinite(basis))
         widths.add(basis.shape[1])
     assert len(widths) == 1
 
 
-@pytest.mark.parametrize(("effect", "form"), FORMS, ids=named)
-def test_it_reads_only_what_it_says_and_only_the_past(effect: Effect, form: Form) -> None:
+def test_it_reads_only_what_it_says_and_only_the_past(subject: Subject, form: Form) -> None:
     """Rows to come, and columns it did not name, change nothing: the engine asks row by row."""
-    term = term_of(effect, form)
-    named_only = {name: COLUMNS[name] for name in form.inputs}
+    term, half = term_of(subject, form), subject.survey.rows // 2
+    named_only = {name: subject.columns[name] for name in form.inputs}
     whole = term.error_um(named_only)
-    half = term.error_um({name: values[: SURVEY.rows // 2] for name, values in named_only.items()})
-    np.testing.assert_allclose(half, whole[: SURVEY.rows // 2], rtol=0, atol=1e-9)
+    first_half = term.error_um({name: values[:half] for name, values in named_only.items()})
+    np.testing.assert_allclose(first_half, whole[:half], rtol=0, atol=1e-9)
     first = term.error_um({name: values[:1] for name, values in named_only.items()})
     np.testing.assert_allclose(first, whole[:1], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("effect", "form"), FORMS, ids=named)
-def test_it_survives_the_model_file_and_says_what_it_is(effect: Effect, form: Form) -> None:
-    term = term_of(effect, form)
-    again = term_from_json(json.loads(json.dumps(term.to_json())), ALL, "terms[0]")
-    np.testing.assert_array_equal(again.error_um(COLUMNS), term.error_um(COLUMNS))
+def test_it_survives_the_model_file_and_says_what_it_is(subject: Subject, form: Form) -> None:
+    term = term_of(subject, form)
+    again = term_from_json(json.loads(json.dumps(term.to_json())), [*ALL, subject.effect], "terms[0]")
+    np.testing.assert_array_equal(again.error_um(subject.columns), term.error_um(subject.columns))
     sentence = term.effect.explain(term)
     assert sentence.endswith(".")
     assert any(character.isdigit() for character in sentence)
     parameters = term.parameters
     assert parameters
-    assert PARAMETERS.get(effect.id, set()) <= set(parameters)
+    assert PARAMETERS.get(subject.effect.id, set()) <= set(parameters)
     for estimate in parameters.values():
         assert math.isfinite(estimate.value)
         assert estimate.std >= 0 or math.isnan(estimate.std)
 
 
-@pytest.mark.parametrize(("effect", "form"), FORMS, ids=named)
-def test_a_missing_or_empty_column_is_refused_by_name(effect: Effect, form: Form) -> None:
-    term = term_of(effect, form)
+def test_a_missing_or_empty_column_is_refused_by_name(subject: Subject, form: Form) -> None:
+    term = term_of(subject, form)
     for name in form.inputs:
-        without = {key: values for key, values in COLUMNS.items() if key != name}
+        without = {key: values for key, values in subject.columns.items() if key != name}
         with pytest.raises(InputError, match=name):
             term.error_um(without)
         with pytest.raises(InputError, match=name):
-            term.error_um({**COLUMNS, name: np.full(SURVEY.rows, np.nan)})
+            term.error_um({**subject.columns, name: np.full(subject.survey.rows, np.nan)})
 
 
-@pytest.mark.parametrize("effect", ALL, ids=named)
-def test_a_column_that_does_not_vary_gives_it_nothing_to_fit(effect: Effect) -> None:
+def test_a_column_that_does_not_vary_gives_it_nothing_to_fit(subject: Subject) -> None:
     """With position and direction alone, only what position, direction and order can show is offered."""
-    bare = {name: COLUMNS[name] for name in ("run", "direction", "target_mm", "measured_mm")}
+    bare = {name: subject.columns[name] for name in ("run", "direction", "target_mm", "measured_mm")}
     survey = survey_of(complete(bare))
-    for form in effect.forms(survey):
+    for form in subject.effect.forms(survey):
         assert set(form.inputs) <= set(complete(bare))
 
 
 def test_a_term_of_an_unknown_effect_or_form_is_refused() -> None:
-    effect, form = FORMS[0]
-    plain = term_of(effect, form).to_json()
+    subject = Subject(ALL[0], frozenset(), CATALOGUE_COLUMNS, CATALOGUE_SURVEY)
+    plain = term_of(subject, ALL[0].forms(CATALOGUE_SURVEY)[0]).to_json()
     for change in (
         {"effect": "gremlins"},
         {"form": "no such form"},
