@@ -1,6 +1,7 @@
 """Fixtures that more than one corner of the tests uses; anything of a single corner lives there."""
 
 import os
+import signal
 import socket
 import time
 from collections.abc import Callable
@@ -30,6 +31,12 @@ def vcan_here() -> bool:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`pytest tests/contract/test_effects.py --effects FILE.py` runs the suite on a user's own effects."""
     parser.addoption("--effects", metavar="FILE.py", action="append", default=[], help="Python code with EFFECTS = (…)")
+
+
+def pytest_configure() -> None:
+    """A shell starts background jobs with SIGINT ignored, and so would be every process that a test interrupts."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)
