@@ -11,6 +11,7 @@ import numpy as np
 from drivers.errors import InputError
 from hil.axis import load_axis
 from hil.cli.axis_options import add_password_options, open_store
+from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.format_options import CONTROLLER_OPTIONS, add_options, controller_names, settings_from
 from hil.cli.output import add_json_option, print_facts, write_json
 from hil.compensation import Compensation
@@ -51,6 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--dry-run", action="store_true", help="say what would be written, and write nothing")
     add_options(parser, "options of the formats", CONTROLLER_OPTIONS)
     add_password_options(parser, key=False)
+    add_effects_option(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)
 
@@ -87,7 +89,7 @@ def read_source(args: argparse.Namespace) -> Compensation:
     """What the source holds. Raises InputError naming it."""
     suffix = Path(args.source).suffix.lower()
     if suffix == ".toml":
-        return open_store(args, load_axis(args.source), writing=False).load()
+        return open_store(args, load_axis(args.source), writing=False).load(read_effects(args.effects))
     if suffix == ".csv":
         return Compensation(read_manual_tables(args.source))
     if suffix != ".json":
@@ -98,7 +100,7 @@ def read_source(args: argparse.Namespace) -> Compensation:
     except ValueError as error:
         raise InputError(f"is not JSON: {error}", path=args.source) from error
     if isinstance(data, dict) and data.get("format") == MODEL_FORMAT:
-        model = Model.from_json(text, args.source)
+        model = Model.from_json(text, args.source, read_effects(args.effects))
         held = model.table
         table = DirectionalTable(*(np.array(part) for part in (held.positions_mm, held.forward_um, held.backward_um)))
         return Compensation(TableSet(TableMode.BIDIRECTIONAL, table.scaled(-1.0)), model.terms)

@@ -7,6 +7,7 @@ import argparse
 from drivers.errors import InputError
 from hil.axis import load_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run, seed
+from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.iso230 import print_figures
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
@@ -41,6 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_password_options(parser, key=False)
+    add_effects_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -51,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         steps = bidirectional_steps(other_targets(axis.measurement, args.seed), axis.measurement.runs)
         print_dry_run(axis, steps, [f"rows below {axis.store.directory}"])
         return 0
-    compensation = open_store(args, axis, writing=False).load()
+    compensation = open_store(args, axis, writing=False).load(read_effects(args.effects))
     purpose = {**axis.purpose("verify"), **compensation_in_force(compensation), "seed": args.seed}
     with connected(axis) as machine, terminal_progress() as listener:
         campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)

@@ -8,13 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import bench_axis
 
 import hil.examples.coolant_level as example
 from drivers.errors import InputError
 from hil.axis import load_axis
 from hil.cli.main import main
-from hil.effects import ALL, survey_of
+from hil.compensation import Compensation
+from hil.effects import ALL, Form, Term, survey_of
 from hil.effects.history import complete
+from hil.store import SealedStore
+from hil.tables import DirectionalTable, TableMode, TableSet
 from hil.user_effects import blaming, catalogue_with, check_on, effects_of_file
 
 OWN = Path(example.__file__)
@@ -143,6 +147,31 @@ def test_only_what_comes_out_of_the_users_file_is_blamed_on_it() -> None:
 def test_an_effect_whose_columns_are_not_there_is_nothing_to_complain_about() -> None:
     columns = {name: np.arange(4.0) for name in ("run", "target_mm", "measured_mm")} | {"direction": np.ones(4)}
     assert check_on(catalogue_with([OWN]), columns) is None
+
+
+def test_a_sealed_store_that_holds_one_is_read_with_its_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = bench_axis.lay_out(tmp_path)
+    for name, value in bench_axis.PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    form = Form("coolant_level", "offset", ("coolant_level_mm",), {"mean_mm": 100.0})
+    term = Term(catalogue_with([OWN])[-1], form, (), (0.25,), ((0.01,),))
+    tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable.constant(np.array([0.0, 100.0]), 1.0))
+    store = SealedStore.of(load_axis(path), *bench_axis.PASSWORDS.values())
+    store.save(Compensation(tables, (term,)))
+    with pytest.raises(InputError, match=r"'coolant_level', which is not loaded; one of your own needs --effects"):
+        store.load()
+    loaded = store.load(catalogue_with([OWN]))
+    known = {"target_mm": np.array([50.0]), "direction": np.array([1.0]), "coolant_level_mm": np.array([104.0])}
+    assert loaded.correction_um(known) == pytest.approx([1.0 - 0.25 * 4.0])
+    for verb in (["verify", str(path)], ["export", str(path), "--format", "linuxcnc", "--out", str(tmp_path / "x")]):
+        assert main(verb) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"hil: {store.path}: X.effects[0] names the effect 'coolant_level'")
+        assert error.count("\n") == 1
+    assert main([*verb, "--effects", str(OWN)]) == 2
+    assert "holds the effects coolant_level" in capsys.readouterr().err
 
 
 @pytest.fixture
