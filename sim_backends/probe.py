@@ -1,0 +1,112 @@
+"""The simulated probe: a contact that depends on where X, Y and the spindle are, and what disturbs it from touch to touch.
+
+The geometry is `plant.touch_probe`'s. One draw of everything random holds for one touch, so that the contact is a function of place
+while a ball approaches; the next touch has its own.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass, field
+
+from sim_backends.plant.touch_probe import Bore, Chip, Face, Solid, Stylus
+
+CLEAR_MM = 0.01  # a touch is over when the ball has come so far away from where it would signal
+
+
+@dataclass(frozen=True)
+class ProbeParameters:
+    """A probe and what it may touch; seeded.
+
+    play_mm: a tool that is not drawn in goes elsewhere by up to so much at every turn of the spindle
+    """
+
+    stylus: Stylus = field(default_factory=Stylus)
+    solids: tuple[Solid, ...] = ()
+    chips: tuple[Chip, ...] = ()
+    play_mm: float = 0.0
+    seed: int = 1
+
+
+class SimulatedProbe:
+    """`closed` is the contact; `follow` tells it where the machine has come to."""
+
+    def __init__(self, parameters: ProbeParameters) -> None:
+        self.parameters = parameters
+        self.touches = 0  # begun so far
+        self.deepest_mm = 0.0  # how far the ball was ever pushed beyond its signal
+        self._rng = random.Random(parameters.seed)
+        self._play = (0.0, 0.0)
+        self._angle_deg = math.nan
+        self._touching = False
+        self._draw()
+
+    def _draw(self) -> None:
+        """What the next touch will be like."""
+        p, rng = self.parameters, self._rng
+        self._trigger_mm = p.stylus.pretravel_mm + rng.gauss(0.0, p.stylus.noise_mm)
+        present = [chip for chip in p.chips if chip.first_touch <= self.touches <= chip.last_touch]
+        self._between_mm = sum(chip.thickness_mm * (1.0 - chip.give * rng.random()) for chip in present)
+
+    def pushed_mm(self, x_mm: float, y_mm: float, spindle_deg: float) -> float:
+        """How far beyond its signal the ball is pushed there; negative: no contact."""
+        stylus = self.parameters.stylus
+        x, y, z = stylus.ball_mm((x_mm, y_mm, 0.0), math.radians(spindle_deg))
+        ball = (x + self._play[0], y + self._play[1], z)
+        nearest = min((solid.clearance_mm(ball) for solid in self.parameters.solids), default=math.inf)
+        return stylus.radius_mm + self._between_mm - nearest - self._trigger_mm
+
+    def closed(self, x_mm: float, y_mm: float, spindle_deg: float) -> bool:
+        """Whether the probe signals there, in the touch that is under way or comes next."""
+        return self.pushed_mm(x_mm, y_mm, spindle_deg) >= 0.0
+
+    def follow(self, x_mm: float, y_mm: float, spindle_deg: float) -> bool:
+        """The machine is there now; whether the probe signals."""
+        if abs(spindle_deg - self._angle_deg) > 1.0 or math.isnan(self._angle_deg):
+            self._angle_deg = spindle_deg
+            play = self.parameters.play_mm
+            self._play = (self._rng.uniform(-play, play), self._rng.uniform(-play, play))
+        pushed_mm = self.pushed_mm(x_mm, y_mm, spindle_deg)
+        self.deepest_mm = max(self.deepest_mm, pushed_mm)
+        if pushed_mm >= 0.0 and not self._touching:
+            self._touching = True
+            self.touches += 1
+        elif self._touching and pushed_mm < -CLEAR_MM:
+            self._touching = False
+            self._draw()
+        return pushed_mm >= 0.0
+
+
+def known_probe(
+    seed: int,
+    *,
+    face_mm: float,
+    face_y_mm: float,
+    facing: int,
+    tip_radius_mm: float,
+    bore_mm: tuple[float, float] | None = None,
+    bore_radius_mm: float = 10.0,
+) -> ProbeParameters:
+    """A probe as it sits in a spindle somewhere, in front of a block that stands where it is said to, to ±20 µm in the radius.
+
+    bore_mm: where the bore was meant to be; it is within ±0.3 mm of that.
+    """
+    rng = random.Random(seed)
+    stylus = Stylus(
+        radius_mm=tip_radius_mm + rng.uniform(-0.02, 0.02),
+        offset_mm=(rng.uniform(-0.08, 0.08), rng.uniform(-0.08, 0.08)),
+        pretravel_mm=0.0,
+        noise_mm=rng.uniform(0.0, 0.0002),
+    )
+    face = Face(
+        (face_mm, face_y_mm, 0.0),
+        facing,
+        tilt_z_rad=rng.uniform(-0.003, 0.003),
+        tilt_y_rad=rng.uniform(-0.003, 0.003),
+    )
+    solids: tuple[Solid, ...] = (face,)
+    if bore_mm is not None:
+        centre = (bore_mm[0] + rng.uniform(-0.3, 0.3), bore_mm[1] + rng.uniform(-0.3, 0.3), 0.0)
+        solids = (face, Bore(centre, bore_radius_mm))
+    return ProbeParameters(stylus, solids, seed=rng.getrandbits(32))

@@ -1,0 +1,165 @@
+"""A machine with a probe in its spindle: X, Y and spindle servos, one contact that depends on all three, and inputs that see it.
+
+What may go in: putting clock, servos, probe and inputs together. Positions of the motors are positions of the table and the spindle:
+what screws add to that is `bench`'s subject.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.clock import Clock
+from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import BareShaft
+from sim_backends.clock import SimClock
+from sim_backends.probe import ProbeParameters, SimulatedProbe
+from sim_backends.servo import ServoParameters, SimulatedServo
+
+_PATIENT_NS = 60_000_000_000
+
+
+class InputUnit(Protocol):
+    """The touch-probe unit of a drive on a wire: inputs 1 and 2, see `canopen_touch_probe`."""
+
+    @property
+    def inputs(self) -> int: ...
+    def attach(self, number: int, contact: Callable[[int], bool]) -> None: ...
+    def set_input(self, number: int, level: bool, position_counts: int | None = None) -> None: ...
+
+
+@dataclass(frozen=True)
+class AxisOfBench:
+    """A servo's units (mm, or degrees for a spindle), its limit switches and where it stands at first."""
+
+    scaling: AxisScaling
+    low: float
+    high: float
+    start: float = 0.0
+
+    @property
+    def servo(self) -> ServoParameters:
+        per_unit = self.scaling.direction * self.scaling.counts_per_load_mm
+        low, high = sorted((self.low * per_unit, self.high * per_unit))
+        counts = self.scaling.encoder_counts_per_motor_rev
+        return ServoParameters(
+            counts_per_rev=counts,
+            start_counts=float(round(self.start * per_unit)),
+            negative_limit_counts=low - 1.0 * counts,
+            positive_limit_counts=high + 1.0 * counts,
+            negative_stop_counts=low - 1.5 * counts,
+            positive_stop_counts=high + 1.5 * counts,
+            home_switch_counts=low - 0.5 * counts,
+        )
+
+
+class ProbeBench:
+    """axes: those of "x", "y" and "spindle" that the machine has. Absolute encoders: every servo knows where it is.
+
+    spindle_sense: +1 where a rising position turns the spindle counter-clockwise, −1 where it turns it clockwise.
+
+    Call `watch_probe` once, after everything that shows the servos on a wire is attached to the clock.
+    """
+
+    def __init__(self, axes: Mapping[str, AxisOfBench], probe: ProbeParameters, spindle_sense: int = 1) -> None:
+        self.clock = SimClock()
+        self.axes = dict(axes)
+        self._sense = spindle_sense
+        self.probe = SimulatedProbe(probe)
+        self.servos: dict[str, SimulatedServo] = {}
+        self._units: list[tuple[InputUnit, int]] = []
+        for name, axis in axes.items():
+            servo = SimulatedServo(BareShaft(), axis.servo)
+            servo.homed = True
+            self.clock.attach(servo.advance, bearable=servo.bearable)
+            self.servos[name] = servo
+
+    def place(self, name: str) -> float:
+        """Where an axis is, mm or degrees; 0 for one that the machine does not have."""
+        if name not in self.servos:
+            return 0.0
+        return self.axes[name].scaling.load_mm(self.servos[name].position_actual_counts)
+
+    def contact(self, name: str) -> Callable[[int], bool]:
+        """The contact as a function of one axis's motor counts, the others being where they are."""
+        scaling = self.axes[name].scaling
+
+        def closed(position_counts: int) -> bool:
+            places = {other: self.place(other) for other in ("x", "y", "spindle") if other != name}
+            places[name] = scaling.load_mm(position_counts)
+            return self.probe.closed(places["x"], places["y"], self._sense * places["spindle"])
+
+        return closed
+
+    def wire(self, name: str, unit: InputUnit, number: int) -> None:
+        """Wire the probe to an input of an axis's drive."""
+        unit.attach(number, self.contact(name))
+        self._units.append((unit, number))
+
+    def virtual_input(self, name: str) -> VirtualInput:
+        """An input that latches positions of an axis, for a drive without a wire."""
+        unit = VirtualInput(self.servos[name], self.clock)
+        self.wire(name, unit, 1)
+        self.clock.attach(unit.advance, bearable=lambda _now_ns: _PATIENT_NS)
+        return unit
+
+    def watch_probe(self) -> None:
+        """From now on the probe knows where the machine is, and every input what the other axes' motions do to the contact."""
+        self.clock.attach(self._follow, bearable=lambda _now_ns: _PATIENT_NS)
+        self._follow(0, 0.0)
+
+    def _follow(self, _now_ns: int, _dt_s: float) -> None:
+        level = self.probe.follow(self.place("x"), self.place("y"), self._sense * self.place("spindle"))
+        for unit, number in self._units:
+            if bool(unit.inputs >> number - 1 & 1) != level:
+                unit.set_input(number, level)
+
+
+class VirtualInput:
+    """An input of the in-process drive: its level, and the position at which it rose first after arming."""
+
+    def __init__(self, servo: SimulatedServo, clock: Clock) -> None:
+        self.clock = clock
+        self._servo = servo
+        self._contact: Callable[[int], bool] = lambda _counts: False
+        self._at_counts = servo.position_actual_counts
+        self.level = False
+        self.armed = False
+        self.latched_counts: int | None = None
+
+    @property
+    def inputs(self) -> int:
+        return int(self.level)
+
+    def attach(self, _number: int, contact: Callable[[int], bool]) -> None:
+        self._contact = contact
+        self._at_counts = self._servo.position_actual_counts
+        self.level = contact(self._at_counts)
+
+    def set_input(self, _number: int, level: bool, position_counts: int | None = None) -> None:
+        here = self._servo.position_actual_counts if position_counts is None else position_counts
+        if level and not self.level and self.armed and self.latched_counts is None:
+            self.latched_counts = here
+        self.level = level
+
+    def arm(self) -> None:
+        """Latch the next rising edge; what was latched before is forgotten."""
+        self.armed, self.latched_counts = True, None
+
+    def disarm(self) -> None:
+        self.armed = False
+
+    def advance(self, _now_ns: int, _dt_s: float) -> None:
+        """The motor has moved on: find where on its way the contact closed."""
+        here = self._servo.position_actual_counts
+        if here == self._at_counts:
+            return
+        level = self._contact(here)
+        if level != self.level:
+            before, after = self._at_counts, here
+            while abs(after - before) > 1:
+                middle = (before + after) // 2
+                before, after = (before, middle) if self._contact(middle) == level else (middle, after)
+            self.set_input(1, level, after)
+        self._at_counts = here
