@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 import tomllib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from drivers.drive import DriveLimits
 from drivers.errors import InputError
 from drivers.scaling import AxisScaling
 from hil import axis_reader as reader
+from hil.axis_backlash import BacklashConfig, read_backlash
 from hil.axis_connections import (
     BENCH_MACHINES,
     DriveConfig,
@@ -106,6 +107,7 @@ class DriveAxis:
     scaling: AxisScaling
     drive: DriveConfig
     store: StoreConfig
+    backlash: BacklashConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
 
 
 @dataclass(frozen=True)
@@ -160,8 +162,9 @@ def load_drive_axis(path: str | Path) -> DriveAxis:
         return _axis(root)
     name, limits, scaling, drive = _moving(root)
     store = _store(root.child("store", required=False), root.path, name)
-    root.finish(("axis", "scaling", "drive", "store"))
-    return DriveAxis(root.path, name, limits, scaling, drive, store)
+    backlash = _backlash(root, limits, scaling, drive)
+    root.finish(("axis", "scaling", "drive", "store", "backlash"))
+    return DriveAxis(root.path, name, limits, scaling, drive, store, backlash=backlash)
 
 
 def read_toml(path: str | Path) -> Table:
@@ -198,8 +201,20 @@ def _axis(root: Table) -> AxisConfig:
     correction = _correction(root.child("correction", required=False), measurement.runs)
     store = _store(root.child("store", required=False), root.path, name)
     conditions = _conditions(root.child("conditions", required=False))
-    root.finish(("axis", "scaling", "drive", "instrument", "measurement", "correction", "store", "conditions"))
-    return AxisConfig(root.path, name, limits, scaling, drive, store, instrument, measurement, correction, conditions)
+    backlash = _backlash(root, limits, scaling, drive)
+    known = ("axis", "scaling", "drive", "instrument", "measurement", "correction", "store", "conditions", "backlash")
+    root.finish(known)
+    return AxisConfig(
+        *(root.path, name, limits, scaling, drive, store),
+        *(instrument, measurement, correction, conditions),
+        backlash=backlash,
+    )
+
+
+def _backlash(root: Table, limits: DriveLimits, scaling: AxisScaling, drive: DriveConfig) -> BacklashConfig | None:
+    if "backlash" not in root.keys_left():
+        return None
+    return read_backlash(root.child("backlash"), limits, scaling, drive.backend)
 
 
 def _limits(table: Table) -> DriveLimits:

@@ -12,8 +12,9 @@ from typing import Any
 from hil import axis_reader as reader
 from hil.axis_reader import Table
 
-BENCH_MACHINES = ("ideal", "geometric", "typical")
-"""Simulated axes of the bench: without error; pitch and backlash only; with what a workshop adds (heat, lost motion, screw cyclic)."""
+BENCH_MACHINES = ("ideal", "geometric", "typical", "worn")
+"""Simulated axes of the bench: without error; pitch and backlash only; with what a workshop adds (heat, lost motion, screw cyclic);
+with a soft drive train that winds up by some 53 µm."""
 
 BENCH_FACES = ("canopen", "modbus-tcp", "modbus-rtu", "virtual")
 """How the bench's drive is shown: on a virtual CAN bus, a loopback port, a pty, or with no wire in between."""

@@ -19,7 +19,7 @@ from sim_backends.faults import Fault
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
-from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis
+from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis, worn_axis
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 
@@ -89,8 +89,13 @@ class BenchParameters:
 
 
 def known_bench(kind: str, seed: int) -> BenchParameters:
-    """A bench by the name of its machine: ideal, geometric or typical. Raises InputError for another."""
-    plants = {"ideal": lambda _seed: ideal_axis(), "geometric": geometric_axis, "typical": typical_axis}
+    """A bench by the name of its machine: ideal, geometric, typical or worn. Raises InputError for another."""
+    plants = {
+        "ideal": lambda _seed: ideal_axis(),
+        "geometric": geometric_axis,
+        "typical": typical_axis,
+        "worn": worn_axis,
+    }
     if kind not in plants:
         raise InputError(f"machine {kind!r}, expected one of {', '.join(plants)}")
     return BenchParameters(plant=plants[kind](seed))

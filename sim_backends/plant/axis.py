@@ -10,6 +10,7 @@ import random
 from dataclasses import replace
 
 from sim_backends.plant.ambient import Ambient
+from sim_backends.plant.drive_train import WindUp
 from sim_backends.plant.hysteresis import LostMotion, Reversal
 from sim_backends.plant.parameters import PlantParameters
 from sim_backends.plant.sensors import Sensors
@@ -38,6 +39,7 @@ class FeedAxis:
         self.ambient = Ambient(parameters.ambient, rng.getrandbits(32))
         self.thermal = Thermal(parameters.thermal, self.ambient.air_c)
         self.reversal = Reversal(parameters.backlash, parameters.lost_motion, self._motor_mm)
+        self.wind_up = None if parameters.drive_train is None else WindUp(parameters.drive_train, self._motor_mm)
         self.sensors = Sensors(parameters.sensors, rng.getrandbits(32), self.thermal.state.screw_c)
         self.parameters = parameters
         self.reconfigure(parameters)
@@ -75,6 +77,8 @@ class FeedAxis:
             self.velocity_mm_s = moved / dt_s
         else:
             self.velocity_mm_s = 0.0
+        if self.wind_up is not None:
+            self.wind_up.step(motor_mm, dt_s, self.load_kg)
         self.time_s += dt_s
         self._since_tick_s += dt_s
         if self._since_tick_s >= TICK_S:
@@ -105,6 +109,8 @@ class FeedAxis:
         """Where the table truly is, mm from the nominal zero."""
         p = self.parameters
         nut_mm = self.reversal.state.nut_mm
+        if self.wind_up is not None:
+            nut_mm -= self.wind_up.lag_um / UM_PER_MM
         if p.lost_motion.elements:
             nut_mm -= self.reversal.loss_um / UM_PER_MM
         if p.backlash.stribeck:
@@ -131,7 +137,8 @@ class FeedAxis:
         friction = self.parameters.friction
         ratio = self.reversal.wind_up_ratio
         excess = friction.stiction * ratio * ratio * ratio * self.reversal.breakaway(friction.breakaway_mm) * abs(ratio)
-        return friction.table_permille * (ratio + excess)
+        wound_permille = 0.0 if self.wind_up is None else self.wind_up.torque_permille
+        return wound_permille + friction.table_permille * (ratio + excess)
 
     # -- angles, for a level or an autocollimator on the table ---------------------------------------------------------
     @property

@@ -9,6 +9,7 @@ import random
 from dataclasses import dataclass, field
 
 from sim_backends.plant.ambient import AmbientParameters
+from sim_backends.plant.drive_train import DriveTrain
 from sim_backends.plant.guideway import CrossAxis, Guideway, LoadDeflection, MountSlip, VelocityLag
 from sim_backends.plant.hysteresis import Backlash, LostMotion
 from sim_backends.plant.screw import Screw, typical_screw
@@ -40,7 +41,11 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """The truth about one feed axis; lengths mm, errors µm (see the parts)."""
+    """The truth about one feed axis; lengths mm, errors µm (see the parts).
+
+    drive_train: springs and friction between motor and table, which come on top of `backlash`, `lost_motion` and `friction` (the
+    same seen from far away, and quicker to simulate); None: a rigid one.
+    """
 
     seed: int = 1
     length_mm: float = 500.0
@@ -55,6 +60,7 @@ class PlantParameters:
     velocity_lag: VelocityLag = field(default_factory=VelocityLag)
     slip: MountSlip = field(default_factory=MountSlip)
     friction: Friction = field(default_factory=Friction)
+    drive_train: DriveTrain | None = None
     sensors: SensorParameters = field(default_factory=SensorParameters)
 
 
@@ -96,4 +102,16 @@ def typical_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> 
         ambient=AmbientParameters(
             air_c=20.6, air_wave_k=0.3, air_walk_k=0.2, pressure_walk_hpa=1.5, humidity_walk_percent=4.0
         ),
+    )
+
+
+def worn_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
+    """An axis with some 53 µm of lost motion, all of it wind-up of a soft drive train against the friction of a plain guideway."""
+    rng = random.Random(seed)
+    return PlantParameters(
+        seed=seed,
+        length_mm=length_mm,
+        screw=typical_screw(rng.getrandbits(32), length_mm, lead_mm),
+        friction=Friction(table_permille=0.0),
+        drive_train=DriveTrain(),
     )

@@ -1,0 +1,207 @@
+"""Lost motion from the whole wind-up, with its uncertainty: where the rising flank would meet the level of sliding.
+
+While the table sticks, motor travel goes into wind-up alone, so the torque is a curve of the wind-up. When it has risen as far as it
+takes to slide, what the motor has travelled since the reversal is the wind-up released and built up again, and that is the lost motion
+which the table shows from then on. The break-away lies above: static friction takes the torque, and its peak, further than sliding
+needs. So the peak itself is not looked for. The flank's upper half is fitted by a line (or a parabola where the data demand it), the
+sliding level is averaged beyond the peak, and the two are brought to meet.
+
+What torque cannot show: how far the guideway gives before it slides, which looks like more wind-up. `HIDDEN_SHARE` stands for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from hil.wind_up.trace import Floats, ReversalTrace
+
+Mask = NDArray[np.bool_]
+HIDDEN_SHARE = 0.008
+"""Standard uncertainty of what torque cannot tell apart from wind-up, as a share of the lost motion."""
+_UPPER, _WHOLE, _HIGH = (
+    0.15,
+    -0.6,
+    0.88,
+)  # where the flank is taken from, and to: 0 where torque is zero, 1 where sliding begins
+_BEYOND_SHARE, _BEYOND_STEPS = 0.12, 5  # what is left out beyond the meeting point: peak and drop
+_FEWEST_FLANK, _FEWEST_CURVED, _FEWEST_SLIDING = 4, 9, 10  # places
+_STEEP = 0.12  # of the flank's slope: what still rises so much is not sliding
+_STEP_PERCENT = 0.1  # 6077h counts in 0.1 % of rated
+_CERTAIN = 0.01  # a parabola must be better than the line with less than this chance of luck
+
+
+@dataclass(frozen=True)
+class FittedWindUp:
+    """Lost motion in µm; u_um its standard uncertainty, of which chance_um comes from noise and would average out.
+
+    level_percent: torque of sliding; peak_um, peak_percent: the break-away, largest mean torque, as travel and torque; the flank:
+    torque = Σ coefficients[i]·(travel - centre_um)^i within flank_um.
+    """
+
+    lost_motion_um: float
+    u_um: float
+    chance_um: float
+    level_percent: float
+    peak_um: float
+    peak_percent: float
+    centre_um: float
+    coefficients: tuple[float, ...]
+    flank_um: tuple[float, float]
+
+    def flank_percent(self, travel_um: Floats) -> Floats:
+        """The fitted flank, shape as given."""
+        u = travel_um - self.centre_um
+        return np.asarray(sum(c * u**i for i, c in enumerate(self.coefficients)), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class _Polynomial:
+    """A polynomial through places of a flank, with covariance scaled by what it leaves."""
+
+    centre: float
+    coefficients: Floats
+    covariance: Floats
+    rss: float
+    freedom: int
+
+    def meets(self, level: float, start_um: float) -> float:
+        """Travel at which it reaches a level, by Newton from nearby; nan where it never does."""
+        x = start_um - self.centre
+        powers = np.arange(len(self.coefficients))
+        for _ in range(30):
+            value = float(self.coefficients @ x**powers)
+            slope = self.slope(x + self.centre)
+            if slope <= 0.0:
+                return float("nan")
+            step = (level - value) / slope
+            x += step
+            if abs(step) < 1e-9:
+                break
+        return x + self.centre
+
+    def slope(self, at_um: float) -> float:
+        x = at_um - self.centre
+        return float(sum(i * c * x ** (i - 1) for i, c in enumerate(self.coefficients) if i))
+
+    def variance(self, at_um: float) -> float:
+        row = (at_um - self.centre) ** np.arange(len(self.coefficients))
+        return float(row @ self.covariance @ row)
+
+
+@dataclass(frozen=True)
+class _Flank:
+    """A fitted flank, where it meets the sliding level, and the travel it was fitted over."""
+
+    curve: _Polynomial
+    line: _Polynomial
+    meet: float
+    over_um: tuple[float, float]
+
+
+def fit_wind_up(trace: ReversalTrace) -> FittedWindUp | None:
+    """Fit one reversal. None while (or where) there is no flank that ends in sliding."""
+    travel, torque = trace.travel_um, trace.rising_percent
+    meet = _first_guess(travel, torque, trace.resting_percent)
+    for _ in range(8):
+        if meet is None:
+            return None
+        sliding = _sliding(travel, meet)
+        if int(sliding.sum()) < _FEWEST_SLIDING:
+            return None
+        fitted = _flank(travel, torque, meet, float(torque[sliding].mean()))
+        if fitted is None or abs(fitted.meet - meet) < 1e-4:
+            break
+        meet = fitted.meet
+    return None if fitted is None else _result(trace, fitted, sliding)
+
+
+def _first_guess(travel: Floats, torque: Floats, resting_percent: float) -> float | None:
+    """Roughly where sliding begins: the first place whose smoothed torque is at the level of the last quarter."""
+    tail = max(_FEWEST_SLIDING, len(travel) // 5)
+    if len(travel) < tail + 8:
+        return None
+    level = float(np.median(torque[-tail:]))
+    if level < 0.5 * resting_percent or level <= torque[0]:
+        return None  # it still hangs in a clearance, or goes down
+    smooth = np.convolve(np.pad(torque, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    above = np.flatnonzero(smooth >= level - 0.03 * (level - torque[0]))
+    return float(travel[above[0]]) if len(above) else None
+
+
+def _sliding(travel: Floats, meet: float) -> Mask:
+    spacing = float(np.median(np.diff(travel)))
+    return np.asarray(travel > meet + max(_BEYOND_SHARE * meet, _BEYOND_STEPS * spacing))
+
+
+def _flank(travel: Floats, torque: Floats, meet: float, level: float) -> _Flank | None:
+    """The flank as far as one smooth curve describes it: the whole way up, or the upper half where a clearance lies in between.
+
+    Places are chosen by travel and not by torque, so that noise has no say in it.
+    """
+    before = travel < meet
+    below = np.flatnonzero(before & (torque <= 0.0))
+    zero = float(travel[below[-1]]) if len(below) else float(travel[0])
+    for low in (_WHOLE, _UPPER):
+        part = (travel >= zero + low * (meet - zero)) & (travel <= zero + _HIGH * (meet - zero))
+        if int(part.sum()) < _FEWEST_FLANK:
+            continue
+        x, y = travel[part], torque[part]
+        line = _fit(x, y, 1)
+        enough = int(part.sum()) >= _FEWEST_CURVED
+        curve = _fit(x, y, 2) if enough else line
+        if low == _WHOLE and (not enough or _better(_fit(x, y, 3), curve) or _better(_fit(x, y, 4), curve)):
+            continue  # not one smooth curve, or too few places to tell
+        met = curve.meets(level, meet)
+        if np.isfinite(met) and x[0] < met < travel[-1]:
+            return _Flank(curve, line, met, (float(x[0]), float(x[-1])))
+    return None
+
+
+def _better(more: _Polynomial, fewer: _Polynomial) -> bool:
+    """Whether further coefficients explain more than luck would."""
+    if more.rss <= 0.0:
+        return False
+    added = fewer.freedom - more.freedom
+    gain = (fewer.rss - more.rss) / added / (more.rss / more.freedom)
+    return bool(fdtrc(added, more.freedom, gain) < _CERTAIN)
+
+
+def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:
+    centre = float(x.mean())
+    rows = np.vander(x - centre, degree + 1, increasing=True)
+    coefficients, _, _, _ = np.linalg.lstsq(rows, y, rcond=None)
+    rss = float(np.sum((y - rows @ coefficients) ** 2))
+    freedom = max(1, len(x) - degree - 1)
+    return _Polynomial(centre, coefficients, np.linalg.inv(rows.T @ rows) * rss / freedom, rss, freedom)
+
+
+def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp | None:
+    travel, torque, meet = trace.travel_um, trace.rising_percent, flank.meet
+    slope = flank.curve.slope(meet)
+    tail = _fit(travel[sliding], torque[sliding], 1)
+    if slope <= 0.0 or tail.slope(meet) > _STEEP * slope:
+        return None  # it has not broken away
+    level, count = float(torque[sliding].mean()), int(sliding.sum())
+    rounding = _STEP_PERCENT / np.sqrt(12.0 * trace.torque_percent.shape[1])
+    drift = tail.slope(meet) * float(np.ptp(travel[sliding])) / 4.0
+    level_variance = (float(torque[sliding].std(ddof=1)) ** 2 + rounding**2) / count + drift**2 / 3.0
+    chance_um = float(np.sqrt(flank.curve.variance(meet) + level_variance)) / slope
+    u_um = float(np.hypot(chance_um, HIDDEN_SHARE * meet))
+    near = (travel > 0.8 * meet) & (travel < 1.5 * meet)
+    peak = int(np.argmax(np.where(near, torque, -np.inf)))
+    coefficients = tuple(flank.curve.coefficients.tolist())
+    return FittedWindUp(
+        meet,
+        u_um,
+        chance_um,
+        level,
+        float(travel[peak]),
+        float(torque[peak]),
+        flank.curve.centre,
+        coefficients,
+        flank.over_um,
+    )

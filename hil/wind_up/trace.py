@@ -1,0 +1,54 @@
+"""The torque recorded through one reversal, step by step, with the axis at rest at each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReversalTrace:
+    """One reversal. direction: of the motion after it, +1 or -1.
+
+    position_load_mm: shape (n,), by the motor's encoder; its first place is that of the reversal. torque_percent: shape (n, k), k
+    readings at each place, % of rated, with the axis's sign. resting_percent: |torque| that sliding left behind on the way there.
+    """
+
+    direction: int
+    position_load_mm: Floats
+    torque_percent: Floats
+    resting_percent: float
+
+    def __post_init__(self) -> None:
+        n = len(self.position_load_mm)
+        if self.direction not in (1, -1) or n == 0 or self.torque_percent.shape[:1] != (n,):
+            raise InputError(
+                f"reversal in direction {self.direction} with {n} places and torques of shape {self.torque_percent.shape},"
+                " expected +1 or -1 and one row of torques for each place"
+            )
+
+    @property
+    def travel_um(self) -> Floats:
+        """How far the motor has gone since the reversal, shape (n,), > 0 in the new direction."""
+        return self.direction * (self.position_load_mm - self.position_load_mm[0]) * 1000.0
+
+    @property
+    def rising_percent(self) -> Floats:
+        """Mean torque of each place in the new direction's sense, shape (n,): rises from below 0 to above."""
+        return np.asarray(self.direction * self.torque_percent.mean(axis=1), dtype=np.float64)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, for a file."""
+        return {
+            "direction": self.direction,
+            "resting_percent": self.resting_percent,
+            "position_load_mm": self.position_load_mm.tolist(),
+            "torque_percent": self.torque_percent.tolist(),
+        }

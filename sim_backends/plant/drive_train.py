@@ -1,0 +1,151 @@
+"""Between motor and table: two springs, the screw's own friction, and a table that sticks, breaks away and slides.
+
+The motor's shaft turns the screw through the coupling (first spring), the screw pushes the table through nut and bearings (second
+spring, stiffer the more it is loaded, with a clearance if there is one). Each of the two bodies rubs by the LuGre law (Canudas de Wit
+et al., IEEE Trans. Autom. Control 40 (1995) 419): bristles that bend before anything slides, a Stribeck curve, viscous damping. The
+table's static excess is a bond that sliding breaks and rest heals, so that a break-away is a matter of history and not of speed alone.
+Masses are left out: the bodies are overdamped, as a feed axis is at the speeds where its friction matters.
+
+Units within: µm of nominal travel, N at the table, s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+SUBSTEP_S = 0.00025
+_MOST_SUBSTEPS = 400  # after 0.1 s at rest nothing moves any more
+_AT_REST_UM_S = 1e-4
+
+
+@dataclass(frozen=True)
+class Guide:
+    """Friction of the table on its guideway.
+
+    sliding_n: at low speed and broken bonds, per_kg_n more for each kg of load; static_excess: how much more it takes to break away
+    after a long rest, relative; bond_um: slip over which a bond falls to 1/e; heal_s: rest over which it comes back by as much;
+    stribeck_mm_s: speed at which the excess is gone whatever the bond; bristle_n_per_um: stiffness before sliding.
+    """
+
+    sliding_n: float = 800.0
+    per_kg_n: float = 0.0
+    static_excess: float = 0.06
+    bond_um: float = 2.0
+    heal_s: float = 2.0
+    stribeck_mm_s: float = 4.0
+    bristle_n_per_um: float = 12000.0
+    viscous_n_s_per_mm: float = 15.0
+
+
+@dataclass(frozen=True)
+class DriveTrain:
+    """The two springs and what rubs. hardening_per_um: relative growth of the second spring's stiffness per µm of its deflection;
+    rated_n: force at the table that the motor's rated torque stands for."""
+
+    coupling_n_per_um: float = 120.0
+    nut_n_per_um: float = 39.51
+    hardening_per_um: float = 0.004
+    gap_um: float = 0.0
+    screw_friction_n: float = 120.0
+    screw_bristle_n_per_um: float = 3000.0
+    screw_viscous_n_s_per_mm: float = 6.0
+    guide: Guide = Guide()
+    rated_n: float = 10_000.0
+
+
+class WindUp:
+    """A drive train with its state: where screw and table are, and how far the bristles of both are bent."""
+
+    def __init__(self, train: DriveTrain, motor_mm: float) -> None:
+        self.train = train
+        self.motor_um = self._screw_um = self.table_um = motor_mm * 1000.0
+        self._screw_bristle_um = 0.0
+        self._table_bristle_um = 0.0
+        self._bond = 1.0
+        self._settled = True
+
+    @property
+    def lag_um(self) -> float:
+        """How far the table is behind the motor, with the sign of the motion it came by."""
+        return self.motor_um - self.table_um
+
+    @property
+    def torque_permille(self) -> float:
+        """What the first spring holds the motor with, 0.1 % of rated."""
+        train = self.train
+        return 1000.0 * train.coupling_n_per_um * (self.motor_um - self._screw_um) / train.rated_n
+
+    def step(self, motor_mm: float, dt_s: float, load_kg: float) -> None:
+        """The motor goes to `motor_mm` evenly within dt_s."""
+        start_um, end_um = self.motor_um, motor_mm * 1000.0
+        if end_um == start_um and self._settled:
+            self._bond = 1.0 - (1.0 - self._bond) * math.exp(-dt_s / self.train.guide.heal_s)
+            return
+        count = min(_MOST_SUBSTEPS, max(1, math.ceil(dt_s / SUBSTEP_S)))
+        h_s = min(dt_s / count, 2.0 * SUBSTEP_S) if end_um == start_um else dt_s / count
+        sliding_n = self.train.guide.sliding_n + self.train.guide.per_kg_n * load_kg
+        fastest = 0.0
+        for index in range(1, count + 1):
+            self.motor_um = start_um + (end_um - start_um) * index / count
+            fastest = max(abs(self._move_screw(h_s)), abs(self._move_table(h_s, sliding_n)))
+        self.motor_um = end_um
+        self._settled = end_um == start_um and (fastest < _AT_REST_UM_S or count == _MOST_SUBSTEPS)
+
+    def _nut(self) -> tuple[float, float]:
+        """Force of the second spring and its stiffness there."""
+        train = self.train
+        stretch = self._screw_um - self.table_um
+        size = abs(stretch) - 0.5 * train.gap_um
+        if size <= 0.0:
+            return 0.0, 0.0
+        force = train.nut_n_per_um * size * (1.0 + train.hardening_per_um * size)
+        stiffness = train.nut_n_per_um * (1.0 + 2.0 * train.hardening_per_um * size)
+        return math.copysign(force, stretch), stiffness
+
+    def _move_screw(self, h_s: float) -> float:
+        """One substep of the screw; its speed, µm/s. Linearly implicit, so that stiff bristles do not ask for shorter steps."""
+        train = self.train
+        force, stiffness = self._nut()
+        bristle = train.screw_bristle_n_per_um
+        net = train.coupling_n_per_um * (self.motor_um - self._screw_um) - force - bristle * self._screw_bristle_um
+        bend = _bending(self._screw_bristle_um * bristle / train.screw_friction_n, net)
+        damping = train.screw_viscous_n_s_per_mm / 1000.0
+        speed = net / (damping + h_s * (train.coupling_n_per_um + stiffness + bristle * bend))
+        moved = speed * h_s
+        self._screw_um += moved
+        self._screw_bristle_um = _bent(self._screw_bristle_um, moved, train.screw_friction_n / bristle)
+        return speed
+
+    def _move_table(self, h_s: float, sliding_n: float) -> float:
+        guide = self.train.guide
+        force, stiffness = self._nut()
+        bristle = guide.bristle_n_per_um
+        net = force - bristle * self._table_bristle_um
+        static_n = sliding_n * (1.0 + guide.static_excess * self._bond)
+        bend = _bending(self._table_bristle_um * bristle / static_n, net)
+        speed = net / (guide.viscous_n_s_per_mm / 1000.0 + h_s * (stiffness + bristle * bend))
+        moved = speed * h_s
+        self.table_um += moved
+        stribeck = math.exp(-((speed / (1000.0 * guide.stribeck_mm_s)) ** 2))
+        friction_n = sliding_n * (1.0 + guide.static_excess * self._bond * stribeck)
+        before = self._table_bristle_um
+        self._table_bristle_um = _bent(before, moved, friction_n / bristle)
+        slipped = abs(moved - (self._table_bristle_um - before))
+        self._bond *= math.exp(-slipped / guide.bond_um)
+        self._bond += (1.0 - self._bond) * h_s / guide.heal_s
+        return speed
+
+
+def _bending(share: float, net: float) -> float:
+    """How much of a motion under a net force bends the bristles further: 1 straight, 0 when they are bent as far as they go."""
+    along = share if net > 0.0 else -share
+    return min(2.0, max(0.0, 1.0 - along))
+
+
+def _bent(bristle_um: float, moved_um: float, most_um: float) -> float:
+    """The bristles after a motion: exact for a constant speed within it."""
+    if moved_um == 0.0:
+        return bristle_um
+    end = math.copysign(most_um, moved_um)
+    return end + (bristle_um - end) * math.exp(-abs(moved_um) / most_um)
