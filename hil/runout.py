@@ -1,0 +1,173 @@
+"""The formulas of a touch probe's run-out (JPH08348B2): four contacts to the ball's place in the spindle, and that to corrections.
+
+Frames: machine mm; an axis position that rises carries the probe, seen from the work, in the axis's own direction. The spindle's frame
+coincides with the machine's at its angle 0 and turns counter-clockwise seen along the spindle axis. Pure: no drive, no file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.errors import BridgeError, InputError
+
+UM_PER_MM = 1000.0
+ANGLES_DEG = (0, 90, 180, 270)
+
+
+class MeasurementRefusedError(BridgeError):
+    """A measurement that contradicts itself, or what is known of the probe; nothing is stored."""
+
+
+class CorrectionCode(Enum):
+    """Which axes a correction drives. The table of the codes is lost; this is our reading of it."""
+
+    M91 = "M91"  # X
+    M92 = "M92"  # Y
+    M93 = "M93"  # both
+
+    @property
+    def in_x(self) -> bool:
+        return self is not CorrectionCode.M92
+
+    @property
+    def in_y(self) -> bool:
+        return self is not CorrectionCode.M91
+
+
+@dataclass(frozen=True)
+class FourFeeds:
+    """N_0, N_90, N_180, N_270: how far the axis was fed from the start until contact, mm, at each angle of the spindle."""
+
+    n_0_mm: float
+    n_90_mm: float
+    n_180_mm: float
+    n_270_mm: float
+
+    @property
+    def closure_um(self) -> float:
+        """(N_0 + N_180) − (N_90 + N_270): 0 for a ball that keeps its place in the spindle and a clean face."""
+        return UM_PER_MM * ((self.n_0_mm + self.n_180_mm) - (self.n_90_mm + self.n_270_mm))
+
+    def check_closure(self, limit_um: float) -> None:
+        """Raise MeasurementRefusedError, naming both sums, unless they agree within the limit."""
+        if not abs(self.closure_um) <= limit_um:
+            raise MeasurementRefusedError(
+                f"the contacts do not close: N0 + N180 = {self.n_0_mm + self.n_180_mm:.4f} mm, N90 + N270 ="
+                f" {self.n_90_mm + self.n_270_mm:.4f} mm, {self.closure_um:+.1f} µm apart, expected at most {limit_um:g} µm"
+                " (a chip on block or ball? a tool that is not seated?); nothing was stored"
+            )
+
+
+@dataclass(frozen=True)
+class RunOut:
+    """Where the ball's centre is in the spindle's frame, mm, and its radius as it measures (pre-travel taken off).
+
+    closure_um: of the contacts it was computed from
+    """
+
+    x_mm: float
+    y_mm: float
+    tip_radius_mm: float
+    closure_um: float = 0.0
+
+    @property
+    def size_um(self) -> float:
+        """Distance of the ball's centre from the spindle axis."""
+        return UM_PER_MM * math.hypot(self.x_mm, self.y_mm)
+
+    def at(self, spindle_deg: float) -> tuple[float, float]:
+        """The ball's centre beside the spindle axis in the machine's x and y, mm, with the spindle turned to an angle."""
+        cos, sin = math.cos(math.radians(spindle_deg)), math.sin(math.radians(spindle_deg))
+        return cos * self.x_mm - sin * self.y_mm, sin * self.x_mm + cos * self.y_mm
+
+    def correction_mm(self, code: CorrectionCode, spindle_deg: float = 0.0) -> tuple[float, float]:
+        """What X and Y are driven by, so that the spindle axis comes to where the ball's centre was."""
+        x_mm, y_mm = self.at(spindle_deg)
+        return (x_mm if code.in_x else 0.0), (y_mm if code.in_y else 0.0)
+
+
+def run_out(feeds: FourFeeds, distance_mm: float, *, facing: int = 1, pretravel_mm: float = 0.0) -> RunOut:
+    """Run-out and radius from four feeds.
+
+    distance_mm: l, from the spindle axis at the start to the face; facing: +1 for a face met by feeding X in + direction, −1 for one
+    met in − direction; pretravel_mm: how far the ball is pushed before the signal comes, which feeds are longer by.
+    Source: N_0 = l − r − Δx, N_90 = l − r + Δy, N_180 = l − r + Δx, N_270 = l − r − Δy for facing +1; for −1 the signs of Δ turn.
+    """
+    if facing not in (1, -1):
+        raise InputError(f"facing is {facing}, expected 1 or -1")
+    mean_mm = (feeds.n_0_mm + feeds.n_90_mm + feeds.n_180_mm + feeds.n_270_mm) / 4.0
+    return RunOut(
+        x_mm=facing * (feeds.n_180_mm - feeds.n_0_mm) / 2.0,
+        y_mm=facing * (feeds.n_90_mm - feeds.n_270_mm) / 2.0,
+        tip_radius_mm=distance_mm - mean_mm + pretravel_mm,
+        closure_um=feeds.closure_um,
+    )
+
+
+def mean_feeds(turns: Sequence[FourFeeds]) -> FourFeeds:
+    """The mean of several turns of the spindle."""
+    count = len(turns)
+    return FourFeeds(
+        sum(turn.n_0_mm for turn in turns) / count,
+        sum(turn.n_90_mm for turn in turns) / count,
+        sum(turn.n_180_mm for turn in turns) / count,
+        sum(turn.n_270_mm for turn in turns) / count,
+    )
+
+
+def check_repeat(turns: Sequence[FourFeeds], limit_um: float) -> None:
+    """Raise MeasurementRefusedError, naming the angle and both feeds, unless each angle's feeds agree within the limit."""
+    for angle_deg in ANGLES_DEG:
+        feeds = [float(getattr(turn, f"n_{angle_deg}_mm")) for turn in turns]
+        spread_um = UM_PER_MM * (max(feeds) - min(feeds))
+        if not spread_um <= limit_um:
+            raise MeasurementRefusedError(
+                f"the contact at {angle_deg}° does not repeat: {min(feeds):.4f} and {max(feeds):.4f} mm, {spread_um:.1f} µm"
+                f" apart, expected at most {limit_um:g} µm (a chip that came or went?); nothing was stored"
+            )
+
+
+def check_radius(found: RunOut, nominal_mm: float, limit_um: float) -> None:
+    """Raise MeasurementRefusedError, naming both radii, unless the one found is the ball's within the limit.
+
+    What lies under all four contacts alike closes perfectly; it shows in the radius only.
+    """
+    off_um = UM_PER_MM * (found.tip_radius_mm - nominal_mm)
+    if not abs(off_um) <= limit_um:
+        raise MeasurementRefusedError(
+            f"the ball's radius comes out as {found.tip_radius_mm:.4f} mm, {off_um:+.1f} µm off its {nominal_mm:.4f} mm, expected"
+            f" at most {limit_um:g} µm (a chip all over the face? a wrong face_mm?); nothing was stored"
+        )
+
+
+@dataclass(frozen=True)
+class Centring:
+    """A bore touched on both sides, x_mm and y_mm being the spindle's places at contact (low, high).
+
+    pretravel_mm: of each contact
+    """
+
+    x_mm: tuple[float, float]
+    y_mm: tuple[float, float]
+    run_out: RunOut
+    spindle_deg: float = 0.0
+    pretravel_mm: float = 0.0
+
+    @property
+    def middle_mm(self) -> tuple[float, float]:
+        """Half the travel: where the spindle is while the *ball* is in the middle of the bore."""
+        return sum(self.x_mm) / 2.0, sum(self.y_mm) / 2.0
+
+    @property
+    def centre_mm(self) -> tuple[float, float]:
+        """The bore's centre: where the spindle axis has to go."""
+        x_mm, y_mm = self.run_out.at(self.spindle_deg)
+        return self.middle_mm[0] + x_mm, self.middle_mm[1] + y_mm
+
+    @property
+    def diameter_mm(self) -> float:
+        """The bore's diameter, from the travel in Y, which goes through the middle."""
+        return self.y_mm[1] - self.y_mm[0] + 2.0 * (self.run_out.tip_radius_mm - self.pretravel_mm)
