@@ -16,7 +16,10 @@ from typing import Self
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import CapabilityError, DriveFaultError, LimitError, MotionTimeoutError, StateError
+from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, ReportedScaling
+from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.touch_probe import TouchProbe
 
 
 class DriveState(Enum):
@@ -67,6 +70,11 @@ class DriveLimits:
         """Raise LimitError unless 0 < velocity <= max."""
         if not 0 < velocity_mm_s <= self.max_velocity_mm_s:
             raise LimitError(f"velocity {velocity_mm_s:g} mm/s, allowed is 0 < v <= {self.max_velocity_mm_s:g} mm/s")
+
+    def can_stop_inside(self, position_load_mm: float, velocity_mm_s: float) -> bool:
+        """Whether an axis with this (signed) velocity can still be brought to rest within the travel."""
+        braking_mm = velocity_mm_s * abs(velocity_mm_s) / (2.0 * self.max_acceleration_mm_s2)
+        return self.travel_min_mm <= position_load_mm + braking_mm <= self.travel_max_mm
 
 
 @dataclass(frozen=True)
@@ -192,12 +200,68 @@ class ServoDrive(ABC):
     @abstractmethod
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None: ...
 
-    def _require_enabled(self, verb: str) -> None:
+    def start_velocity(self, velocity_mm_s: float) -> None:
+        """Run at a signed velocity until told otherwise; 0 stops and stays enabled. `start_move` ends it as well.
+
+        There is no target, so whoever starts a run has to go on sampling: a sample that finds the braking distance at the end of the
+        travel quick-stops the axis and raises LimitError. Raises LimitError for a speed above the limit or a direction that leads
+        out of the travel, StateError unless enabled, CapabilityError.
+        """
+        self.require(Capability.PROFILE_VELOCITY)
+        if velocity_mm_s:
+            self.limits.check_velocity(abs(velocity_mm_s))
+        sample = self._require_enabled("run")
+        if velocity_mm_s and not self.limits.can_stop_inside(sample.position_load_mm, velocity_mm_s):
+            raise self._leaves_travel("not started", sample.position_load_mm, velocity_mm_s)
+        self._start_velocity(velocity_mm_s)
+
+    def _start_velocity(self, velocity_mm_s: float) -> None:
+        raise CapabilityError(f"drive {self.name} cannot do: {Capability.PROFILE_VELOCITY.value}")
+
+    def stream(self, settings: SetPointSettings) -> SetPointStream:
+        """Set-points at a fixed period instead of moves: a context manager around the enabled axis. Raises CapabilityError.
+
+        InputError, on entering it, for a period that the drive or its wire cannot keep.
+        """
+        self.require(Capability.STREAMING)
+        return self._stream(settings)
+
+    def _stream(self, settings: SetPointSettings) -> SetPointStream:
+        raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value}")
+
+    def _watch_travel(self, position_load_mm: float, velocity_mm_s: float | None) -> None:
+        """For a backend whose sample finds a velocity run under way: stop it while it can still stop within the travel."""
+        if velocity_mm_s and not self.limits.can_stop_inside(position_load_mm, velocity_mm_s):
+            self.quick_stop()
+            raise self._leaves_travel("stopped", position_load_mm, velocity_mm_s)
+
+    def _leaves_travel(self, what: str, position_load_mm: float, velocity_mm_s: float) -> LimitError:
+        return LimitError(
+            f"drive {self.name}: velocity run {what} at {position_load_mm:.3f} mm with {velocity_mm_s:.3f} mm/s,"
+            f" travel is {self.limits.travel_min_mm:g} to {self.limits.travel_max_mm:g} mm"
+        )
+
+    def _require_enabled(self, verb: str) -> DriveSample:
         sample = self.sample()
         if sample.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             raise DriveFaultError(f"drive {self.name} cannot {verb}: {sample.state.value}", sample.fault_code)
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {self.name} cannot {verb}: it is {sample.state.value}")
+        return sample
+
+    # -- what stands beside the motion -----------------------------------------------------------------------------------
+    def touch_probe(self) -> TouchProbe:
+        """The drive's touch-probe function; it remembers what was fetched, so make one and keep it. Raises CapabilityError."""
+        self.require(Capability.TOUCH_PROBE)
+        return self._touch_probe()
+
+    def _touch_probe(self) -> TouchProbe:
+        raise CapabilityError(f"drive {self.name} cannot do: {Capability.TOUCH_PROBE.value}")
+
+    @property
+    def parameters(self) -> DriveParameters:
+        """The drive's parameters by name. Raises CapabilityError where it has none."""
+        raise CapabilityError(f"drive {self.name} cannot do: {Capability.PARAMETERS.value}")
 
     # -- waiting, for backends and simple scripts --------------------------------------------------------------------
     def wait_for(

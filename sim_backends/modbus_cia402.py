@@ -73,6 +73,11 @@ _OBJECTS: tuple[tuple[int, str, int, int], ...] = (
     (0x2500, "I", 0x1018, 1),
     (0x2502, "I", 0x1018, 2),
     (0x2504, "I", 0x1018, 4),
+    (0x2600, "H", 0x60B8, 0),
+    (0x2601, "H", 0x60B9, 0),
+    *((0x2602 + 2 * place, "i", 0x60BA + place, 0) for place in range(4)),
+    *((0x260A + 2 * place, "I", 0x60D1 + place, 0) for place in range(4)),
+    *((0x2612 + place, "H", 0x60D5 + place, 0) for place in range(4)),
 )
 _FIXED = (0x608F, 0x1018)  # not to be written over Modbus
 KEPT = (0x607C, 0x6091, 0x6092, 0x607D, 0x6065, 0x6067, 0x6072)  # objects in EEPROM, written on every change

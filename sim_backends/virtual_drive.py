@@ -13,7 +13,11 @@ from drivers.clock import Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
 from drivers.errors import CapabilityError, DriveFaultError, InputError, LinkLostError, MotionTimeoutError, StateError
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
+from drivers.touch_probe import TouchProbe
+from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
+from sim_backends.virtual_faces import VirtualParameters, VirtualStream, VirtualTouchProbe
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class VirtualDriveSettings:
     missing: frozenset[Capability] = field(default_factory=frozenset)  # capabilities this one lacks, for tests
 
 
-_CAPABILITIES = frozenset({Capability.PROFILE_POSITION, Capability.HOMING, Capability.TORQUE_ACTUAL})
+_CAPABILITIES = frozenset(Capability) - {Capability.STORE}
 
 
 class VirtualDrive(ServoDrive):
@@ -54,7 +58,10 @@ class VirtualDrive(ServoDrive):
                 f"drive {name}: gear ratio is {scaling.motor_revs_per_shaft_rev}, the virtual drive expects 1 (direct)"
             )
         self._open = False
+        self._running = False  # at a velocity
         self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
+        self.probe = ProbeLatch(servo)  # `tick` it with the time, as whoever attaches the servo does
+        self._parameters = VirtualParameters(self)
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
@@ -77,6 +84,10 @@ class VirtualDrive(ServoDrive):
     def sample(self) -> DriveSample:
         self._require_open()
         servo, counts_per_mm = self._servo, self._counts_per_mm
+        if self._running and self._state() is DriveState.ENABLED:
+            self._watch_travel(
+                servo.position_actual_counts / counts_per_mm, servo.velocity_actual_counts_s / counts_per_mm
+            )
         return DriveSample(
             time_ns=self.clock.now_ns(),
             state=self._state(),
@@ -117,6 +128,7 @@ class VirtualDrive(ServoDrive):
         servo = self._servo
         if not servo.powered:
             return
+        self._running = False
         servo.halt(self._counts_s2(self.settings.acceleration_mm_s2))
         self.wait_for(
             lambda sample: sample.velocity_mm_s == 0.0 or sample.state is not DriveState.QUICK_STOP,
@@ -136,6 +148,7 @@ class VirtualDrive(ServoDrive):
 
     # -- motion ----------------------------------------------------------------------------------------------------
     def _start_homing(self) -> None:
+        self._running = False
         settings, scaling = self.settings, self.scaling
         self._servo.start_homing(
             settings.homing_method,
@@ -146,7 +159,27 @@ class VirtualDrive(ServoDrive):
         if self._servo.homing_error:
             raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
 
+    def _start_velocity(self, velocity_mm_s: float) -> None:
+        self._running = True
+        self._servo.move_velocity(
+            velocity_mm_s * self._counts_per_mm, self._counts_s2(self.limits.max_acceleration_mm_s2)
+        )
+
+    def _stream(self, settings: SetPointSettings) -> VirtualStream:
+        return VirtualStream(self, self._servo, settings)
+
+    # -- what stands beside the motion -----------------------------------------------------------------------------
+    def _touch_probe(self) -> TouchProbe:
+        return VirtualTouchProbe(self.name, self.clock, self.probe, self.scaling)
+
+    @property
+    def parameters(self) -> VirtualParameters:
+        """Ramps and homing, in the units of a drive on a wire."""
+        self.require(Capability.PARAMETERS)
+        return self._parameters
+
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        self._running = False
         self._servo.move_absolute(
             self.scaling.motor_counts(position_load_mm),
             self.scaling.motor_counts_per_s(velocity_mm_s),

@@ -27,8 +27,10 @@ from drivers.canopen.cia402 import (
 )
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.motion import FAULTS, RUN, ProfileMotion
+from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import HEARTBEAT, SYNC, NmtCommand, NmtState, NodeMonitor
 from drivers.canopen.objects import Entry
+from drivers.canopen.one_axis_stream import OneAxisStream
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.pdo_setup import PdoSetup
@@ -36,6 +38,7 @@ from drivers.canopen.power import PowerStage, PowerTimes
 from drivers.canopen.reported import readings
 from drivers.canopen.sampling import Sampler, exists, sampled_pdos
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import read_units
 from drivers.clock import Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
@@ -43,7 +46,6 @@ from drivers.errors import (
     AbortError,
     BridgeError,
     DriveFaultError,
-    LimitError,
     LinkLostError,
     MotionTimeoutError,
     NoAnswerError,
@@ -52,6 +54,7 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.scaling import AxisScaling, ReportedScaling
+from drivers.set_points import SetPointSettings
 
 QUICK_STOP_ON_ABORT = 3  # 6007h
 
@@ -132,6 +135,7 @@ class CanOpenDrive(ServoDrive):
         self._fault_code: int | None = None
         self._has_probe = False
         self._pdo_setup: PdoSetup | None = None
+        self._parameters: NamedParameters | None = None
         self._before: list[tuple[Entry, int]] = []  # what was changed for the connection, as it stood
 
     # -- connection ------------------------------------------------------------------------------------------------------
@@ -335,8 +339,8 @@ class CanOpenDrive(ServoDrive):
         """A fresh sample by SYNC. following_error_mm is demand − actual, as 60F4h has it.
 
         Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
-        DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a profile velocity run
-        comes to the end of the travel.
+        DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a velocity run comes to the
+        end of the travel.
         """
         self._require_open()
         self.sampler.refresh()
@@ -356,7 +360,7 @@ class CanOpenDrive(ServoDrive):
             self._watch_homing(status)
         position_mm = scaling.load_mm(self.sampler.position_counts)
         velocity_mm_s = None if velocity is None else scaling.load_mm(velocity)
-        if self.motion.mode is Mode.PROFILE_VELOCITY and velocity_mm_s and state is DriveState.ENABLED:
+        if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
             self._watch_travel(position_mm, velocity_mm_s)
         return DriveSample(
             self.sampler.heard_ns,
@@ -370,16 +374,6 @@ class CanOpenDrive(ServoDrive):
             self._fault_code,
         )
 
-    def _watch_travel(self, position_mm: float, velocity_mm_s: float) -> None:
-        """A velocity run has no target: stop it while the braking distance still lies within the travel."""
-        braking_mm = velocity_mm_s * abs(velocity_mm_s) / (2.0 * self.limits.max_acceleration_mm_s2)
-        if not self.limits.travel_min_mm <= position_mm + braking_mm <= self.limits.travel_max_mm:
-            self.quick_stop()
-            raise LimitError(
-                f"drive {self.name}: velocity run stopped at {position_mm:.3f} mm with {velocity_mm_s:.3f} mm/s,"
-                f" travel is {self.limits.travel_min_mm:g} to {self.limits.travel_max_mm:g} mm"
-            )
-
     def error_history(self) -> list[int]:
         """The drive's own list of errors (1003h), the latest first; the lower 16 bits of each are an error code."""
         self._require_open()
@@ -389,11 +383,26 @@ class CanOpenDrive(ServoDrive):
             for number in range(1, min(count, 254) + 1)
         ]
 
+    # -- what stands beside the motion -------------------------------------------------------------------------------------
+    def _touch_probe(self) -> CanOpenTouchProbe:
+        return CanOpenTouchProbe(self.name, self.clock, self.scaling, lambda: self.sdo)
+
+    @property
+    def parameters(self) -> NamedParameters:
+        """By the drive's EDS where it was given one, and the standard's objects."""
+        self._require_open()
+        if self._parameters is None:
+            self._parameters = NamedParameters(self, self.eds)
+        return self._parameters
+
     # -- streaming ---------------------------------------------------------------------------------------------------------
     @property
     def is_streaming(self) -> bool:
         """Whether a `stream.CyclicStream` paces this drive; its samples come by SDO meanwhile, as SYNC belongs to the stream."""
         return self.sampler.by_sdo
+
+    def _stream(self, settings: SetPointSettings) -> OneAxisStream:
+        return OneAxisStream(self, settings)
 
     def begin_streaming(self) -> None:
         """A stream takes over SYNC and the PDOs; it puts the PDOs back before `end_streaming`."""
@@ -438,6 +447,8 @@ class CanOpenDrive(ServoDrive):
         elif state is DriveState.QUICK_STOP:
             self._await_standstill()
         self._homing = False
+        if self.motion.mode is Mode.PROFILE_VELOCITY:
+            self.motion.stay()  # a speed that is left in the drive would come to life with the next enabling
         self.power.disable()
 
     def quick_stop(self) -> None:
@@ -488,18 +499,7 @@ class CanOpenDrive(ServoDrive):
             after_the_present=after_the_present,
         )
 
-    def start_velocity(self, velocity_mm_s: float) -> None:
-        """Run at a signed velocity (profile velocity mode) until told otherwise; sampling it keeps it within the travel.
-
-        Raises LimitError for a speed above the limit or a direction that leads out of the travel, StateError unless enabled.
-        """
-        self.require(Capability.PROFILE_VELOCITY)
-        if velocity_mm_s:
-            self.limits.check_velocity(abs(velocity_mm_s))
-        self._require_enabled("run")
-        position_mm = self.scaling.load_mm(self.sampler.position_counts)
-        if velocity_mm_s:
-            self._watch_travel(position_mm, velocity_mm_s)
+    def _start_velocity(self, velocity_mm_s: float) -> None:
         self._homing = False
         counts = self.scaling.motor_counts_per_s(velocity_mm_s) if velocity_mm_s else 0
         sign = self.scaling.direction * (1 if velocity_mm_s > 0 else -1)

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from drivers.canopen import objects
-from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.objects import DataType
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.wire_time import expedited_sdo, frame
 from drivers.drive import DriveState
 from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError, StateError
+
+if TYPE_CHECKING:
+    from drivers.canopen.drive import CanOpenDrive  # which offers these parameters under their names
 
 Value = int | float | str | bytes | bool
 SAVE, LOAD = b"save", b"load"

@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import can
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Mode, decode_state
-from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.node import SYNC
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.stream_axis import (
@@ -42,6 +41,9 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
+
+if TYPE_CHECKING:
+    from drivers.canopen.drive import CanOpenDrive  # which offers streams of its own
 
 __all__ = ["CyclicStream", "Feedback", "StreamCounters", "StreamSettings", "SyncSource"]
 

@@ -8,18 +8,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import can
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Mode, Status, decode_state
-from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup
 from drivers.drive import DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
+
+if TYPE_CHECKING:
+    from drivers.canopen.drive import CanOpenDrive  # which offers streams of its own
 
 
 class SyncSource(Enum):

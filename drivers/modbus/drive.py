@@ -15,6 +15,7 @@ from drivers.clock import Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     BridgeError,
+    CapabilityError,
     DriveFaultError,
     MotionTimeoutError,
     NoAnswerError,
@@ -28,8 +29,11 @@ from drivers.modbus.drive_units import from_counts, to_counts, to_percent
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.register_access import RegisterAccess, whole
+from drivers.modbus.stream import ModbusStream
+from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.wear import WearLedger
 from drivers.scaling import AxisScaling, ReportedScaling
+from drivers.set_points import SetPointSettings
 
 POLL_S = 0.005
 _BOOT_S = 5.0  # how long a drive may be not ready to switch on
@@ -72,11 +76,12 @@ class ModbusDrive(ServoDrive):
         self.map = drive_map
         self.registers = drive_map.registers
         self.access = RegisterAccess(link, unit, drive_map.registers)
-        self.parameters = ModbusParameters(name, drive_map, self.access, clock, wear or WearLedger())
+        self._parameters = ModbusParameters(name, drive_map, self.access, clock, wear or WearLedger())
         self._open = False
         self._homed: bool | None = None
         self._homing = False
         self._move: _Move | None = None
+        self._running = False  # at a velocity that stands in the drive
         self._found: dict[str, Raw] = {}  # settings as they were before we changed them
 
     # -- connection ------------------------------------------------------------------------------------------------
@@ -87,7 +92,7 @@ class ModbusDrive(ServoDrive):
         self.link.open()
         self._open = True
         try:
-            self._homed, self._homing, self._move = None, False, None
+            self._homed, self._homing, self._move, self._running = None, False, None, False
             self._found = {}
             self.sample()
         except BaseException:
@@ -129,6 +134,12 @@ class ModbusDrive(ServoDrive):
         found = {Capability.PROFILE_POSITION, Capability.PARAMETERS}
         if self.map.homing is not None:
             found.add(Capability.HOMING)
+        if self.map.run is not None:
+            found.add(Capability.PROFILE_VELOCITY)
+        if self.map.stream is not None:
+            found.add(Capability.STREAMING)
+        if self.map.probes:
+            found.add(Capability.TOUCH_PROBE)
         if self.map.torque is not None:
             found.add(Capability.TORQUE_ACTUAL)
         if self.map.store is not None:
@@ -138,7 +149,7 @@ class ModbusDrive(ServoDrive):
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
         """By the map's [drive.scaling]: constants of the model, or its registers."""
         self._require_open()
-        return (self.parameters.reported_scaling(),)
+        return (self._parameters.reported_scaling(),)
 
     # -- reading ---------------------------------------------------------------------------------------------------
     @property
@@ -149,7 +160,8 @@ class ModbusDrive(ServoDrive):
     def sample(self) -> DriveSample:
         """A fresh sample, all its registers asked for in as few requests as the wire is best served with.
 
-        following_error_mm is as the drive gives it. Raises DriveFaultError once when a homing that was started failed.
+        following_error_mm is as the drive gives it. Raises DriveFaultError once when a homing that was started failed, LimitError
+        (with a quick stop) when a velocity run comes to the end of the travel.
         """
         self._require_open()
         raw = self.access.read(self.map.sampled())
@@ -158,10 +170,13 @@ class ModbusDrive(ServoDrive):
         if state in FAULTS:
             self._homing = False
         self._look_at_homing(raw)
+        position_mm = self.scaling.load_mm(self._counts(raw, self.map.position))
+        if self._running and state is DriveState.ENABLED:
+            self._watch_travel(position_mm, self._load_mm(raw, self.map.velocity))
         return DriveSample(
             time_ns=time_ns,
             state=state,
-            position_load_mm=self.scaling.load_mm(self._counts(raw, self.map.position)),
+            position_load_mm=position_mm,
             target_reached=self._reached(raw) and not self._homing,
             velocity_mm_s=self._load_mm(raw, self.map.velocity),
             torque_percent=self._torque_percent(raw),
@@ -239,6 +254,7 @@ class ModbusDrive(ServoDrive):
             self._await_state("ready", lambda now: now is not DriveState.NOT_READY, _BOOT_S)
         elif state is DriveState.QUICK_STOP:
             self._await_standstill()  # the way out of a quick stop may lead through power off
+        self._end_run()
         self._set_mode(self.map.move.mode, self.map.move.mode_shown, self.map.move.timeout_s)
         for _ in range(len(self.map.enable) + 1):
             state = self._state()
@@ -252,10 +268,12 @@ class ModbusDrive(ServoDrive):
 
     def _target_here(self) -> None:
         """Target := actual, so that power coming on moves nothing."""
-        raw = self.access.read([self.map.position])
-        counts = self._counts(raw, self.map.position)
-        self.access.write({self.map.move.target: self._raw(counts, self.map.move.target)})
+        self._write_here(self.map.move.target)
         self._move = None
+
+    def _write_here(self, target: str) -> None:
+        counts = self._counts(self.access.read([self.map.position]), self.map.position)
+        self.access.write({target: self._raw(counts, target)})
 
     def _raw(self, counts: float, name: str) -> Raw:
         return from_counts(counts, self.registers[name], self.scaling.encoder_counts_per_motor_rev)
@@ -272,6 +290,7 @@ class ModbusDrive(ServoDrive):
                 self.access.command(write)
         if state in (DriveState.ENABLED, DriveState.QUICK_STOP):
             self._await_standstill()
+        self._end_run()
         state = self._state()
         if any(state in transition.sources for transition in self.map.disable):
             self._walk(self._transition_from(self.map.disable, state, "disable"), "disable", fault_ends=True)
@@ -357,6 +376,7 @@ class ModbusDrive(ServoDrive):
         if homing is None:
             raise StateError(f"drive {self.name}: its register map has no homing")
         self._move = None
+        self._end_run()
         self._release_homing(homing)
         self._set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
         self._homed = False
@@ -383,6 +403,7 @@ class ModbusDrive(ServoDrive):
         target_counts = float(self.scaling.motor_counts(position_load_mm))
         values = self._profile(target_counts, velocity_mm_s)  # refused here, before anything is written
         self._leave_homing(raw)
+        self._end_run()
         self._set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
         if not self._hold_now(move.idle, raw):
             for write in move.release:
@@ -406,23 +427,109 @@ class ModbusDrive(ServoDrive):
         """All that a move needs, speeds before the target, as some drives start on the target; neighbours are joined when written."""
         move, scaling = self.map.move, self.scaling
         velocity = velocity_mm_s * scaling.counts_per_load_mm
-        ramp = self.limits.max_acceleration_mm_s2 * scaling.counts_per_load_mm
+        ramp = self._ramp_counts_s2()
         wanted: dict[str, float] = {move.velocity: velocity}
         for name in (move.acceleration, move.deceleration):
             if name is not None:
                 wanted[name] = ramp
-        self._remember(tuple(wanted))
-        values = {name: self._raw(self._at_least_one_step(name, counts), name) for name, counts in wanted.items()}
+        values = self._settings(wanted)
         values[move.target] = self._raw(target_counts, move.target)
         if not move.start:
             return values
         return dict(sorted(values.items(), key=lambda item: self.registers[item[0]].span))
+
+    def _ramp_counts_s2(self) -> float:
+        return self.limits.max_acceleration_mm_s2 * self.scaling.counts_per_load_mm
+
+    def _settings(self, wanted: dict[str, float]) -> dict[str, Raw]:
+        """Speeds and ramps in counts -> raw, after noting what stood there."""
+        self._remember(tuple(wanted))
+        return {name: self._raw(self._at_least_one_step(name, counts), name) for name, counts in wanted.items()}
 
     def _at_least_one_step(self, name: str, counts: float) -> float:
         """A speed that rounds to 0 would never arrive."""
         register = self.registers[name]
         one = to_counts(1, register, self.scaling.encoder_counts_per_motor_rev)
         return counts if register.layout.type.is_float else max(counts, one)
+
+    # -- velocity runs and streams ---------------------------------------------------------------------------------------
+    def _start_velocity(self, velocity_mm_s: float) -> None:
+        run = self.map.run
+        if run is None:
+            raise CapabilityError(f"drive {self.name}: its register map has no velocity run")
+        counts_per_s = self.scaling.direction * velocity_mm_s * self.scaling.counts_per_load_mm
+        target = {run.target: self._raw(counts_per_s, run.target)}  # refused here, before anything is written
+        ramps = dict.fromkeys((name for name in (run.acceleration, run.deceleration) if name), self._ramp_counts_s2())
+        raw = self.access.read(self.map.sampled())
+        self._leave_homing(raw)
+        self._move = None
+        self.access.write(self._settings(ramps))
+        if not self._running:
+            self._write_no_velocity()  # what is left there from before must not come to life with the mode
+        self._set_mode(run.mode, run.mode_shown, run.timeout_s)
+        self._running = True
+        try:
+            self._commands(run.start, "velocity run", run.timeout_s, lambda: False)
+            self.access.write(target)
+        except BaseException:
+            with suppress(BridgeError):  # it may be running
+                self.quick_stop()
+            raise
+
+    def _write_no_velocity(self) -> None:
+        if self.map.run is not None:
+            self.access.write({self.map.run.target: self._raw(0.0, self.map.run.target)})
+
+    def _end_run(self) -> None:
+        """No velocity stays behind in the drive."""
+        if self._running:
+            self._write_no_velocity()
+            self._running = False
+
+    def _stream(self, settings: SetPointSettings) -> ModbusStream:
+        if self.map.stream is None:
+            raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
+        return ModbusStream(self, self.map.stream, settings)
+
+    def begin_stream(self) -> None:
+        """For `ModbusStream`: target := actual, then the mode in which the drive follows it."""
+        stream = self.map.stream
+        self._require_enabled("stream")
+        if stream is None:
+            raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
+        self._end_run()
+        self._leave_homing(self.access.read(self.map.sampled()))
+        self._write_here(stream.target)
+        self._set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
+        self._commands(stream.start, "stream", stream.timeout_s, lambda: False)
+
+    def send_set_point(self, position_load_mm: float) -> None:
+        """For `ModbusStream`: the next set-point."""
+        target = self.map.stream.target if self.map.stream is not None else self.map.move.target
+        counts = float(self.scaling.motor_counts(position_load_mm))
+        self.access.write({target: self._raw(counts, target)})
+
+    def end_stream(self) -> None:
+        """For `ModbusStream`: back to the mode of moves, held where it is."""
+        self._target_here()
+        self._set_mode(self.map.move.mode, self.map.move.mode_shown, self.map.move.timeout_s)
+
+    # -- what stands beside the motion -----------------------------------------------------------------------------------
+    def _touch_probe(self) -> ModbusTouchProbe:
+        return ModbusTouchProbe(
+            self.name,
+            self.clock,
+            self.map.probes,
+            self.access,
+            lambda raw, name: self.scaling.load_mm(
+                to_counts(raw, self.registers[name], self.scaling.encoder_counts_per_motor_rev)
+            ),
+        )
+
+    @property
+    def parameters(self) -> ModbusParameters:
+        """By the names of the register map."""
+        return self._parameters
 
     def _remember(self, names: tuple[str, ...]) -> None:
         """Note what stood there before we write it for the first time."""

@@ -6,6 +6,8 @@
                            [[drive.disable]] and [[drive.reset_fault]] likewise
     [drive.quick_stop]     what to write, whatever the state; [drive.halt] to stop before switching off
     [drive.move]           hand-shake of a profile move      [drive.homing]  [drive.store]  [drive.scaling]
+    [drive.run]            where the drive runs at a velocity   [drive.stream]  where it follows set-points that come cyclically
+    [[drive.touch_probe]]  one for each input that latches positions, with [drive.touch_probe.positive] and .negative for its edges
 
 A *condition* is {register, mask, value} or {register, bit, set}; a *write* is the same, and one with a mask changes those bits only.
 Values are raw. `drivers.modbus.map_loader` reads these from the file and refuses what cannot work.
@@ -20,6 +22,7 @@ from fractions import Fraction
 
 from drivers.drive import DriveState
 from drivers.modbus.register_map import RegisterMap
+from drivers.touch_probe import Edge
 
 FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 POSITION_UNITS = ("counts", "rev")
@@ -112,6 +115,54 @@ class HomingMap:
 
 
 @dataclass(frozen=True)
+class RunMap:
+    """Profile velocity: the (signed) target is followed from when the mode is shown, after `start` where that is needed."""
+
+    target: str
+    acceleration: str | None
+    deceleration: str | None
+    mode: tuple[Write, ...]
+    mode_shown: tuple[Condition, ...]
+    start: tuple[Write, ...]
+    timeout_s: float
+
+
+@dataclass(frozen=True)
+class StreamMap:
+    """A set-point register that the drive follows as it is written, cycle by cycle, no faster than least_period_s."""
+
+    target: str
+    mode: tuple[Write, ...]
+    mode_shown: tuple[Condition, ...]
+    start: tuple[Write, ...]
+    least_period_s: float
+    timeout_s: float
+
+
+@dataclass(frozen=True)
+class EdgeMap:
+    """One edge of a probe: written before `on` to have it latched, shown as latched by, and where its values stand."""
+
+    arm: tuple[Write, ...]
+    latched: tuple[Condition, ...]
+    position: str
+    stamp: str | None
+    count: str | None
+
+
+@dataclass(frozen=True)
+class ProbeMap:
+    """One probe input: `off` forgets edges and latches, then edges, `continuous` where every edge is wanted, and `on`."""
+
+    number: int
+    off: tuple[Write, ...]
+    on: tuple[Write, ...]
+    continuous: tuple[Write, ...]
+    armed: tuple[Condition, ...]
+    edges: Mapping[Edge, EdgeMap]
+
+
+@dataclass(frozen=True)
 class StoreMap:
     """Saving parameters to the drive's own memory."""
 
@@ -156,6 +207,9 @@ class DriveMap:
     halt: tuple[Write, ...]
     move: MoveMap
     homing: HomingMap | None
+    run: RunMap | None
+    stream: StreamMap | None
+    probes: tuple[ProbeMap, ...]
     store: StoreMap | None
     scaling: ScalingMap
 
@@ -169,15 +223,24 @@ class DriveMap:
         return tuple(dict.fromkeys(name for name in names if name is not None))
 
     def moving(self) -> frozenset[str]:
-        """Names of all registers that commands, targets and modes write."""
+        """Names of all registers that commands, targets and modes write; no parameters."""
         writes = [*self.quick_stop, *self.halt, *self.move.mode, *self.move.start, *self.move.release]
         for transition in (*self.enable, *self.disable, *self.reset_fault):
             writes += transition.writes
+        targets = {self.move.target}
         if self.homing is not None:
             writes += [*self.homing.mode, *self.homing.start, *self.homing.release]
+        for cyclic in (self.run, self.stream):
+            if cyclic is not None:
+                writes += [*cyclic.mode, *cyclic.start]
+                targets.add(cyclic.target)
+        for probe in self.probes:
+            writes += [*probe.off, *probe.on, *probe.continuous]
+            for edge in probe.edges.values():
+                writes += edge.arm
         if self.store is not None:
             writes += self.store.writes
-        return frozenset({write.register for write in writes} | {self.move.target})
+        return frozenset({write.register for write in writes} | targets)
 
 
 def all_hold(conditions: tuple[Condition, ...], raw: Mapping[str, int]) -> bool:

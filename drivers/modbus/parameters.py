@@ -9,19 +9,29 @@ from fractions import Fraction
 
 from drivers.clock import Clock
 from drivers.drive import DriveState
-from drivers.errors import AbortError, CapabilityError, MotionTimeoutError, ProtocolError, StateError
-from drivers.modbus.codec import OrderMatch, decode, encode, probe_order
+from drivers.errors import AbortError, CapabilityError, InputError, MotionTimeoutError, ProtocolError, StateError
+from drivers.modbus.codec import OrderMatch, RegisterType, decode, encode, probe_order
 from drivers.modbus.drive_map import DriveMap, Ratio, all_hold
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, Register, Value
 from drivers.modbus.wear import WearLedger
+from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 from drivers.scaling import ReportedScaling
+
+
+def _kind(register: Register) -> ParameterKind:
+    """A whole number that has a scale is shown as a number."""
+    if register.layout.type is RegisterType.STRING:
+        return ParameterKind.TEXT
+    plain = register.layout.type.is_integer and register.scale == 1.0 and register.offset == 0.0
+    return ParameterKind.INTEGER if plain else ParameterKind.NUMBER
+
 
 _SETTLE_S = 0.5  # a drive may take this long to show a parameter that it has saved
 _POLL_S = 0.02
 
 
-class ModbusParameters:
+class ModbusParameters(DriveParameters):
     """Parameter access of one drive."""
 
     def __init__(self, drive: str, drive_map: DriveMap, access: RegisterAccess, clock: Clock, wear: WearLedger) -> None:
@@ -50,6 +60,20 @@ class ModbusParameters:
         """What the map says of a register. Raises InputError for a name the map does not have."""
         return self._access.registers[name]
 
+    def describe(self, name: str) -> ParameterInfo:
+        register = self._access.registers[name]
+        low, high = register.bounds
+        return ParameterInfo(
+            name,
+            _kind(register),
+            register.unit,
+            low,
+            high,
+            name in self.writable_names,
+            register.memory is Memory.EEPROM,
+            register.description,
+        )
+
     def read(self, name: str) -> Value:
         """One parameter in its unit. Raises InputError for a name the map does not have."""
         return self.read_many((name,))[name]
@@ -58,7 +82,7 @@ class ModbusParameters:
         """Several parameters, grouped into as few requests as the wire is best served with."""
         return {name: self._access.registers[name].value_of(raw) for name, raw in self._access.read(names).items()}
 
-    def write(self, name: str, value: Value) -> bool:
+    def write(self, name: str, value: ParameterValue) -> bool:
         """Write one parameter and read it back; True when the drive was written to, False when it held the value already.
 
         Raises InputError outside the map's limits or for an unknown name, CapabilityError for what is read only or moves the axis,
@@ -70,6 +94,8 @@ class ModbusParameters:
             raise CapabilityError(f"drive {self._drive}: {name} moves the axis and is no parameter")
         if name not in self.writable_names:
             raise CapabilityError(f"drive {self._drive}: {name} cannot be written and read back")
+        if isinstance(value, bytes):
+            raise InputError(f"{name} cannot be {value!r}, expected {_kind(register).value}")
         raw = register.raw_of(value)
         words = encode(raw, register.layout)
         if self._access.words((name,))[name] == words:

@@ -89,6 +89,17 @@ class Register:
     def place(self) -> tuple[Table, Span]:
         return self.table, self.span
 
+    @property
+    def bounds(self) -> tuple[float | None, float | None]:
+        """What it may be, in its unit: the file's limits within those of its type."""
+        if not self.layout.type.is_integer:
+            return self.minimum, self.maximum
+        low, high = sorted(raw * self.scale + self.offset for raw in self.layout.type.bounds)
+        return (
+            low if self.minimum is None else max(low, self.minimum),
+            high if self.maximum is None else min(high, self.maximum),
+        )
+
     def value_of(self, raw: Raw) -> Value:
         """Raw -> engineering units."""
         if isinstance(raw, str) or (self.scale == 1.0 and self.offset == 0.0):

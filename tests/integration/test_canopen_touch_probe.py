@@ -9,10 +9,10 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.touch_probe import Edge, Latch, TouchProbe
 from drivers.drive import DriveLimits
 from drivers.errors import AbortError, CapabilityError, InputError
 from drivers.scaling import AxisScaling
+from drivers.touch_probe import Edge, Latch
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import CanOpenSlave
 
@@ -28,7 +28,7 @@ class Rig:
         scaling = AxisScaling(100_000, 10.0, direction=direction)
         self.drive = stack.enter_context(CanOpenDrive("X", scaling, LIMITS, self.bench.clock, link=link, node_id=NODE))
         self.drive.enable()
-        self.probe = TouchProbe(self.drive)
+        self.probe = self.drive.touch_probe()
 
     @property
     def slave(self) -> CanOpenSlave:
@@ -134,4 +134,4 @@ def test_a_drive_without_the_function_says_so() -> None:
             CanOpenDrive("X", AxisScaling(100_000, 10.0), LIMITS, bench.clock, link=link, node_id=NODE)
         )
         with pytest.raises(CapabilityError, match="touch probe"):
-            TouchProbe(drive)
+            drive.touch_probe()

@@ -392,7 +392,7 @@ def test_a_velocity_run_out_of_the_travel_is_refused(make: MakeRig) -> None:
         drive.start_velocity(-201.0)
     drive.start_move(199.95, 100.0)
     drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-    with pytest.raises(LimitError, match="velocity run stopped"):
+    with pytest.raises(LimitError, match="velocity run not started"):
         drive.start_velocity(50.0)
 
 

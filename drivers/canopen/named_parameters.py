@@ -1,0 +1,158 @@
+"""A CiA-402 drive's parameters by name: the standard's under names of their own, what an EDS adds as "2100h:01".
+
+What may go in: which name means which object, and in which unit. Checks, proof by reading back and what is refused are `parameters`'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from drivers.canopen import objects
+from drivers.canopen.eds import EdsEntry, EdsFile
+from drivers.canopen.objects import DataType, Entry
+from drivers.canopen.parameters import CanOpenParameters
+from drivers.canopen.pdo import OBJECT_MISSING
+from drivers.errors import AbortError, InputError, ProtocolError
+from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
+
+if TYPE_CHECKING:
+    from drivers.canopen.drive import CanOpenDrive
+
+_STANDARD: tuple[tuple[Entry, str, bool], ...] = (
+    # object, unit, whether it is there to be written
+    (objects.DEVICE_NAME, "", False),
+    (objects.HARDWARE_VERSION, "", False),
+    (objects.SOFTWARE_VERSION, "", False),
+    (objects.SERIAL_NUMBER, "", False),
+    (objects.QUICK_STOP_OPTION, "", True),
+    (objects.SHUTDOWN_OPTION, "", True),
+    (objects.DISABLE_OPTION, "", True),
+    (objects.HALT_OPTION, "", True),
+    (objects.FAULT_REACTION_OPTION, "", True),
+    (objects.FOLLOWING_ERROR_WINDOW, "counts", True),
+    (objects.FOLLOWING_ERROR_TIMEOUT, "ms", True),
+    (objects.POSITION_WINDOW, "counts", True),
+    (objects.POSITION_WINDOW_TIME, "ms", True),
+    (objects.HOME_OFFSET, "counts", True),
+    (objects.SOFTWARE_LIMIT_MIN, "counts", True),
+    (objects.SOFTWARE_LIMIT_MAX, "counts", True),
+    (objects.QUICK_STOP_DECELERATION, "counts/s2", True),
+    (objects.ENCODER_INCREMENTS, "", False),
+    (objects.ENCODER_REVOLUTIONS, "", False),
+    (objects.GEAR_MOTOR_REVOLUTIONS, "", True),
+    (objects.GEAR_SHAFT_REVOLUTIONS, "", True),
+    (objects.FEED, "", True),
+    (objects.FEED_SHAFT_REVOLUTIONS, "", True),
+    (objects.HOMING_METHOD, "", True),
+    (objects.HOMING_SPEED_SWITCH, "counts/s", True),
+    (objects.HOMING_SPEED_ZERO, "counts/s", True),
+    (objects.HOMING_ACCELERATION, "counts/s2", True),
+)
+
+
+def _name(entry: Entry) -> str:
+    return entry.name.replace(" ", "_").replace("-", "_").lower()
+
+
+def _dictionary(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], dict[str, str]]:
+    """What is known of the drive's objects, by name, and their units. A file knows better than the standard."""
+    entries: dict[tuple[int, int], EdsEntry] = dict(eds.entries) if eds is not None else {}
+    names: dict[str, EdsEntry] = {}
+    units: dict[str, str] = {}
+    standard = set()
+    for entry, unit, writable in _STANDARD:
+        key = entry.index, entry.subindex
+        if eds is None:
+            entries[key] = EdsEntry(entry, "rw" if writable else "ro", None, None, None, None, False)
+        if key in entries:
+            names[_name(entry)] = entries[key]
+            units[_name(entry)] = unit
+            standard.add(key)
+    for key, found in sorted(entries.items()):
+        if key not in standard and found.readable and found.entry.type is not DataType.DOMAIN:
+            names[f"{key[0]:04X}h:{key[1]:02X}"] = found
+    path = "CiA-402" if eds is None else eds.path
+    return EdsFile(path, entries, ()), names, units
+
+
+class NamedParameters(DriveParameters):
+    """Parameters of one open drive. Without an EDS only the standard's, as far as the drive answers for them, without limits."""
+
+    def __init__(self, drive: CanOpenDrive, eds: EdsFile | None) -> None:
+        self._drive = drive
+        file, self._entries, self._units = _dictionary(eds)
+        self._access = CanOpenParameters(drive, file)
+        self._present: tuple[str, ...] | None = tuple(self._entries) if eds is not None else None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        if self._present is None:
+            self._present = tuple(name for name in self._entries if self._answers(name))
+        return self._present
+
+    def _answers(self, name: str) -> bool:
+        try:
+            self._access.read(self._entries[name])
+        except AbortError as error:
+            if error.code in OBJECT_MISSING:
+                return False
+            raise
+        return True
+
+    def describe(self, name: str) -> ParameterInfo:
+        found = self._find(name)
+        low, high = _range(found)
+        return ParameterInfo(
+            name,
+            _kind(found.entry.type),
+            self._units.get(name, ""),
+            low,
+            high,
+            self._access.refusal(found) is None,
+            description=str(found.entry),
+        )
+
+    def read(self, name: str) -> ParameterValue:
+        return self._access.read(self._find(name)).value
+
+    def write(self, name: str, value: ParameterValue) -> bool:
+        found = self._find(name)
+        self._access.check(found, value)
+        if self._access.read(found).value == value:
+            return False
+        self._access.write(found, value)
+        return True
+
+    def _find(self, name: str) -> EdsEntry:
+        found = self._entries.get(name)
+        if found is None:
+            raise InputError(f"drive {self._drive.name} has no parameter {name!r}")
+        return found
+
+
+_KINDS: Mapping[DataType, ParameterKind] = {
+    DataType.F32: ParameterKind.NUMBER,
+    DataType.F64: ParameterKind.NUMBER,
+    DataType.STRING: ParameterKind.TEXT,
+    DataType.OCTETS: ParameterKind.BYTES,
+    DataType.DOMAIN: ParameterKind.BYTES,
+}
+
+
+def _kind(data_type: DataType) -> ParameterKind:
+    return _KINDS.get(data_type, ParameterKind.INTEGER)
+
+
+def _range(found: EdsEntry) -> tuple[float | None, float | None]:
+    """The file's limits within those of the type."""
+    kind = found.entry.type
+    if _kind(kind) is not ParameterKind.INTEGER:
+        return found.low, found.high
+    bits = 1 if kind is DataType.BOOLEAN else 8 * kind.size
+    least, most = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.is_signed else (0, (1 << bits) - 1)
+    low = least if found.low is None else max(least, found.low)
+    high = most if found.high is None else min(most, found.high)
+    if low > high:
+        raise ProtocolError(f"{found.entry}: its limits {low:g} to {high:g} leave nothing")
+    return low, high

@@ -1,0 +1,41 @@
+"""A stream to a single axis behind the face that all wires have, over `CyclicStream`."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.set_points import SetPointSettings, SetPointStream
+
+if TYPE_CHECKING:
+    from drivers.canopen.drive import CanOpenDrive
+
+
+class OneAxisStream(SetPointStream):
+    """SYNC comes from this process. On entering, the axis must be enabled and the bus be able to carry the cycle."""
+
+    def __init__(self, drive: CanOpenDrive, settings: SetPointSettings) -> None:
+        self._stream = CyclicStream(
+            [drive],
+            StreamSettings(
+                settings.period_s, following_error_mm=settings.following_error_mm, missed_limit=settings.missed_limit
+            ),
+        )
+
+    def __enter__(self) -> Self:
+        self._stream.__enter__()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stream.__exit__(exc_type, exc, traceback)
+
+    def cycle(self, position_load_mm: float) -> float:
+        (feedback,) = self._stream.cycle([position_load_mm])
+        return feedback.position_load_mm
+
+    @property
+    def missed_cycles(self) -> int:
+        return self._stream.counters.missed_cycles

@@ -1,0 +1,119 @@
+"""PacedStream: a stream of set-points that the host paces by its clock, for wires without a SYNC.
+
+What may go in: the supervision that such a wire needs - missed cycles, steps that are too long, state, following error. How a
+set-point reaches the drive is the backend's.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from contextlib import suppress
+from types import TracebackType
+from typing import Self
+
+from drivers.clock import NS_PER_S
+from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, SafetyError, StateError
+from drivers.set_points import SetPointSettings, SetPointStream
+
+
+class PacedStream(SetPointStream):
+    """A stream that the host paces by its clock, over whatever `_begin`, `_send` and `_end` do."""
+
+    def __init__(self, drive: ServoDrive, settings: SetPointSettings) -> None:
+        self.drive = drive
+        self.settings = settings
+        self._missed = 0
+        self._missed_in_a_row = 0
+        self._period_ns = round(settings.period_s * NS_PER_S)
+        self._due_ns = 0  # when the next set-point is due
+        self._begun = False
+        self._last_mm = 0.0
+        self._running = False
+
+    @property
+    def missed_cycles(self) -> int:
+        return self._missed
+
+    def __enter__(self) -> Self:
+        self._last_mm = self._begin().position_load_mm
+        self._begun, self._running = False, True
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if exc_type is not None and self._running:
+            self._stop()
+        self._running = False
+        if exc_type is None:
+            self._end()
+
+    def cycle(self, position_load_mm: float) -> float:
+        if not self._running:
+            raise StateError("the stream is not running")
+        try:
+            self._check(position_load_mm)
+            self._account_for_lateness()
+            self._send(position_load_mm)
+            before_mm, self._last_mm = self._last_mm, position_load_mm
+            sample = self.drive.sample()
+            self._judge(sample, before_mm, position_load_mm)
+            self.drive.clock.sleep_until_ns(self._due_ns)
+            return sample.position_load_mm
+        except BaseException:
+            self._stop()
+            raise
+
+    def _check(self, position_load_mm: float) -> None:
+        limits, period_s = self.drive.limits, self.settings.period_s
+        limits.check_target(position_load_mm)
+        step_mm = abs(position_load_mm - self._last_mm)
+        if step_mm > limits.max_velocity_mm_s * period_s + self.drive.scaling.resolution_load_mm:
+            raise LimitError(
+                f"drive {self.drive.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / period_s:g} mm/s,"
+                f" allowed are {limits.max_velocity_mm_s:g} mm/s"
+            )
+
+    def _account_for_lateness(self) -> None:
+        """The time of the next set-point; what lies whole periods behind was missed."""
+        now_ns = self.drive.clock.now_ns()
+        if not self._begun:
+            self._begun, self._due_ns = True, now_ns  # time runs from the first set-point on
+        missed = max(0, now_ns - self._due_ns) // self._period_ns
+        self._due_ns += (missed + 1) * self._period_ns
+        self._missed += missed
+        self._missed_in_a_row = self._missed_in_a_row + missed if missed else 0
+        if self._missed_in_a_row > self.settings.missed_limit:
+            raise SafetyError(
+                f"stream: {self._missed_in_a_row} cycles of {1e3 * self.settings.period_s:g} ms missed in a row, the host is late"
+            )
+
+    def _judge(self, sample: DriveSample, before_mm: float, now_mm: float) -> None:
+        state, name = sample.state, self.drive.name
+        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            raise DriveFaultError(f"drive {name} went into {state.value} while streaming", sample.fault_code)
+        if state is not DriveState.ENABLED:
+            raise StateError(f"drive {name} left operation enabled while streaming: {state.value}")
+        low, high = sorted((before_mm, now_mm))
+        off_mm = max(low - sample.position_load_mm, sample.position_load_mm - high)
+        if off_mm > self.settings.following_error_mm:
+            raise FollowingErrorError(
+                f"drive {name}: {off_mm:.3f} mm from its set-point, allowed are {self.settings.following_error_mm:g} mm"
+            )
+
+    def _stop(self) -> None:
+        self._running = False
+        with suppress(BridgeError):  # the error under way matters more
+            self.drive.quick_stop()
+
+    @abstractmethod
+    def _begin(self) -> DriveSample:
+        """Bring the enabled drive into its streaming mode without moving it; where it stands. Raises StateError unless enabled."""
+
+    @abstractmethod
+    def _send(self, position_load_mm: float) -> None: ...
+
+    @abstractmethod
+    def _end(self) -> None:
+        """Hold the axis where it is, in the mode for profile moves."""

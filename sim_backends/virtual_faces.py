@@ -1,0 +1,176 @@
+"""What stands beside the motion of the in-process drive: touch probe, parameters and set-points, without a wire.
+
+What may go in: the drivers' faces over servo, probe inputs and the drive's settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from drivers.clock import Clock
+from drivers.drive import DriveSample, DriveState
+from drivers.errors import CapabilityError, InputError, StateError
+from drivers.paced_stream import PacedStream
+from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
+from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
+from drivers.touch_probe import Edge, LatchReading, TouchProbe
+from sim_backends.probe_latch import Caught, ProbeLatch
+from sim_backends.servo import Servo
+
+if TYPE_CHECKING:
+    from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+
+class VirtualTouchProbe(TouchProbe):
+    """Both inputs of the drive. device_stamp is in µs of simulated time."""
+
+    def __init__(self, name: str, clock: Clock, latch: ProbeLatch, scaling: AxisScaling) -> None:
+        super().__init__(name, clock)
+        self._latch = latch
+        self._scaling = scaling
+
+    def _switch_on(self, probe: int, edges: frozenset[Edge], continuous: bool) -> bool:
+        self._latch.channels[probe - 1].arm(
+            enabled=True, continuous=continuous, rising=Edge.POSITIVE in edges, falling=Edge.NEGATIVE in edges
+        )
+        return True
+
+    def _switch_off(self, probe: int) -> None:
+        self._latch.channels[probe - 1].arm(enabled=False, continuous=False, rising=False, falling=False)
+
+    def _latched(self, wanted: Sequence[tuple[int, Edge]]) -> list[tuple[int, Edge]]:
+        return [(probe, edge) for probe, edge in wanted if self._caught(probe, edge).stored]
+
+    def _read(self, probe: int, edge: Edge) -> LatchReading:
+        caught = self._caught(probe, edge)
+        return LatchReading(self._scaling.load_mm(caught.position_counts), caught.stamp_us, caught.count)
+
+    def _caught(self, probe: int, edge: Edge) -> Caught:
+        found = self._latch.channels[probe - 1]
+        return found.rising if edge is Edge.POSITIVE else found.falling
+
+
+class VirtualStream(PacedStream):
+    """Set-points straight into the servo."""
+
+    def __init__(self, drive: VirtualDrive, servo: Servo, settings: SetPointSettings) -> None:
+        super().__init__(drive, settings)
+        self._servo = servo
+
+    def _begin(self) -> DriveSample:
+        sample = self.drive.sample()
+        if sample.state is not DriveState.ENABLED:
+            raise StateError(f"drive {self.drive.name} cannot stream: it is {sample.state.value}")
+        self._servo.cyclic_position(self._servo.position_demand_counts)
+        return sample
+
+    def _send(self, position_load_mm: float) -> None:
+        self._servo.cyclic_position(self.drive.scaling.motor_counts(position_load_mm))
+
+    def _end(self) -> None:
+        """The servo holds its last set-point by itself."""
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """One of the drive's settings as a parameter: what it is called there, and how counts become the setting."""
+
+    info: ParameterInfo
+    field: str
+    to_counts: Callable[[AxisScaling, float], int]
+    from_counts: Callable[[AxisScaling, int], float]
+
+
+def _whole(_scaling: AxisScaling, value: float) -> int:
+    return round(value)
+
+
+def _same(_scaling: AxisScaling, counts: int) -> int:
+    return counts
+
+
+def _speed(scaling: AxisScaling, value: float) -> int:
+    return scaling.motor_counts_per_s(value)
+
+
+def _speed_mm(scaling: AxisScaling, counts: int) -> float:
+    return counts / scaling.counts_per_load_mm
+
+
+def _integer(name: str, unit: str, low: float, high: float, description: str) -> ParameterInfo:
+    return ParameterInfo(name, ParameterKind.INTEGER, unit, low, high, description=description)
+
+
+_MOST = float(0xFFFFFFFF)
+_SETTINGS = {
+    setting.info.name: setting
+    for setting in (
+        _Setting(_integer("homing_method", "", -128, 127, "6098h"), "homing_method", _whole, _same),
+        _Setting(
+            _integer("homing_speed_during_search_for_switch", "counts/s", 1, _MOST, "6099h:1"),
+            "homing_speed_switch_mm_s",
+            _speed,
+            _speed_mm,
+        ),
+        _Setting(
+            _integer("homing_speed_during_search_for_zero", "counts/s", 1, _MOST, "6099h:2"),
+            "homing_speed_zero_mm_s",
+            _speed,
+            _speed_mm,
+        ),
+        _Setting(
+            _integer("home_offset", "counts", -(2.0**31), 2.0**31 - 1, "607Ch"),
+            "home_position_mm",
+            AxisScaling.motor_counts,
+            AxisScaling.load_mm,
+        ),
+        _Setting(
+            _integer("quick_stop_deceleration", "counts/s2", 1, _MOST, "6085h"), "quick_stop_mm_s2", _speed, _speed_mm
+        ),
+    )
+}
+_DEVICE_NAME = ParameterInfo("manufacturer_device_name", ParameterKind.TEXT, writable=False, description="1008h")
+
+
+class VirtualParameters(DriveParameters):
+    """Ramps and homing of one in-process drive."""
+
+    def __init__(self, drive: VirtualDrive) -> None:
+        self._drive = drive
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (_DEVICE_NAME.name, *_SETTINGS)
+
+    def describe(self, name: str) -> ParameterInfo:
+        return _DEVICE_NAME if name == _DEVICE_NAME.name else self._setting(name).info
+
+    def read(self, name: str) -> ParameterValue:
+        if name == _DEVICE_NAME.name:
+            return "in-process drive"
+        setting = self._setting(name)
+        settings: VirtualDriveSettings = self._drive.settings
+        return setting.to_counts(self._drive.scaling, getattr(settings, setting.field))
+
+    def write(self, name: str, value: ParameterValue) -> bool:
+        info = self.describe(name)
+        if not info.writable:
+            raise CapabilityError(f"drive {self._drive.name}: {name} cannot be written")
+        low, high = info.low, info.high
+        if not isinstance(value, int) or not (low is None or low <= value) or not (high is None or value <= high):
+            raise InputError(f"{name} cannot be {value!r}, expected a whole number {low:.0f} to {high:.0f}")
+        if self.read(name) == value:
+            return False
+        setting = self._setting(name)
+        drive = self._drive
+        changed: dict[str, Any] = {setting.field: setting.from_counts(drive.scaling, value)}
+        drive.settings = replace(drive.settings, **changed)
+        return True
+
+    def _setting(self, name: str) -> _Setting:
+        if name not in _SETTINGS:
+            raise InputError(f"drive {self._drive.name} has no parameter {name!r}")
+        return _SETTINGS[name]
