@@ -7,7 +7,6 @@ same data give the same bytes. (Importing this module loads matplotlib, which ta
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.resources import files
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,9 +16,9 @@ from hil.records import Floats, Records
 from hil.report import diagnosis as diagnosis_part
 from hil.report import markup, plots
 from hil.report.data import NamedCampaign, ReportData, environment, history
+from hil.report.page import header, page
 from hil.report.svg import LIGHT, PAGE, file_bytes, inline_svg
 
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 MAX_UNFOLDED_TARGETS = 60
 """The table per target stands open up to this length."""
 
@@ -38,17 +37,7 @@ def render_html(data: ReportData) -> str:
         "<h2>Notes</h2>" + markup.paragraph_list(data.notes) if data.notes else "",
         _footer(),
     ]
-    resources = files("hil.report")
-    style = (resources / "style.css").read_text(encoding="utf-8")
-    script = (resources / "page.js").read_text(encoding="utf-8")
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        f"<title>{markup.text(data.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        + "\n".join(part for part in body if part)
-        + f"\n<script>\n{script}</script>\n</body>\n</html>\n"
-    )
+    return page(data.title, body)
 
 
 def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
@@ -79,9 +68,7 @@ def rms_um(records: Records) -> float:
 def _header(data: ReportData) -> str:
     axis = data.identity.get("Axis", "")
     under = " · ".join(part for part in (f"Axis: {axis}" if axis else "", data.created) if part)
-    return (
-        f"<header><h1>{markup.text(data.title)}</h1>" + (f"<p>{markup.text(under)}</p>" if under else "") + "</header>"
-    )
+    return header(data.title, under)
 
 
 def _tiles(data: ReportData) -> str:
