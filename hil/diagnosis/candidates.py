@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,14 @@ class Stack:
             index = blocks.first[which][:, None] + np.arange(size)
             self.groups.append((which, index, block_gram(self.w, index) if size > 1 else np.zeros((0, 1, 1))))
 
+    @cached_property
+    def _single(self) -> NDArray[np.float32]:
+        return self.w.astype(np.float32)
+
+    def seen_of_many(self, rest: Floats) -> Floats:
+        """w'rest of many errors (n, b), shape (J, b), in single precision: they are simulated, and only their distribution counts."""
+        return np.asarray(self._single.T @ rest.astype(np.float32), dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class Scores:
@@ -133,11 +142,9 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
     if frame.beside.shape[1]:
         cross = np.concatenate([cross, frame.beside.T @ w])
     shadow = frame.solve_lower(cross)
-    zy = w.T @ frame.y - shadow.T @ frame.y_shadow
+    many = frame.y.ndim == 2
+    zy = stack.seen_of_many(frame.rest) if many else (w.T @ frame.rest)[:, None]
     left = raw - np.einsum("pj,pj->j", shadow, shadow)
-    many = zy.ndim == 2
-    if not many:
-        zy = zy[:, None]
     explained = np.zeros((len(blocks), zy.shape[1]))
     visible = np.zeros(len(blocks))
     for which, index, whole in stack.groups:

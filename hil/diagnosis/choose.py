@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.candidates import BLIND, Candidates, enumerate_candidates, score
 from hil.diagnosis.evidence import Bench, Extra, Noise, fit_noise
-from hil.diagnosis.fit import Choice, JointFit, Known, Setting, start_noise, static_part
+from hil.diagnosis.fit import JointFit, Known, Setting, start_noise, static_part
 from hil.diagnosis.judge import FoldJudge, FoldScout, NullJudge, Scout
 from hil.diagnosis.search import FULL, LIGHT, Searcher
 from hil.diagnosis.select import Selected, select
@@ -117,21 +117,23 @@ def choose(problem: Problem) -> Chosen:
     return Chosen((first, second), fit, (critical, Critical(judge.critical(), scout.critical)))
 
 
-def choose_without(problem: Problem, out: Mask, critical: Sequence[Critical]) -> Chosen:
-    """The same with rows left out, by critical gains."""
+def choose_without(problem: Problem, out: Mask, whole: Chosen) -> Chosen:
+    """The same with rows left out, by the critical gains on all rows; the search for the noise starts at that of all rows."""
     searcher = Searcher(problem.free, problem.candidates, out, LIGHT)
-    first = _fold_select(searcher, problem.catalogue, critical[0], problem.plain)
+    noise = whole.selections[0].noise
+    first = select(searcher, _scout(problem.catalogue, whole, 0), FoldJudge(whole.critical[0].effects), noise)
     if problem.given is None or problem.static is None or problem.static_catalogue is None:
-        return Chosen((first,), first.searcher.fit(first.choices, first.noise))
+        return Chosen((first,), first.searcher.fit(first.choices, first.noise, uncertain=False))
     searcher = _second(problem, problem.given, problem.static, first, out)
-    second = _fold_select(searcher, problem.static_catalogue, critical[1], first.noise, first.choices)
-    return Chosen((first, second), second.searcher.fit(second.choices, second.noise))
+    scout, judge = _scout(problem.static_catalogue, whole, 1), FoldJudge(whole.critical[1].effects)
+    second = select(searcher, scout, judge, first.noise, first.choices)
+    return Chosen((first, second), second.searcher.fit(second.choices, second.noise, uncertain=False))
 
 
-def _fold_select(
-    searcher: Searcher, catalogue: Catalogue, critical: Critical, noise: Noise, start: Sequence[Choice] = ()
-) -> Selected:
-    return select(searcher, FoldScout(catalogue, critical.structure), FoldJudge(critical.effects), noise, start)
+def _scout(catalogue: Catalogue, whole: Chosen, step: int) -> FoldScout | None:
+    """What looks for structure without some rows, where all rows showed any."""
+    selected = whole.selections[step]
+    return FoldScout(catalogue, whole.critical[step].structure) if selected.hits or selected.shapes else None
 
 
 def _second(problem: Problem, given: Setting, static: Candidates, first: Selected, out: Mask | None) -> Searcher:

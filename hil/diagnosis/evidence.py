@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize
 
 from hil.diagnosis.campaign import Campaign
@@ -211,6 +212,20 @@ class Frame:
             cross = np.concatenate([cross, self.beside.T @ prepared])
         return self.solve_lower(cross)
 
+    @cached_property
+    def rest(self) -> Floats:
+        """Prepared errors with everything projected out, shape (n,) or (n, b).
+
+        z'Py = z'rest for whitened columns z, of the rows kept.
+        """
+        coefficients = self.inverse_lower.T @ self.y_shadow
+        fitted = self.whitened.table @ coefficients[: self.whitened.table.shape[1]]
+        fitted += self.beside @ coefficients[self.whitened.table.shape[1] :]
+        rest = self.y - fitted
+        if self.out is not None:
+            rest[self.out] = 0.0
+        return np.asarray(rest)
+
     def solve_lower(self, cross: Floats) -> Floats:
         """R⁻ᵀ of cross products with the projected columns, shape (p + q, …)."""
         return self.inverse_lower @ cross
@@ -353,6 +368,15 @@ class Profile:
         self.gram = wide.T @ wide
         self.rows = len(wide)
         self.log_v = float(np.sum(whitened.log_v[keep]))
+        table = self.columns.shape
+        ends = np.cumsum(
+            [part.shape[1] for part in (table.free, table.even, table.odd, table.given, self.columns.offset)]
+        )
+        self.given = int(ends[0])
+        self.penalised = tuple(slice(int(ends[i - 1]), int(ends[i])) for i in (1, 2, 4))
+        unit = np.arange(int(ends[2]), int(ends[3])), np.arange(int(ends[4]), self.p)
+        for index in unit:
+            self.gram[index, index] += 1.0
         self.smooth = math.isfinite(start.even) and self.columns.shape.even.shape[1] > 0
         self.smooth_odd = math.isfinite(start.odd) and self.columns.shape.odd.shape[1] > 0
         self.offsets = self.columns.offset.shape[1] > 0
@@ -377,29 +401,39 @@ class Profile:
     def log_evidence(self, noise: Noise) -> float:
         """Log marginal likelihood of table, noise and extra columns, the free ones under the g-prior."""
         p = self.p
-        ridge = np.concatenate([self.columns.ridge(noise), np.ones(self.random)])
-        gram = self.gram[:p, :p] + np.diag(ridge)
-        diagonal = np.diag(gram)
-        gram[np.diag_indices(p)] += 1e-11 * np.maximum(diagonal, 1e-12 * diagonal.max())
-        lower = cholesky(gram)
-        shadow = inverse_of_lower(lower) @ self.gram[:p, p:]
-        left = self.gram[p:, p:] - shadow.T @ shadow
-        rss = max(float(left[-1, -1]), 1e-300)
-        dof = self.rows - int(np.sum(ridge == 0.0))
-        random = ridge[ridge > 0]
-        constant = self.log_v + 2.0 * float(np.sum(np.log(np.diag(lower)))) - float(np.sum(np.log(random)))
+        variances = (1.0 / noise.even, 1.0 / noise.odd, 1.0 / max(noise.offset, 1e-5) ** 2)
+        gram = self.gram.copy()
+        diagonal = gram.ravel()[:: len(gram) + 1]  # a view
+        log_ridge, free = 0.0, self.given
+        for where, ridge in zip(self.penalised, variances, strict=True):
+            size = where.stop - where.start
+            if ridge > 0.0:
+                diagonal[where] += ridge
+                log_ridge += size * math.log(ridge)
+            else:
+                free += size
+        diagonal[:p] += 1e-11 * np.maximum(diagonal[:p], 1e-12 * float(np.max(diagonal[:p])))
+        diagonal[p:-1] += 1e-9 * diagonal[p:-1] + 1e-30
+        factor, failed = dpotrf(gram, lower=1, clean=0, overwrite_a=1)
+        if failed and failed < len(gram):
+            raise np.linalg.LinAlgError("table columns are not independent")
+        root = factor.ravel()[:: len(gram) + 1]
+        seen = float(np.sum(factor[-1, p:-1] ** 2))  # what the free columns explain beside the rest
+        rss = max(seen + (0.0 if failed else float(root[-1]) ** 2), 1e-300)
+        dof = self.rows - free
+        constant = self.log_v + 2.0 * float(np.sum(np.log(root[:p]))) - log_ridge
         value = -0.5 * (constant + dof * math.log(rss)) + noise.log_prior()
         if self.k:
-            explained = explained_by(left[:-1, :-1], left[:-1, -1])
-            value += float(bayes_factor(np.asarray(explained), np.asarray(rss), dof, self.k, self.rows))
+            left = min(max(1.0 - seen / rss, 1e-12), 1.0)
+            value += 0.5 * (dof - self.k) * math.log1p(self.rows) - 0.5 * dof * math.log1p(self.rows * left)
         return value
 
-    def best(self, point: Floats, step: float) -> tuple[float, Floats]:
-        """Highest evidence and where, from a starting point."""
+    def best(self, point: Floats, step: float, trials: int = 30) -> tuple[float, Floats]:
+        """Highest evidence and where, from a starting point, by at most `trials` evaluations per parameter."""
         if len(point) == 0:
             return self.log_evidence(self.start), point
         simplex = np.vstack([point, point + step * np.eye(len(point))])
-        options = {"initial_simplex": simplex, "maxfev": 30 * len(point), "xatol": 0.1, "fatol": 0.03}
+        options = {"initial_simplex": simplex, "maxfev": trials * len(point), "xatol": 0.1, "fatol": 0.03}
         result = minimize(lambda v: -self.log_evidence(self.unpack(v)), point, method="Nelder-Mead", options=options)
         return -float(result.fun), np.asarray(result.x, dtype=np.float64)
 
@@ -411,12 +445,13 @@ def fit_noise(
     start: Noise,
     *,
     correlations: tuple[tuple[float, float], ...] = CORRELATIONS,
+    near: bool = False,
     out: NDArray[np.bool_] | None = None,
 ) -> Noise:
     """The noise model of highest evidence with the extra columns in the fit.
 
     The table's variances (where they are finite in `start`) and the run offsets are optimised for each (ar, rho) of a grid that
-    is left when more correlation no longer helps.
+    is left when more correlation no longer helps. near: the start is already close.
     """
     best: tuple[float, Noise] | None = None
     point: Floats | None = None
@@ -424,8 +459,8 @@ def fit_noise(
         if best is not None and ar > 0.3 and best[1].ar == 0.0:
             break
         profile = Profile(bench, replace(start, ar=ar, rho=rho), y, extra, out)
-        first = point is None
-        value, found = profile.best(profile.pack(start) if point is None else point, 1.2 if first else 0.4)
+        step, trials = (1.2, 30) if point is None and not near else (0.4, 30 if not near else 12)
+        value, found = profile.best(profile.pack(start) if point is None else point, step, trials)
         if best is None or value > best[0]:
             best, point = (value, profile.unpack(found)), found
     return start if best is None else best[1]

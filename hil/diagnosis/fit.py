@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 
 from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.evidence import Bench, Extra, Frame, Noise, Solution, fit_noise
@@ -199,11 +198,13 @@ def joint_fit(
     *,
     out: NDArray[np.bool_] | None = None,
     nuisance: Extra | None = None,
+    uncertain: bool = True,
 ) -> JointFit:
     """Estimate table and terms under a noise model, from the (tamed) errors y (n,) of the rows not left out.
 
-    nuisance: random columns of no interest that are in the fit too. The covariance of a term is that of its coefficients and
-    non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all other terms free.
+    nuisance: random columns of no interest that are in the fit too; uncertain: whether covariances are wanted. That of a term is
+    of its coefficients and non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all
+    other terms free.
     """
     bench = setting.bench
     campaign = bench.campaign
@@ -215,7 +216,7 @@ def joint_fit(
     frame = bench.frame(noise, y, Extra(always.free, np.hstack([random, always.random])), out)
     solution = frame.solve(free)
     p, w = bench.table.stacked.shape[1], bench.table.table_width
-    posterior = np.asarray(cho_solve((frame.lower, True), np.eye(len(solution.table)))) * solution.variance
+    posterior = frame.inverse_lower.T @ frame.inverse_lower * solution.variance if uncertain else None
     terms = _terms(campaign, frame, solution, choices, posterior)
     white = float(np.sqrt(solution.variance))
     about = {"rows": frame.rows, "runs": campaign.runs, "white_noise_um": white}
@@ -226,7 +227,7 @@ def joint_fit(
     nuisance_um = np.asarray(unnamed @ solution.table[middle : middle + unnamed.shape[1]])
 
     def table_of(coefficients: Floats) -> PitchTable:
-        table = bench.shape.tabulate(coefficients, posterior[:w, :w])
+        table = bench.shape.tabulate(coefficients, None if posterior is None else posterior[:w, :w])
         if setting.static is not None:
             q = always.free.shape[1]
             table = setting.static.added_to(table, solution.table[len(solution.table) - q :])
@@ -243,11 +244,11 @@ def joint_fit(
 
 
 def _terms(
-    campaign: Campaign, frame: Frame, solution: Solution, choices: Sequence[Choice], posterior: Floats
+    campaign: Campaign, frame: Frame, solution: Solution, choices: Sequence[Choice], posterior: Floats | None
 ) -> list[Term]:
     """The terms of the choices, from a solution with their free columns solved for and their random ones next to the table.
 
-    posterior: covariance of the solution's table part, µm²
+    posterior: covariance of the solution's table part, µm²; without it the terms get none
     """
     extras = [choice.extra(campaign) for choice in choices]
     first_random = frame.whitened.table.shape[1]
@@ -261,6 +262,8 @@ def _terms(
         else:
             parts.append(solution.coefficients[at_free : at_free + width])
             at_free += width
+    if posterior is None:
+        return [choice.as_term(part) for choice, part in zip(choices, parts, strict=True)]
     slopes = [_slopes(campaign, choice, part) for choice, part in zip(choices, parts, strict=True)]
     normal, _ = frame.normal(np.hstack([np.zeros((len(campaign), 0)), *(extra.free for extra in extras), *slopes]))
     covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) * solution.variance

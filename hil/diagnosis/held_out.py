@@ -19,7 +19,7 @@ from hil.diagnosis.select import Selected
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-MOST_FOLDS = 10
+MOST_FOLDS = 5
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ def held_out(problem: Problem, whole: Chosen) -> HeldOut:
     for index in range(count):
         out = fold == index
         columns = {name: values[out] for name, values in campaign.columns.items()}
-        chosen = choose_without(problem, out, whole.critical)
+        chosen = choose_without(problem, out, whole)
         if problem.declared is not None:
             base = problem.declared
         else:
             plain = Searcher(problem.free, problem.candidates, out, LIGHT)
             noise = plain.fit_noise((), problem.plain)
             plain.tame((), noise)
-            base = plain.fit((), noise).extended
+            base = plain.fit((), noise, uncertain=False).extended
         before[out] = y[out] - base.error_um(columns)
         setup[out] = y[out] - chosen.fit.whole.error_um(columns)
         after[out] = y[out] - chosen.fit.extended.error_um(columns)
@@ -96,7 +96,7 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
         refound[i] = refine(view.frame(selected.noise), [choice], LIGHT.rounds)[0][0]
 
     def left(choices: Sequence[Choice]) -> float:
-        model = searcher.fit(choices, selected.noise).whole
+        model = searcher.fit(choices, selected.noise, uncertain=False).whole
         return float(np.sum((campaign.error_um[out] - model.error_um(columns)) ** 2))
 
     everything = left(refound)

@@ -29,7 +29,10 @@ WINNER = 0.02
 """The chance in noise of the effect that wins, by itself, once any effect is significant."""
 SURE = 35.0
 HOPELESS = 2.0
+REFINEMENT = 5.0
+"""What the refinement of a grid point may bring."""
 STRUCTURE_CAMPAIGNS = 300
+NEAR_OFFSET = 0.2
 OFFSETS = np.linspace(0.0, MOST_OFFSET, 9)
 USUAL = 12.0
 USUAL_STRUCTURE = 12.0
@@ -53,7 +56,11 @@ class NullJudge:
         if self.probability(stage, searcher, chosen, noise) >= FALSE_FINDINGS:
             return False
         winner = stage.ranking[0].effect
-        return self.null is None or winner not in self.null.maxima or self.null.probability(winner, top) < WINNER
+        return self.null is None or winner not in self.null.maxima or float(self.null.probability(winner, top)) < WINNER
+
+    def hopeful(self, effect: str, gain: float) -> bool:
+        del effect
+        return gain > HOPELESS - REFINEMENT
 
     def probability(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> float:
         """Chance of any effect getting as far as the farthest one did, in noise alone."""
@@ -61,13 +68,16 @@ class NullJudge:
         if key not in self.asked:
             offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
             typical = replace(noise, offset=float(np.median(offsets)))
-            noises = tuple(dict.fromkeys((noise, noise.calm(), typical)))
+            far = abs(typical.offset - noise.offset) > NEAR_OFFSET
+            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
             self.asked[key] = null_maxima(
                 searcher.bench, searcher.candidates, noises, offsets, searcher.extra(chosen), seed=self.seed
             )
         null = self.null = self.asked[key]
         values = [
-            null.probability(r.effect, r.evidence - stage.before) for r in stage.ranking if r.effect in null.maxima
+            float(null.probability(r.effect, r.evidence - stage.before))
+            for r in stage.ranking
+            if r.effect in null.maxima
         ]
         return min(1.0, min(values, default=1.0) * max(len(null.maxima), 1))
 
@@ -79,8 +89,8 @@ class NullJudge:
         grid = np.linspace(0.0, 40.0, 161)
         critical = {}
         for effect in self.null.maxima:
-            good = [value for value in grid if self.null.probability(effect, float(value)) < wanted]
-            critical[effect] = float(good[0]) if good else 40.0
+            good = grid[self.null.probability(effect, grid) < wanted]
+            critical[effect] = float(good[0]) if len(good) else 40.0
         return critical
 
 
@@ -103,6 +113,9 @@ class FoldJudge:
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
         return any(r.evidence - stage.before > self.critical.get(r.effect, USUAL) for r in stage.ranking)
+
+    def hopeful(self, effect: str, gain: float) -> bool:
+        return gain > self.critical.get(effect, USUAL) - REFINEMENT
 
 
 @dataclass(frozen=True)
@@ -155,13 +168,13 @@ class Scout:
         tests = 1 + len(catalogue.fine)
         if structure in catalogue.fine:
             sample, _ = random_gain(null, structure.design)
-            return tests * tail_probability(sample, float(np.min(sample)) - 1.0, gain)
+            return tests * float(tail_probability(sample, float(np.min(sample)) - 1.0, gain))
         maxima = np.max(score(null, catalogue.stack(null.whitened)).gain, axis=0)
         floor = -2.0 * float(np.log1p(frame.rows))
         grid = np.linspace(2.0, 30.0, 57)
-        good = [v for v in grid if tests * tail_probability(maxima, floor, float(v)) < FALSE_STRUCTURE]
-        self.critical = float(good[0]) if good else 30.0
-        return tests * tail_probability(maxima, floor, gain)
+        good = grid[tests * tail_probability(maxima, floor, grid) < FALSE_STRUCTURE]
+        self.critical = float(good[0]) if len(good) else 30.0
+        return tests * float(tail_probability(maxima, floor, gain))
 
 
 @dataclass(frozen=True)

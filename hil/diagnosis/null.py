@@ -33,23 +33,30 @@ class Null:
     narrowest: dict[str, int]
     log_rows: float
 
-    def probability(self, effect: str, value: float) -> float:
-        """Chance that the best candidate of this effect gets this far in noise, never less than that of a single candidate."""
+    def probability(self, effect: str, value: Floats | float) -> Floats:
+        """Chance that the best candidate of this effect gets this far in noise, never less than that of a single candidate.
+
+        Shape of `value`.
+        """
         width = self.narrowest[effect]
         own_floor = -0.5 * width * self.log_rows
-        single = float(gammaincc(0.5 * width, max(value - own_floor, 0.0)))
-        return max(single, tail_probability(self.maxima[effect], self.floor[effect], value))
+        single = gammaincc(0.5 * width, np.maximum(np.asarray(value) - own_floor, 0.0))
+        return np.asarray(np.maximum(single, tail_probability(self.maxima[effect], self.floor[effect], value)))
 
 
-def tail_probability(sample: Floats, floor: float, value: float) -> float:
-    """Chance of exceeding `value`, from a sample (b,) that cannot fall below `floor`: the larger of a Gumbel and a gamma tail."""
+def tail_probability(sample: Floats, floor: float, value: Floats | float) -> Floats:
+    """Chance of exceeding `value`, from a sample (b,) that cannot fall below `floor`: the larger of a Gumbel and a gamma tail.
+
+    Shape of `value`.
+    """
+    far = np.asarray(value)
     mean, spread = float(np.mean(sample)), max(float(np.std(sample)), 1e-6)
     scale = spread * np.sqrt(6.0) / np.pi
-    gumbel = -np.expm1(-np.exp(min(-(value - (mean - 0.5772 * scale)) / scale, 50.0)))
+    gumbel = -np.expm1(-np.exp(np.minimum(-(far - (mean - 0.5772 * scale)) / scale, 50.0)))
     above = max(mean - floor, 1e-6)
     shape = (above / spread) ** 2
-    gamma = gammaincc(shape, shape * max(value - floor, 0.0) / above)
-    return float(max(gumbel, gamma))
+    gamma = gammaincc(shape, shape * np.maximum(far - floor, 0.0) / above)
+    return np.asarray(np.maximum(gumbel, gamma))
 
 
 def simulate(bench: Bench, noise: Noise, offsets: Floats, seed: int) -> Floats:

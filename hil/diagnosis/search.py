@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.candidates import Candidates, score
-from hil.diagnosis.evidence import Extra, Frame, Noise, fit_noise
+from hil.diagnosis.evidence import CORRELATIONS, Extra, Frame, Noise, fit_noise
 from hil.diagnosis.fit import Choice, JointFit, Setting, grid_choices, joint_fit
 from hil.diagnosis.refine import refine, score_choices
 from hil.effects import Form
@@ -29,6 +31,7 @@ GRID = tuple(
     for offset in (0.0, 0.25, 0.6)
 )
 """Noise models over which each candidate is profiled."""
+MOST_FRAMES = 40
 CONTENDERS = 8
 TAME, TAME_TAIL = 3.2, 1.5
 """Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger holds, so that a real bulge stays."""
@@ -41,16 +44,20 @@ IMPLAUSIBLE = 5.0
 
 @dataclass(frozen=True)
 class Effort:
-    """How thoroughly to search: effects refined, rounds of refinement, noise models each is profiled over, richer forms tried."""
+    """How thoroughly to search: effects refined, rounds of refinement, noise models each is profiled over, richer forms tried.
+
+    correlations: (ar, rho) tried in a fit of the noise; empty where the start is close, for none and that of the start
+    """
 
     contenders: int
     rounds: int
     grid: tuple[tuple[float, float, float], ...]
     rich: int
+    correlations: tuple[tuple[float, float], ...] = CORRELATIONS
 
 
 FULL = Effort(CONTENDERS, 6, GRID, RICH_CONTENDERS)
-LIGHT = Effort(3, 4, GRID[:2], 1)
+LIGHT = Effort(3, 3, GRID[:2], 1, ())
 
 
 @dataclass(frozen=True)
@@ -84,8 +91,13 @@ class Selection:
     stages: tuple[Stage, ...]
 
 
-Judge = Callable[[Stage, "Searcher", Sequence[Choice], Noise], bool]
-"""Says whether the gains of a stage are more than noise makes."""
+class Judge(Protocol):
+    """Says whether the gains of a stage are more than noise makes."""
+
+    def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool: ...
+
+    def hopeful(self, effect: str, gain: float) -> bool:
+        """Whether an effect of this gain at a grid point may become significant by refinement."""
 
 
 class Searcher:
@@ -98,6 +110,7 @@ class Searcher:
         self.bench = setting.bench
         self.raw = self.y = setting.error_um
         self.nuisance = Extra.none(len(self.y))
+        self._frames: dict[Noise, Frame] = {}
 
     @property
     def always(self) -> Extra:
@@ -106,10 +119,13 @@ class Searcher:
 
     def add_nuisance(self, extra: Extra) -> None:
         self.nuisance = self.nuisance.plus(extra)
+        self._frames.clear()
 
-    def fit(self, choices: Sequence[Choice], noise: Noise) -> JointFit:
-        """Table and terms estimated together."""
-        return joint_fit(self.setting, noise, self.y, choices, out=self.out, nuisance=self.nuisance)
+    def fit(self, choices: Sequence[Choice], noise: Noise, *, uncertain: bool = True) -> JointFit:
+        """Table and terms estimated together, with their covariances where they are wanted."""
+        return joint_fit(
+            self.setting, noise, self.y, choices, out=self.out, nuisance=self.nuisance, uncertain=uncertain
+        )
 
     def extra(self, choices: Sequence[Choice]) -> Extra:
         """The columns of some choices, and those that are always there."""
@@ -119,7 +135,14 @@ class Searcher:
         return total
 
     def frame(self, noise: Noise, beside: Extra | None = None) -> Frame:
-        return self.bench.frame(noise, self.y, self.always if beside is None else beside, self.out)
+        """With the columns `beside` in the fit, or with those that are always there (made once)."""
+        if beside is not None:
+            return self.bench.frame(noise, self.y, beside, self.out)
+        if noise not in self._frames:
+            if len(self._frames) >= MOST_FRAMES:
+                self._frames.clear()
+            self._frames[noise] = self.bench.frame(noise, self.y, self.always, self.out)
+        return self._frames[noise]
 
     def tame(self, choices: Sequence[Choice], noise: Noise) -> None:
         """Pull in rows far beyond what the fit and the bulk of the rows allow (Huber), for all that follows."""
@@ -130,29 +153,39 @@ class Searcher:
         limit = max(TAME * 1.4826 * float(np.median(size)), TAME_TAIL * float(np.quantile(size, 0.95)))
         excess = residual - np.clip(residual, -limit, limit)
         self.y = self.raw - frame.whitened.colour(excess) if np.any(excess) else self.raw
+        self._frames.clear()
 
     def fit_noise(self, choices: Sequence[Choice], start: Noise) -> Noise:
-        return fit_noise(self.bench, self.y, self.extra(choices), start, out=self.out)
+        grid = self.effort.correlations or tuple(dict.fromkeys(((0.0, 0.0), (start.ar, start.rho))))
+        near = not self.effort.correlations
+        return fit_noise(self.bench, self.y, self.extra(choices), start, correlations=grid, near=near, out=self.out)
 
     def evidence(self, choices: Sequence[Choice], noise: Noise) -> float:
         """Log marginal likelihood of table, noise and some choices, up to a constant of the rows."""
-        extra = self.extra(choices)
-        frame = self.frame(noise, Extra(self.always.free, extra.random))
+        return self._evidence(choices, self.extra(choices), noise)
+
+    def _evidence(self, choices: Sequence[Choice], extra: Extra, noise: Noise) -> float:
+        always = self.always
+        shrunk = extra.random.shape[1] > always.random.shape[1]
+        frame = self.frame(noise, Extra(always.free, extra.random) if shrunk else None)
         known = sum(choice.log_prior for choice in choices)
-        return float(frame.log_null) + frame.gain(extra.free[:, self.always.free.shape[1] :]) + known
+        return float(frame.log_null) + frame.gain(extra.free[:, always.free.shape[1] :]) + known
 
     def profiled_evidence(self, choices: Sequence[Choice], noise: Noise) -> tuple[float, Noise]:
         """Best evidence of the choices over the grid of noise models."""
         trials = [noise, *(_with(noise, *point) for point in self.effort.grid)]
-        values = [self.evidence(choices, trial) for trial in trials]
+        extra = self.extra(choices)
+        values = [self._evidence(choices, extra, trial) for trial in trials]
         best = int(np.argmax(values))
         return values[best], trials[best]
 
-    def rank(self, chosen: Sequence[Choice], noise: Noise) -> tuple[Ranked, ...]:
-        """Every effect at its best beside the chosen ones, best first."""
+    def rank(
+        self, chosen: Sequence[Choice], noise: Noise, hopeful: Callable[[Ranked], bool] | None = None
+    ) -> tuple[Ranked, ...]:
+        """Every effect at its best beside the chosen ones, best first; none where no grid point is hopeful."""
         view = View(self, chosen)
         rough = self._rough(view, noise)
-        if not rough:
+        if not rough or (hopeful is not None and not any(hopeful(r) for r in rough)):
             return ()
         refined = self._refined(view, rough)
         ranked = self._profiled(view, refined, noise)
@@ -274,7 +307,7 @@ def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
     least = choice.effect.least_over_noise
     if least == 0.0:
         return False
-    fit = searcher.fit([choice], noise)
+    fit = searcher.fit([choice], noise, uncertain=False)
     rms = float(np.std(fit.found[0].error_um(searcher.bench.campaign.columns)))
     return rms < least * fit.white_um * math.hypot(1.0, noise.ar)
 
@@ -286,7 +319,7 @@ def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choic
     while len(chosen) < MOST_TERMS + len(start):
         searcher.tame(chosen, noise)
         before, _ = searcher.profiled_evidence(chosen, noise)
-        ranking = searcher.rank(chosen, noise)
+        ranking = searcher.rank(chosen, noise, partial(_hopeful, judge, before))
         stage = Stage(before, ranking, False)
         if not ranking or not judge(stage, searcher, chosen, noise):
             stages.append(stage)
@@ -300,6 +333,10 @@ def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choic
         noise = searcher.fit_noise(chosen, top.noise)
         chosen = exchange(searcher, chosen, noise, len(start))
     return Selection(tuple(chosen), noise, tuple(stages))
+
+
+def _hopeful(judge: Judge, before: float, ranked: Ranked) -> bool:
+    return judge.hopeful(ranked.effect, ranked.evidence - before)
 
 
 def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:

@@ -50,9 +50,9 @@ class Selected:
 
 
 def select(
-    searcher: Searcher, scout: Scout | FoldScout, judge: Judge, noise: Noise, start: Sequence[Choice] = ()
+    searcher: Searcher, scout: Scout | FoldScout | None, judge: Judge, noise: Noise, start: Sequence[Choice] = ()
 ) -> Selected:
-    """The terms the records ask for beside those of `start`, and the structure they leave."""
+    """The terms the records ask for beside those of `start`, and the structure they leave where a scout looks for it."""
     noise = searcher.fit_noise(start, noise)
     searcher.tame(start, noise)
     found = search(searcher, noise, judge, start)
@@ -61,7 +61,7 @@ def select(
     hits: list[Hit] = []
     shapes: list[Hit] = []
     foreign: dict[str, float] = {}
-    while len(hits) < MOST_STRUCTURES:
+    while scout is not None and len(hits) < MOST_STRUCTURES:
         hit = scout(searcher.frame(noise, searcher.extra(chosen)), searcher.bench)
         if hit is None:
             if isinstance(scout, FoldScout):
@@ -108,12 +108,12 @@ def _foreign(
 ) -> tuple[dict[str, float], tuple[list[Choice], Hit] | None]:
     """Log odds of the best structure of other columns against each term; the first exchange that is called for."""
     odds: dict[str, float] = {}
+    worth = searcher.profiled_evidence(chosen, noise)[0]
     for i, choice in enumerate(chosen):
         if i < fixed:
             continue
         rest = [other for j, other in enumerate(chosen) if j != i]
         own = set(choice.form.inputs) | {"target_mm", "direction"}
-        worth = searcher.profiled_evidence(chosen, noise)[0]
         base, calm = searcher.profiled_evidence(rest, noise)
         stranger = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
         if not np.any(stranger):
@@ -157,7 +157,7 @@ def _not_outgrown(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise:
 def _sizes(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> list[float]:
     """RMS of each term over the rows, µm."""
     columns = searcher.bench.campaign.columns
-    return [float(np.std(term.error_um(columns))) for term in searcher.fit(chosen, noise).found]
+    return [float(np.std(term.error_um(columns))) for term in searcher.fit(chosen, noise, uncertain=False).found]
 
 
 def structure_rms(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> float:

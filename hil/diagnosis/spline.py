@@ -7,6 +7,7 @@ prior of one common variance on them is the smoothing spline (Green & Silverman 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,12 +74,13 @@ class TableBasis:
         """Penalised columns of one part, shape (n, K - 2), unit prior variance = the smoothing spline's."""
         if len(self.knots_mm) < 3:
             return np.zeros((len(x_mm), 0))
-        return np.asarray(self.at(x_mm) @ self._roots())
+        return np.asarray(self.at(x_mm) @ self._roots)
 
     def _scale(self) -> tuple[float, float]:
         low, high = float(self.knots_mm[0]), float(self.knots_mm[-1])
         return (low + high) / 2, max((high - low) / 2, 1e-9)
 
+    @cached_property
     def _roots(self) -> Floats:
         """Knot values of the penalised columns, shape (K, K - 2)."""
         centre, half = self._scale()

@@ -7,6 +7,7 @@ far as that allows. What may go in: columns and tabulation; no statistics.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Protocol
 
@@ -46,8 +47,8 @@ class Shape(Protocol):
     def columns(self, x_mm: Floats, direction: Floats) -> ShapeColumns:
         """Columns at positions and directions, shape (n, …)."""
 
-    def tabulate(self, coefficients: Floats, covariance: Floats) -> PitchTable:
-        """The table of some coefficients (w,) with their covariance (w, w) in µm²."""
+    def tabulate(self, coefficients: Floats, covariance: Floats | None = None) -> PitchTable:
+        """The table of some coefficients (w,), with their covariance (w, w) in µm² where it is wanted."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,15 @@ class SplineShape:
         odd = even * direction[:, None] if self.basis.both_directions else even[:, :0]
         return ShapeColumns(self.basis.free(x_mm, direction), even, odd, even[:, :0])
 
-    def tabulate(self, coefficients: Floats, covariance: Floats) -> PitchTable:
+    def tabulate(self, coefficients: Floats, covariance: Floats | None = None) -> PitchTable:
         """FINE linear pieces per knot interval, half a spacing wider than the knots at each end."""
+        x, forward, backward, nodes = self._grid
+        root = np.vstack([forward[nodes], backward[nodes]])
+        return _table(x, np.stack([forward @ coefficients, backward @ coefficients]), nodes, root, covariance)
+
+    @cached_property
+    def _grid(self) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
+        """Positions of the table, the columns there in each direction, and its nodes."""
         knots = self.basis.knots_mm
         if len(knots) > 1:
             pieces = [np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(knots)]
@@ -72,9 +80,7 @@ class SplineShape:
             x = knots
         forward, backward = (self.columns(x, np.full(len(x), d)).stacked for d in (1.0, -1.0))
         chosen = np.unique(np.round(np.linspace(0, len(knots) - 1, min(len(knots), MOST_NODES))).astype(int))
-        nodes = chosen * FINE + 1 if len(knots) > 1 else chosen
-        root = np.vstack([forward[nodes], backward[nodes]])
-        return _table(x, forward @ coefficients, backward @ coefficients, nodes, root @ covariance @ root.T)
+        return x, forward, backward, (chosen * FINE + 1 if len(knots) > 1 else chosen).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -108,14 +114,14 @@ class DeclaredShape:
         none = np.zeros((len(x_mm), 0))
         return ShapeColumns(np.ones((len(x_mm), 1)), none, none, given)
 
-    def tabulate(self, coefficients: Floats, covariance: Floats) -> PitchTable:
+    def tabulate(self, coefficients: Floats, covariance: Floats | None = None) -> PitchTable:
         x = np.array(self.table.positions_mm)
         forward, backward = (self.columns(x, np.full(len(x), d)).stacked for d in (1.0, -1.0))
         nodes = np.array(self.table.nodes)
         root = np.vstack([forward[nodes], backward[nodes]])
-        new_forward = np.array(self.table.forward_um) + forward @ coefficients
-        new_backward = np.array(self.table.backward_um) + backward @ coefficients
-        return _table(x, new_forward, new_backward, nodes, root @ covariance @ root.T)
+        before = np.stack([self.table.forward_um, self.table.backward_um])
+        moved = np.stack([forward @ coefficients, backward @ coefficients])
+        return _table(x, before + moved, nodes, root, covariance)
 
 
 @dataclass(frozen=True)
@@ -142,15 +148,14 @@ class StaticPart:
         )
 
 
-def _table(x: Floats, forward: Floats, backward: Floats, nodes: NDArray[np.int64], covariance: Floats) -> PitchTable:
-    return PitchTable(
-        _floats(x),
-        _floats(forward),
-        _floats(backward),
-        tuple(int(i) for i in nodes),
-        tuple(tuple(float(f"{v:.6g}") for v in row) for row in covariance),
-    )
+def _table(x: Floats, error: Floats, nodes: NDArray[np.int64], root: Floats, covariance: Floats | None) -> PitchTable:
+    """error: forward and backward, shape (2, m); root: values at the nodes in each direction, shape (2k, w), per coefficient."""
+    forward, backward = (_floats(values) for values in error)
+    if covariance is None:
+        return PitchTable(_floats(x), forward, backward)
+    spread = tuple(tuple(float(f"{v:.6g}") for v in row) for row in root @ covariance @ root.T)
+    return PitchTable(_floats(x), forward, backward, tuple(int(i) for i in nodes), spread)
 
 
 def _floats(values: Floats) -> tuple[float, ...]:
-    return tuple(float(v) for v in values)
+    return tuple(values.tolist())

@@ -100,8 +100,12 @@ def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
     ratio = step / tau_s
     decay = np.exp(-ratio)
     gain = np.divide(1.0 - decay, ratio, out=np.ones_like(ratio), where=ratio > 1e-9)
-    state = float(values[0])
-    for i in range(1, len(out)):
-        state = decay[i - 1] * state + (1.0 - gain[i - 1]) * values[i] + (gain[i - 1] - decay[i - 1]) * values[i - 1]
-        out[i] = state
-    return out
+    drive = (1.0 - gain) * out[1:] + (gain - decay) * out[:-1]
+    state = float(out[0])
+    course = [state]
+    for share, step_in in zip(
+        decay.tolist(), drive.tolist(), strict=True
+    ):  # plain floats: an array's elements are slow
+        state = share * state + step_in
+        course.append(state)
+    return np.array(course)

@@ -1,7 +1,8 @@
-"""The proof figures of the diagnosis on machines drawn at random: right names, false findings, honesty, held-out worth.
+"""The proof figures of the diagnosis on machines drawn at random: right names, false findings, honesty, held-out worth, coverage.
 
-Run by hand for the whole study (`python tests/study/study.py --machines 520`), in a small form by the fast suite, in full by
-the slow one.
+`python tests/study/study.py --machines 520 --report FILE.md` (or .html) runs the whole study and writes the figures beside what is
+wanted of them. With `--json FILE` every outcome is appended as it comes, and a study that was cut short is continued from there.
+In a small form it runs in the fast suite, larger in the slow one.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -19,13 +20,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from study_report import report
 from truth_machines import DYNAMIC, NOISES, OUTSIDE, Machine, Plan
 
-from hil.diagnosis import diagnose
+from hil.diagnosis import Diagnosis, diagnose
 from hil.effects import ALL, Action
 from hil.records import Records
 
 INSTRUMENT = frozenset(effect.id for effect in ALL if effect.action is not Action.COMPENSATE)
+KINDS = ("strong", "weak", "clean", "outside", "pair")
+NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the diagnosis of a case said; residual figures are over the true noise standard deviation."""
+    """What the diagnosis of a case said; residual figures are over the true noise standard deviation.
+
+    inside: per effect whose true main parameter is known and that was found, whether its 95 % interval holds it
+    """
 
     case: Case
     names: tuple[str, ...]
@@ -55,6 +62,7 @@ class Outcome:
     fresh: float
     ideal: float
     seconds: float
+    inside: tuple[bool, ...] = ()
 
 
 def cases(per_kind: int, seed: int = 1) -> Iterator[Case]:
@@ -69,10 +77,19 @@ def cases(per_kind: int, seed: int = 1) -> Iterator[Case]:
     for i in range(per_kind):
         effect = OUTSIDE[i % len(OUTSIDE)]
         yield Case("outside", int(rng.integers(1 << 30)), (effect,), (float(rng.uniform(1.5, 4.0)),))
-    for _ in range(per_kind // 2):
+    for _ in range(per_kind):
         first, second = rng.choice(DYNAMIC, 2, replace=False)
         strengths = (float(rng.uniform(1.5, 4.0)), float(rng.uniform(1.5, 4.0)))
         yield Case("pair", int(rng.integers(1 << 30)), (str(first), str(second)), strengths)
+
+
+def in_turn(todo: Iterable[Case]) -> list[Case]:
+    """The kinds in turn, so that a study cut short says as much of each."""
+    by_kind: dict[str, list[Case]] = {}
+    for case in todo:
+        by_kind.setdefault(case.kind, []).append(case)
+    most = max((len(group) for group in by_kind.values()), default=0)
+    return [group[i] for i in range(most) for group in by_kind.values() if i < len(group)]
 
 
 def run(case: Case) -> Outcome:
@@ -99,20 +116,54 @@ def run(case: Case) -> Outcome:
         float(np.sqrt(np.mean(left**2))) / sigma,
         float(np.std(parts["noise"])) / sigma,
         seconds,
+        _inside(machine, plan, diagnosis),
     )
 
 
-def run_all(todo: Iterable[Case], workers: int) -> list[Outcome]:
+def _inside(machine: Machine, plan: Plan, diagnosis: Diagnosis) -> tuple[bool, ...]:
+    true = machine.parameters(plan)
+    out: list[bool] = []
+    for finding in diagnosis.findings:
+        name, value = true.get(finding.effect, ("", 0.0))
+        if name in finding.parameters:
+            estimate = finding.parameters[name]
+            out.append(abs(estimate.value - value) <= NORMAL_95 * estimate.std)
+    return tuple(out)
+
+
+def run_all(todo: Iterable[Case], workers: int, json_lines: Path | None = None) -> list[Outcome]:
+    """Every case; with a file, those that are in it already are taken from there and the others appended to it."""
     todo = list(todo)
+    done = read(json_lines) if json_lines is not None and json_lines.exists() else []
+    known = {outcome.case for outcome in done}
+    wanted = [case for case in todo if case not in known]
+    out = [outcome for outcome in done if outcome.case in set(todo)]
+    for outcome in _outcomes(wanted, workers):
+        out.append(outcome)
+        if json_lines is not None:
+            with json_lines.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(outcome)) + "\n")
+        if sys.stderr.isatty():
+            print(f"\r{len(out)}/{len(todo)}", end="", file=sys.stderr)
+    return out
+
+
+def _outcomes(todo: Sequence[Case], workers: int) -> Iterator[Outcome]:
     if workers <= 1:
-        return [run(case) for case in todo]
+        yield from map(run, todo)
+        return
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        out = []
-        for i, outcome in enumerate(pool.imap_unordered(run, todo, chunksize=4)):
-            out.append(outcome)
-            if sys.stderr.isatty():
-                print(f"\r{i + 1}/{len(todo)}", end="", file=sys.stderr)
-        return out
+        yield from pool.imap_unordered(run, todo, chunksize=4)
+
+
+def read(json_lines: Path) -> list[Outcome]:
+    """The outcomes of a file of them, one a line."""
+    out = []
+    for line in json_lines.read_text(encoding="utf-8").splitlines():
+        raw = {name: tuple(v) if isinstance(v, list) else v for name, v in json.loads(line).items()}
+        case = {name: tuple(v) if isinstance(v, list) else v for name, v in raw.pop("case").items()}
+        out.append(Outcome(Case(**case), **raw))
+    return out
 
 
 def _share(hits: Iterable[bool]) -> float:
@@ -120,7 +171,7 @@ def _share(hits: Iterable[bool]) -> float:
     return sum(values) / len(values) if values else float("nan")
 
 
-def summary(outcomes: list[Outcome]) -> dict[str, float]:
+def summary(outcomes: Sequence[Outcome]) -> dict[str, float]:
     """The figures of the proof."""
     figures: dict[str, float] = {}
     for kind in ("strong", "weak"):
@@ -135,6 +186,9 @@ def summary(outcomes: list[Outcome]) -> dict[str, float]:
     sure = [o for o in outcomes if o.case.kind in ("strong", "weak") and o.names and o.confidences[0] > 0.95]
     if sure:
         figures["confidence above 0.95: right"] = _share(o.names[0] in o.case.effects for o in sure)
+    inside = [hit for o in outcomes for hit in o.inside]
+    if inside:
+        figures["true parameter inside its 95 % interval"] = _share(inside)
     for noise in NOISES:
         mine = [o for o in outcomes if o.case.kind == "clean" and o.case.noise == noise]
         if mine:
@@ -161,18 +215,22 @@ def main() -> None:
     parser.add_argument("--machines", type=int, default=104, help="machines of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--kinds", default="strong,weak,clean,outside,pair")
+    parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--scatter", default="jitter")
-    parser.add_argument("--json", help="write every outcome here, one a line")
+    parser.add_argument("--json", type=Path, help="append every outcome here as it comes, one a line; continue from it")
+    parser.add_argument("--report", type=Path, help="write the figures here, .md or .html")
     args = parser.parse_args()
     wanted = args.kinds.split(",")
     todo = [case for case in cases(args.machines, args.seed) if case.kind in wanted]
-    todo = [Case(**{**asdict(case), "scatter": args.scatter}) for case in todo]
-    outcomes = run_all(todo, args.workers)
-    if args.json:
-        Path(args.json).write_text("".join(json.dumps(asdict(o)) + "\n" for o in outcomes), encoding="utf-8")
-    for name, value in summary(outcomes).items():
+    todo = in_turn(Case(**{**asdict(case), "scatter": args.scatter}) for case in todo)
+    outcomes = run_all(todo, args.workers, args.json)
+    figures = summary(outcomes)
+    for name, value in figures.items():
         print(f"{name:45s} {value:8.3f}")
+    if args.report:
+        how = f"--machines {args.machines} --seed {args.seed} --scatter {args.scatter}"
+        by_effect = [(o.case.kind, o.case.effects, o.case.noise, o.names, o.unexplained) for o in outcomes]
+        args.report.write_text(report(figures, by_effect, how, args.report.suffix == ".html"), encoding="utf-8")
 
 
 if __name__ == "__main__":

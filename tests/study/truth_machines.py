@@ -43,6 +43,8 @@ OUTSIDE = (
     "cross_product",
     "direction_times_humidity",
 )
+CROSS_MM = 200.0
+PERIODS_MM = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 NOISES = ("normal", "student", "correlated", "walk", "offsets")
 
 
@@ -75,11 +77,24 @@ class Machine:
         sigma = float(np.random.default_rng([self.seed, 5]).uniform(0.2, 1.2))
         parts: dict[str, Array] = {"table": base}
         for name, strength in zip(self.effects, self.strength, strict=True):
-            parts[name] = shapes[name] * strength * sigma / first[name]
+            parts[name] = shapes[name] * (strength * sigma / first[name])
         clean = np.sum(list(parts.values()), axis=0)
         noise = _noise(self.noise, c, np.random.default_rng([self.seed, 6, number])) * sigma
         c["measured_mm"] = c["target_mm"] + (clean + noise) / 1e3
         return c, parts | {"clean": clean, "noise": noise, "sigma": np.array(sigma)}
+
+    def parameters(self, plan: Plan | None = None) -> dict[str, tuple[str, float]]:
+        """By effect, its main parameter and the true value, for those whose shape is, in that parameter, the textbook one."""
+        columns, shapes = self._draw(0, plan or Plan())[::2]
+        sigma = float(np.random.default_rng([self.seed, 5]).uniform(0.2, 1.2))
+        true: dict[str, tuple[str, float]] = {}
+        for index, (name, strength) in enumerate(zip(self.effects, self.strength, strict=True)):
+            scale = strength * sigma / _size(columns, shapes[name], name in STATIC)
+            own = np.random.default_rng([self.seed, 3, index])
+            found = MAIN_PARAMETERS[name](own, scale) if name in MAIN_PARAMETERS else None
+            if found is not None:
+                true[name] = found
+        return true
 
     def _draw(self, number: int, plan: Plan) -> tuple[Columns, Array, dict[str, Array]]:
         """Columns, table error and the unscaled shape of each effect."""
@@ -233,7 +248,7 @@ Maker = Callable[[Columns, np.random.Generator, np.random.Generator, float, floa
 
 
 def _cyclic(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
-    period = float(own.choice([4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0]))
+    period = float(own.choice(PERIODS_MM))
     phase = own.uniform(0, 2 * np.pi)
     u = (c["target_mm"] - origin) / half
     angle = 2 * np.pi * c["target_mm"] / period + phase
@@ -299,7 +314,7 @@ def _abbe(c: Columns, own: np.random.Generator, _: np.random.Generator, half: fl
 
 def _cross_axis(c: Columns, own: np.random.Generator, _: np.random.Generator, half: float, origin: float) -> Array:
     u = (c["target_mm"] - origin) / half
-    y = c["pos_y_mm"] / 200.0
+    y = c["pos_y_mm"] / CROSS_MM
     return y * (1 + own.uniform(-0.3, 0.3) * u) if own.random() < 0.6 else y * (u + 0.1 * u**3)
 
 
@@ -318,8 +333,9 @@ def _datum_step(c: Columns, own: np.random.Generator, now: np.random.Generator, 
 
 
 def _index_ppm(c: Columns) -> Array:
-    kelvin = c["air_temp_c"] + 273.15
-    return 78.66 * c["air_pressure_hpa"] / kelvin - 0.0085 * (c["air_humidity_percent"] - 50) - 271.4
+    """The shop-floor formula of NIST's Engineering Metrology Toolbox: 7.86e-4 p/(273 + t) - 1.5e-11 RH (t² + 160), p in kPa."""
+    t = c["air_temp_c"]
+    return 78.6 * c["air_pressure_hpa"] / (273.0 + t) - 1.5e-5 * c["air_humidity_percent"] * (t**2 + 160.0) - 271.4
 
 
 def _dead_path(c: Columns, own: np.random.Generator, now: np.random.Generator, half: float, origin: float) -> Array:
@@ -379,6 +395,26 @@ EFFECTS: dict[str, Maker] = {
     "pitch_shape": _pitch_shape,
     "cosine": _cosine,
 }
+
+
+def _period(own: np.random.Generator, scale: float) -> tuple[str, float]:
+    del scale
+    return "period_mm", float(own.choice(PERIODS_MM))
+
+
+def _slope(own: np.random.Generator, scale: float) -> tuple[str, float] | None:
+    return ("slope_um_per_m", scale * 1000.0 / CROSS_MM) if own.random() < 0.6 else None
+
+
+MAIN_PARAMETERS: dict[str, Callable[[np.random.Generator, float], tuple[str, float] | None]] = {
+    "cyclic": _period,
+    "abbe": lambda _own, scale: ("arm_mm", scale * 1000.0),
+    "cross_axis": _slope,
+    "datum_step": lambda _own, scale: ("step_um", scale),
+    "dead_path": lambda _own, scale: ("dead_path_mm", scale * 1000.0),
+    "air_index": lambda _own, scale: ("uncompensated_share", scale * 1000.0),
+}
+"""The others saturate, stretch or lag: no single number of theirs is the fitted one."""
 
 
 def _unit(z: Array) -> Array:
