@@ -8,25 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
-from drivers.clock import Clock
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.probe import ProbeParameters, SimulatedProbe
+from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 _PATIENT_NS = 60_000_000_000
-
-
-class InputUnit(Protocol):
-    """The touch-probe unit of a drive on a wire: inputs 1 and 2, see `canopen_touch_probe`."""
-
-    @property
-    def inputs(self) -> int: ...
-    def attach(self, number: int, contact: Callable[[int], bool]) -> None: ...
-    def set_input(self, number: int, level: bool, position_counts: int | None = None) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +58,7 @@ class ProbeBench:
         self._sense = spindle_sense
         self.probe = SimulatedProbe(probe)
         self.servos: dict[str, SimulatedServo] = {}
-        self._units: list[tuple[InputUnit, int]] = []
+        self._units: list[tuple[ProbeLatch, int]] = []
         for name, axis in axes.items():
             servo = SimulatedServo(BareShaft(), axis.servo)
             servo.homed = True
@@ -92,17 +82,10 @@ class ProbeBench:
 
         return closed
 
-    def wire(self, name: str, unit: InputUnit, number: int) -> None:
+    def wire(self, name: str, unit: ProbeLatch, number: int) -> None:
         """Wire the probe to an input of an axis's drive."""
         unit.attach(number, self.contact(name))
         self._units.append((unit, number))
-
-    def virtual_input(self, name: str) -> VirtualInput:
-        """An input that latches positions of an axis, for a drive without a wire."""
-        unit = VirtualInput(self.servos[name], self.clock)
-        self.wire(name, unit, 1)
-        self.clock.attach(unit.advance, bearable=lambda _now_ns: _PATIENT_NS)
-        return unit
 
     def watch_probe(self) -> None:
         """From now on the probe knows where the machine is, and every input what the other axes' motions do to the contact."""
@@ -114,52 +97,3 @@ class ProbeBench:
         for unit, number in self._units:
             if bool(unit.inputs >> number - 1 & 1) != level:
                 unit.set_input(number, level)
-
-
-class VirtualInput:
-    """An input of the in-process drive: its level, and the position at which it rose first after arming."""
-
-    def __init__(self, servo: SimulatedServo, clock: Clock) -> None:
-        self.clock = clock
-        self._servo = servo
-        self._contact: Callable[[int], bool] = lambda _counts: False
-        self._at_counts = servo.position_actual_counts
-        self.level = False
-        self.armed = False
-        self.latched_counts: int | None = None
-
-    @property
-    def inputs(self) -> int:
-        return int(self.level)
-
-    def attach(self, _number: int, contact: Callable[[int], bool]) -> None:
-        self._contact = contact
-        self._at_counts = self._servo.position_actual_counts
-        self.level = contact(self._at_counts)
-
-    def set_input(self, _number: int, level: bool, position_counts: int | None = None) -> None:
-        here = self._servo.position_actual_counts if position_counts is None else position_counts
-        if level and not self.level and self.armed and self.latched_counts is None:
-            self.latched_counts = here
-        self.level = level
-
-    def arm(self) -> None:
-        """Latch the next rising edge; what was latched before is forgotten."""
-        self.armed, self.latched_counts = True, None
-
-    def disarm(self) -> None:
-        self.armed = False
-
-    def advance(self, _now_ns: int, _dt_s: float) -> None:
-        """The motor has moved on: find where on its way the contact closed."""
-        here = self._servo.position_actual_counts
-        if here == self._at_counts:
-            return
-        level = self._contact(here)
-        if level != self.level:
-            before, after = self._at_counts, here
-            while abs(after - before) > 1:
-                middle = (before + after) // 2
-                before, after = (before, middle) if self._contact(middle) == level else (middle, after)
-            self.set_input(1, level, after)
-        self._at_counts = here

@@ -1,0 +1,209 @@
+"""From a machine file to a session with its probe: the concrete drives and the places where each shows the probe's signal.
+
+On the bench the same drives are simulated, with a probe, a block and a bore that stand where the machine file says, more or less.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+
+from drivers.canopen import objects
+from drivers.canopen.drive import CanOpenDrive
+from drivers.clock import WallClock
+from drivers.drive import ServoDrive
+from drivers.errors import AbortError, CapabilityError
+from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
+from hil.axis import DriveAxis
+from hil.files import held
+from hil.probe_machine import ProbeConfig, ProbeMachineConfig
+from hil.procedures.probe_session import ProbeSession, ProbeSignal
+from hil.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
+from sim_backends.canopen_drive import served
+from sim_backends.modbus_cia402 import Cia402Registers
+from sim_backends.modbus_drive import rtu_slave, tcp_server
+from sim_backends.modbus_registers import Face
+from sim_backends.modbus_vendor import VendorRegisters
+from sim_backends.probe import ProbeParameters, known_probe
+from sim_backends.probe_bench import AxisOfBench, ProbeBench
+from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+
+@contextmanager
+def connected_probe(
+    config: ProbeMachineConfig,
+    *,
+    touching: Sequence[str] = ("x",),
+    mode: str | None = None,
+    bench: ProbeBench | None = None,
+) -> Iterator[ProbeSession]:
+    """A session on the machine of a machine file, or on the bench where its axis files say so; see `ProbeSession` for the rest.
+
+    Raises InputError while another process has connected one of the axis files, and whatever connecting raises.
+    """
+    with ExitStack() as stack:
+        for axis in config.axes.values():
+            stack.enter_context(held(axis.path))
+        drives = _simulated(config, bench, stack) if bench is not None else _hardware(config, stack)
+        signals = {name: _signal(drives[name], config.probe) for name in touching}
+        yield stack.enter_context(ProbeSession(config, drives, signals, touching=touching, mode=mode))
+
+
+def _hardware(config: ProbeMachineConfig, stack: ExitStack) -> dict[str, ServoDrive]:
+    clock, links = WallClock(), Links()
+    return {name: hardware_drive(axis, clock, stack, links) for name, axis in config.axes.items()}
+
+
+# -- the probe's signal --------------------------------------------------------------------------------------------------
+class _CanOpenSignal:
+    """A bit of 60FDh."""
+
+    def __init__(self, drive: CanOpenDrive, bit: int) -> None:
+        self._drive = drive
+        self._bit = bit
+
+    def touching(self) -> bool:
+        try:
+            return bool(self._drive.sdo.read(objects.DIGITAL_INPUTS) >> self._bit & 1)
+        except AbortError as error:
+            raise CapabilityError(f"drive {self._drive.name} does not show its inputs: {error}") from error
+
+
+class _ModbusSignal:
+    """A bit of a register."""
+
+    def __init__(self, drive: ModbusDrive, register: str, bit: int) -> None:
+        self._drive = drive
+        self._register = register
+        self._bit = bit
+
+    def touching(self) -> bool:
+        parameters = self._drive.parameters
+        if self._register not in parameters.names:
+            raise CapabilityError(
+                f"drive {self._drive.name} does not show the probe's signal: its register map has no register"
+                f" {self._register}, expected [probe] register to name one; nothing was moved"
+            )
+        value = parameters.read(self._register)
+        if not isinstance(value, int):
+            raise CapabilityError(f"register {self._register} of drive {self._drive.name} is no whole number")
+        return bool(value >> self._bit & 1)
+
+
+class _VirtualSignal:
+    """An input of the in-process drive."""
+
+    def __init__(self, drive: VirtualDrive, number: int) -> None:
+        self._drive = drive
+        self._number = number
+
+    def touching(self) -> bool:
+        return bool(self._drive.probe.inputs >> self._number - 1 & 1)
+
+
+def _signal(drive: ServoDrive, probe: ProbeConfig) -> ProbeSignal:
+    if isinstance(drive, CanOpenDrive):
+        return _CanOpenSignal(drive, probe.bit)
+    if isinstance(drive, ModbusDrive):
+        return _ModbusSignal(drive, probe.register, probe.bit)
+    if isinstance(drive, VirtualDrive):
+        return _VirtualSignal(drive, probe.input)
+    raise CapabilityError(f"drive {drive.name} does not show the probe's signal")
+
+
+# -- the bench -----------------------------------------------------------------------------------------------------------
+def probe_bench(
+    config: ProbeMachineConfig, probe: ProbeParameters | None = None, *, in_bore: bool = False
+) -> ProbeBench:
+    """The simulated machine that a machine file describes, its probe jogged in front of the block, or into the bore.
+
+    probe: what is in the spindle and on the table, instead of what the machine file's seed draws.
+    """
+    block, bore = config.block, config.bore
+    y_mm = 0.0 if block.y_mm is None else block.y_mm
+    known = probe or known_probe(
+        config.bench_seed,
+        face_mm=block.face_mm,
+        face_y_mm=y_mm,
+        facing=block.facing,
+        tip_radius_mm=config.probe.tip_radius_mm or 2.0,
+        bore_mm=None if bore is None else (bore.x_mm, bore.y_mm),
+        bore_radius_mm=0.0 if bore is None else bore.reach_mm,
+    )
+    places = {"x": block.start_mm, "y": y_mm}
+    if in_bore:
+        middle = config.require_bore()
+        places = {"x": middle.x_mm, "y": middle.y_mm}
+    axes = {
+        name: AxisOfBench(
+            axis.scaling,
+            axis.limits.travel_min_mm,
+            axis.limits.travel_max_mm,
+            places.get(name, config.orientation.zero_deg),
+        )
+        for name, axis in config.axes.items()
+    }
+    return ProbeBench(axes, known, config.orientation.sense)
+
+
+def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) -> dict[str, ServoDrive]:
+    """The bench's servos behind the wires that the axis files ask for."""
+    drives: dict[str, ServoDrive] = {}
+    for name, axis in config.axes.items():
+        face = axis.drive.face
+        if face == "virtual":
+            drives[name] = _virtual(name, axis, bench, config.probe.input)
+        elif face == "canopen":
+            drives[name] = _on_can(name, axis, bench, config.probe.input, stack)
+        else:
+            drives[name] = _on_modbus(name, axis, bench, config.probe.input, stack)
+    bench.watch_probe()
+    return drives
+
+
+def _virtual(name: str, axis: DriveAxis, bench: ProbeBench, number: int) -> ServoDrive:
+    settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
+    servo = bench.servos[name]
+    drive = VirtualDrive(servo, axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
+    bench.clock.attach(lambda now_ns, _dt_s: drive.probe.tick(now_ns), bearable=servo.bearable)
+    if name != "spindle":
+        bench.wire(name, drive.probe, number)
+    return drive
+
+
+def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:
+    """What such a drive's builder sets up: encoder, direct gear, a quick stop as hard as any move."""
+    counts = axis.scaling.encoder_counts_per_motor_rev
+    ramp = axis.scaling.motor_counts_per_s(axis.limits.max_acceleration_mm_s2)
+    return {(0x608F, 1): counts, (0x608F, 2): 1, (0x6092, 1): counts, (0x6092, 2): 1, (0x6085, 0): ramp}
+
+
+def _on_can(name: str, axis: DriveAxis, bench: ProbeBench, number: int, stack: ExitStack) -> ServoDrive:
+    channel = f"bench-{uuid.uuid4().hex}"
+    slave = stack.enter_context(
+        served(bench.servos[name], bench.clock, channel=channel, node_id=axis.drive.node_id, parameters=_objects(axis))
+    )
+    if name != "spindle":
+        bench.wire(name, slave.profile.probe, number)
+    return canopen_drive(axis, bench.clock, ("virtual", channel), stack, patience_s=BENCH_PATIENCE_S)
+
+
+def _on_modbus(name: str, axis: DriveAxis, bench: ProbeBench, number: int, stack: ExitStack) -> ServoDrive:
+    servo, unit = bench.servos[name], axis.drive.unit
+    face: Face
+    if axis.drive.register_map == "vendor_style":  # its inputs are not to be seen from outside
+        face = VendorRegisters(servo, counts_per_rev=axis.scaling.encoder_counts_per_motor_rev)
+    else:
+        face = registers = Cia402Registers(servo, parameters=_objects(axis))
+        if name != "spindle":
+            bench.wire(name, registers.profile.probe, number)
+    endpoint: Endpoint
+    if axis.drive.face == "modbus-tcp":
+        _, port = stack.enter_context(tcp_server({unit: face}, bench.clock))
+        endpoint = TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
+    else:
+        _, path = stack.enter_context(rtu_slave({unit: face}, bench.clock))
+        endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
+    return modbus_drive(axis, bench.clock, endpoint, unit)
