@@ -118,6 +118,9 @@ class NamedParameters(DriveParameters):
 
     def write(self, name: str, value: ParameterValue) -> bool:
         found = self._find(name)
+        kind = _kind(found.entry.type)
+        if self._access.refusal(found) is None and not isinstance(value, _FITTING[kind]):
+            raise InputError(f"{found.entry}: {value!r} is no {kind.value}")
         self._access.check(found, value)
         if self._access.read(found).value == value:
             return False
@@ -137,6 +140,14 @@ _KINDS: Mapping[DataType, ParameterKind] = {
     DataType.STRING: ParameterKind.TEXT,
     DataType.OCTETS: ParameterKind.BYTES,
     DataType.DOMAIN: ParameterKind.BYTES,
+}
+
+
+_FITTING: Mapping[ParameterKind, tuple[type, ...]] = {
+    ParameterKind.INTEGER: (int,),
+    ParameterKind.NUMBER: (int, float),
+    ParameterKind.TEXT: (str,),
+    ParameterKind.BYTES: (bytes,),
 }
 
 

@@ -1,180 +1,15 @@
-"""What every ServoDrive must do, whatever wire it is on: one suite, run unchanged against each backend.
-
-A backend is a function that builds a `Rig` around the same simulated servo. A new wire is added to BACKENDS and nowhere else.
-"""
+"""What every ServoDrive must do, whatever wire it is on: one suite, run unchanged against each backend of `support.drive_rigs`."""
 
 from __future__ import annotations
 
-import uuid
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-
 import pytest
+from support.drive_rigs import COUNTS_PER_REV, Backend, Rig, arrive, home
 
-from drivers.canopen.bus import CanLink
-from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
-from drivers.drive import Capability, DriveLimits, DriveState, ServoDrive
+from drivers.drive import Capability, DriveState
 from drivers.errors import DriveFaultError, LimitError, StateError
-from drivers.modbus.drive import ModbusDrive
-from drivers.modbus.link import ModbusLink
-from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import attach_to_wire, served
-from sim_backends.canopen_wire import SimWire
-from sim_backends.clock import SimClock
-from sim_backends.modbus_cia402 import Cia402Registers
-from sim_backends.modbus_drive import rtu_slave, tcp_server
-from sim_backends.modbus_registers import Face
-from sim_backends.modbus_vendor import VendorRegisters
-from sim_backends.servo import ServoParameters, SimulatedServo
-from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
-LIMITS = DriveLimits(-3.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
-COUNTS_PER_REV = 100_000
 OVER_VOLTAGE = 0x3210
-
-
-@dataclass
-class Rig:
-    drive: ServoDrive
-    servo: SimulatedServo
-    clock: SimClock
-
-    def run(self, seconds: float) -> None:
-        self.clock.sleep_s(seconds)
-
-
-Backend = Callable[[AxisScaling], AbstractContextManager[Rig]]
-
-
-def _machine(scaling: AxisScaling) -> tuple[SimClock, SimulatedServo]:
-    clock = SimClock()
-    counts_per_mm = scaling.direction * scaling.counts_per_load_mm
-    ends = sorted(place * counts_per_mm for place in (-5.0, 310.0))
-    servo = SimulatedServo(
-        BareShaft(),
-        ServoParameters(
-            counts_per_rev=COUNTS_PER_REV,
-            negative_limit_counts=ends[0],
-            positive_limit_counts=ends[1],
-            negative_stop_counts=ends[0] - 1000,
-            positive_stop_counts=ends[1] + 1000,
-        ),
-    )
-    clock.attach(servo.advance, bearable=servo.bearable)
-    return clock, servo
-
-
-@contextmanager
-def in_process(scaling: AxisScaling) -> Iterator[Rig]:
-    clock, servo = _machine(scaling)
-    settings = VirtualDriveSettings(homing_method=37, home_position_mm=0.0)
-    yield Rig(VirtualDrive(servo, scaling, LIMITS, clock, settings=settings), servo, clock)
-
-
-def _canopen(scaling: AxisScaling, clock: SimClock, link: CanLink) -> CanOpenDrive:
-    homing = HomingSettings(method=37, home_position_mm=0.0)
-    patient = CanOpenSettings(homing=homing, sdo_timeout_s=5.0, sample_timeout_s=5.0)  # the guest's host may be busy
-    return CanOpenDrive("X", scaling, LIMITS, clock, link=link, node_id=5, settings=patient)
-
-
-def _on_wire(bitrate: int | None) -> Backend:
-    @contextmanager
-    def rig(scaling: AxisScaling) -> Iterator[Rig]:
-        clock, servo = _machine(scaling)
-        wire = SimWire(clock, bitrate)
-        attach_to_wire(wire, servo, node_id=5)
-        with CanLink(wire.port(), clock) as link:
-            yield Rig(_canopen(scaling, clock, link), servo, clock)
-
-    return rig
-
-
-def _on_interface(interface: str, channel: Callable[[], str]) -> Backend:
-    @contextmanager
-    def rig(scaling: AxisScaling) -> Iterator[Rig]:
-        clock, servo = _machine(scaling)
-        name = channel()
-        with (
-            served(servo, clock, interface=interface, channel=name, node_id=5),
-            CanLink.open(clock, interface=interface, channel=name) as link,
-        ):
-            yield Rig(_canopen(scaling, clock, link), servo, clock)
-
-    return rig
-
-
-def _modbus_face(map_name: str, servo: SimulatedServo) -> Face:
-    if map_name == "vendor_style":
-        return VendorRegisters(servo, counts_per_rev=COUNTS_PER_REV, settings={"origin_method": 35})
-    return Cia402Registers(servo, parameters={(0x6098, 0): 37, (0x6085, 0): 20_000_000})
-
-
-def _modbus_endpoint(place: str | int) -> Endpoint:
-    if isinstance(place, str):
-        return RtuEndpoint(place, baud=115_200, parity="N")
-    return TcpEndpoint("127.0.0.1", place)
-
-
-def _modbus(map_name: str, *, serial: bool) -> Backend:
-    @contextmanager
-    def rig(scaling: AxisScaling) -> Iterator[Rig]:
-        clock, servo = _machine(scaling)
-        faces = {7: _modbus_face(map_name, servo)}
-        with rtu_slave(faces, clock) if serial else tcp_server(faces, clock) as (_, place):
-            drive = ModbusDrive(
-                "X",
-                scaling,
-                LIMITS,
-                clock,
-                link=ModbusLink(_modbus_endpoint(place), clock),
-                unit=7,
-                drive_map=load_drive_map(map_name),
-            )
-            yield Rig(drive, servo, clock)
-
-    return rig
-
-
-BACKENDS: dict[str, Backend] = {
-    "in process": in_process,
-    "canopen, simulated wire": _on_wire(None),
-    "canopen, simulated wire at 1 Mbit/s": _on_wire(1_000_000),
-    "canopen, python-can virtual bus": _on_interface("virtual", lambda: uuid.uuid4().hex),
-    "canopen, socketcan": _on_interface("socketcan", lambda: "vcan0"),
-    "modbus tcp, cia402 map": _modbus("cia402_over_modbus", serial=False),
-    "modbus rtu, cia402 map": _modbus("cia402_over_modbus", serial=True),
-    "modbus tcp, vendor map": _modbus("vendor_style", serial=False),
-    "modbus rtu, vendor map": _modbus("vendor_style", serial=True),
-}
-MARKS = {"canopen, socketcan": pytest.mark.vcan}  # run in the guest where this kernel has no SocketCAN
-
-
-@pytest.fixture(
-    params=[
-        pytest.param(name, marks=MARKS.get(name, ()), id=name.replace(" ", "-").replace(",", "")) for name in BACKENDS
-    ]
-)
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return BACKENDS[request.param]
-
-
-@pytest.fixture(params=[1, -1], ids=["direct", "reversed"])
-def rig(request: pytest.FixtureRequest, backend: Backend) -> Iterator[Rig]:
-    with backend(AxisScaling(COUNTS_PER_REV, 10.0, direction=request.param)) as rig:
-        yield rig
-
-
-def _home(rig: Rig) -> None:
-    rig.drive.start_homing()
-    rig.drive.wait_for(lambda sample: sample.homed is True, 30.0, "homed")
-
-
-def _arrive(rig: Rig, timeout_s: float = 30.0) -> float:
-    return rig.drive.wait_for(lambda sample: sample.target_reached, timeout_s, "arrived").position_load_mm
 
 
 def test_opening_enables_and_moves_nothing(rig: Rig) -> None:
@@ -202,9 +37,9 @@ def test_it_states_what_it_can_do(rig: Rig) -> None:
 def test_enable_holds_the_axis_where_it_is(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(20.0, 100.0)
-        _arrive(rig)
+        arrive(rig)
         drive.disable()
         rig.run(0.2)
         before = drive.sample().position_load_mm
@@ -219,18 +54,18 @@ def test_enable_holds_the_axis_where_it_is(rig: Rig) -> None:
 def test_a_move_arrives_from_either_side(rig: Rig, target_mm: float) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(100.0, 150.0)
-        _arrive(rig)
+        arrive(rig)
         drive.start_move(target_mm, 80.0)
         assert drive.sample().target_reached is False
-        assert _arrive(rig) == pytest.approx(target_mm, abs=1e-3)
+        assert arrive(rig) == pytest.approx(target_mm, abs=1e-3)
 
 
 def test_a_move_keeps_its_velocity_and_shows_it_in_the_load_frame(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(100.0, 50.0)
         rig.run(1.0)
         sample = drive.sample()
@@ -244,21 +79,21 @@ def test_a_move_keeps_its_velocity_and_shows_it_in_the_load_frame(rig: Rig) -> N
 def test_a_new_target_replaces_the_one_under_way(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(200.0, 100.0)
         rig.run(0.5)
         drive.start_move(10.0, 100.0)
-        assert _arrive(rig) == pytest.approx(10.0, abs=1e-3)
+        assert arrive(rig) == pytest.approx(10.0, abs=1e-3)
 
 
 def test_a_move_to_where_it_is_ends(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(5.0, 50.0)
-        place = _arrive(rig)
+        place = arrive(rig)
         drive.start_move(place, 50.0)
-        assert _arrive(rig, 1.0) == pytest.approx(5.0, abs=1e-3)
+        assert arrive(rig, 1.0) == pytest.approx(5.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("target_mm", [-3.001, 300.5, float("nan"), float("inf")])
@@ -302,7 +137,7 @@ def test_homing_says_when_it_is_done(rig: Rig) -> None:
 def test_quick_stop_brings_a_moving_axis_to_rest(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(250.0, 150.0)
         rig.run(0.6)
         drive.quick_stop()
@@ -324,7 +159,7 @@ def test_quick_stop_does_no_harm_when_disabled(rig: Rig) -> None:
 def test_it_can_be_enabled_again_after_a_quick_stop(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(100.0, 100.0)
         rig.run(0.3)
         drive.quick_stop()
@@ -335,7 +170,7 @@ def test_it_can_be_enabled_again_after_a_quick_stop(rig: Rig) -> None:
         rig.run(0.2)
         assert drive.sample().position_load_mm == pytest.approx(place, abs=1e-3)
         drive.start_move(1.0, 100.0)
-        assert _arrive(rig) == pytest.approx(1.0, abs=1e-3)
+        assert arrive(rig) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_fault_is_shown_and_never_followed_by_an_enable(rig: Rig) -> None:
@@ -363,7 +198,7 @@ def test_a_fault_is_shown_and_never_followed_by_an_enable(rig: Rig) -> None:
 def test_a_fault_during_a_move_stops_it(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(250.0, 100.0)
         rig.run(0.5)
         rig.servo.raise_fault(OVER_VOLTAGE)
@@ -382,7 +217,7 @@ def test_resetting_without_a_fault_leaves_it_disabled(rig: Rig) -> None:
 def test_disabling_a_moving_axis_stops_it_first(rig: Rig) -> None:
     with rig.drive as drive:
         drive.enable()
-        _home(rig)
+        home(rig)
         drive.start_move(250.0, 150.0)
         rig.run(0.7)
         drive.disable()
