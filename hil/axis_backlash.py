@@ -85,7 +85,7 @@ def read_backlash(table: Table, limits: DriveLimits, scaling: AxisScaling, backe
         step_um=table.take("step_um", reader.between(0.01, 100.0), "µm, 0.01 to 100", 1.0),
         steps=table.take("steps", reader.whole(20, 5000), "a whole number, 20 to 5000", 200),
         readings=table.take("readings", reader.whole(1, 100), "a whole number, 1 to 100", 4),
-        settle_s=table.take("settle_s", reader.between(0.0, 10.0), "seconds, 0 to 10", 0.02),
+        settle_s=table.take("settle_s", reader.between(0.0, 10.0), "seconds, 0 to 10", 0.1),
         velocity_mm_s=table.take("velocity_mm_s", reader.positive, "a number > 0 in mm/s", 0.5),
         travel_velocity_mm_s=table.take(
             "travel_velocity_mm_s", reader.positive, "a number > 0 in mm/s", limits.max_velocity_mm_s / 5.0

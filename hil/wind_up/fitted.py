@@ -20,13 +20,10 @@ from scipy.special import fdtrc
 from hil.wind_up.trace import Floats, ReversalTrace
 
 Mask = NDArray[np.bool_]
-HIDDEN_SHARE = 0.008
+HIDDEN_SHARE = 0.006
 """Standard uncertainty of what torque cannot tell apart from wind-up, as a share of the lost motion."""
-_UPPER, _WHOLE, _HIGH = (
-    0.15,
-    -0.6,
-    0.88,
-)  # where the flank is taken from, and to: 0 where torque is zero, 1 where sliding begins
+_LOW, _HIGH = (0.0, 0.2, 0.35, 0.5), 0.88
+"""Where the flank is taken from, and to: 0 where torque is zero, 1 where sliding begins."""
 _BEYOND_SHARE, _BEYOND_STEPS = 0.12, 5  # what is left out beyond the meeting point: peak and drop
 _FEWEST_FLANK, _FEWEST_CURVED, _FEWEST_SLIDING = 4, 9, 10  # places
 _STEEP = 0.12  # of the flank's slope: what still rises so much is not sliding
@@ -97,7 +94,6 @@ class _Flank:
     """A fitted flank, where it meets the sliding level, and the travel it was fitted over."""
 
     curve: _Polynomial
-    line: _Polynomial
     meet: float
     over_um: tuple[float, float]
 
@@ -138,27 +134,26 @@ def _sliding(travel: Floats, meet: float) -> Mask:
 
 
 def _flank(travel: Floats, torque: Floats, meet: float, level: float) -> _Flank | None:
-    """The flank as far as one smooth curve describes it: the whole way up, or the upper half where a clearance lies in between.
+    """The flank as far down as one smooth curve describes it: from zero torque, or from above a clearance that lies there.
 
     Places are chosen by travel and not by torque, so that noise has no say in it.
     """
-    before = travel < meet
-    below = np.flatnonzero(before & (torque <= 0.0))
+    below = np.flatnonzero((travel < meet) & (torque <= 0.0))
     zero = float(travel[below[-1]]) if len(below) else float(travel[0])
-    for low in (_WHOLE, _UPPER):
+    found = None
+    for low in _LOW:
         part = (travel >= zero + low * (meet - zero)) & (travel <= zero + _HIGH * (meet - zero))
         if int(part.sum()) < _FEWEST_FLANK:
-            continue
+            break
         x, y = travel[part], torque[part]
-        line = _fit(x, y, 1)
-        enough = int(part.sum()) >= _FEWEST_CURVED
-        curve = _fit(x, y, 2) if enough else line
-        if low == _WHOLE and (not enough or _better(_fit(x, y, 3), curve) or _better(_fit(x, y, 4), curve)):
-            continue  # not one smooth curve, or too few places to tell
+        curved = int(part.sum()) >= _FEWEST_CURVED
+        curve = _fit(x, y, 2 if curved else 1)
         met = curve.meets(level, meet)
         if np.isfinite(met) and x[0] < met < travel[-1]:
-            return _Flank(curve, line, met, (float(x[0]), float(x[-1])))
-    return None
+            found = _Flank(curve, met, (float(x[0]), float(x[-1])))
+            if not curved or not any(_better(_fit(x, y, degree), curve) for degree in (3, 4)):
+                break
+    return found
 
 
 def _better(more: _Polynomial, fewer: _Polynomial) -> bool:
@@ -173,7 +168,7 @@ def _better(more: _Polynomial, fewer: _Polynomial) -> bool:
 def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:
     centre = float(x.mean())
     rows = np.vander(x - centre, degree + 1, increasing=True)
-    coefficients, _, _, _ = np.linalg.lstsq(rows, y, rcond=None)
+    coefficients: Floats = np.asarray(np.linalg.lstsq(rows, y, rcond=None)[0], dtype=np.float64)
     rss = float(np.sum((y - rows @ coefficients) ** 2))
     freedom = max(1, len(x) - degree - 1)
     return _Polynomial(centre, coefficients, np.linalg.inv(rows.T @ rows) * rss / freedom, rss, freedom)

@@ -37,7 +37,8 @@ class ReversalTrace:
     @property
     def travel_um(self) -> Floats:
         """How far the motor has gone since the reversal, shape (n,), > 0 in the new direction."""
-        return self.direction * (self.position_load_mm - self.position_load_mm[0]) * 1000.0
+        travel = self.direction * (self.position_load_mm - self.position_load_mm[0]) * 1000.0
+        return np.asarray(travel, dtype=np.float64)
 
     @property
     def rising_percent(self) -> Floats:

@@ -14,9 +14,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-SUBSTEP_S = 0.00025
-_MOST_SUBSTEPS = 400  # after 0.1 s at rest nothing moves any more
-_AT_REST_UM_S = 1e-4
+SUBSTEP_S, SUBSTEP_UM = 0.00025, 0.1
+"""A substep lasts no shorter than the first, and the motor moves no further in it than the second, if the first allows."""
+LONGEST_S = 0.005
+_MOST_SUBSTEPS = 400
+_AT_REST_UM_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -82,8 +84,7 @@ class WindUp:
         if end_um == start_um and self._settled:
             self._bond = 1.0 - (1.0 - self._bond) * math.exp(-dt_s / self.train.guide.heal_s)
             return
-        count = min(_MOST_SUBSTEPS, max(1, math.ceil(dt_s / SUBSTEP_S)))
-        h_s = min(dt_s / count, 2.0 * SUBSTEP_S) if end_um == start_um else dt_s / count
+        count, h_s = _substeps(abs(end_um - start_um), dt_s)
         sliding_n = self.train.guide.sliding_n + self.train.guide.per_kg_n * load_kg
         fastest = 0.0
         for index in range(1, count + 1):
@@ -135,6 +136,19 @@ class WindUp:
         self._bond *= math.exp(-slipped / guide.bond_um)
         self._bond += (1.0 - self._bond) * h_s / guide.heal_s
         return speed
+
+
+def _substeps(travel_um: float, dt_s: float) -> tuple[int, float]:
+    """How many, and how long: fine enough for the motion, and none longer than what the bodies' own settling bears.
+
+    At rest a long time is cut short: after `_MOST_SUBSTEPS` nothing moves any more.
+    """
+    least = math.ceil(dt_s / LONGEST_S)
+    most = math.ceil(dt_s / SUBSTEP_S)
+    count = max(1, least, min(most, math.ceil(travel_um / SUBSTEP_UM)))
+    if count <= _MOST_SUBSTEPS or travel_um:
+        return count, dt_s / count
+    return _MOST_SUBSTEPS, LONGEST_S
 
 
 def _bending(share: float, net: float) -> float:

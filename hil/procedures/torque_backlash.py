@@ -1,0 +1,174 @@
+"""Lost motion from the servo's torque, with no position sensor (system B, CN103561904).
+
+note the drive's backlash parameter and its acceleration switch, both to 0
+each run: to the reference in +, reverse, step by step until the table has broken away; the same from −
+both estimates of every reversal, the mean of both directions
+the parameters as they were, on every way out; the new amount only where it was asked for
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.drive import Capability, ServoDrive
+from drivers.errors import CapabilityError, ProtocolError
+from hil.axis_backlash import LEAD_IN_STEPS, BacklashConfig
+from hil.procedures.bare_axis import STEP_SLICE_S, BareAxis, check_reach
+from hil.procedures.events import Event, Listener, silent
+from hil.procedures.neutral_settings import BacklashSettings, Found, Tell, neutral
+from hil.wind_up.fitted import fit_wind_up
+from hil.wind_up.result import NAMES, Reversal, mean_um
+from hil.wind_up.trace import ReversalTrace
+
+DIRECTIONS = (-1, 1)
+"""Of the motion after the reversal: first + → −, then − → +."""
+READING_S = 0.002
+"""Between two torque readings of one place."""
+_FIT_EVERY = 8  # steps
+_SLIDING_STEPS, _SLIDING_SHARE = 20, 0.4  # how far to go on beyond the break-away
+
+Keep = Callable[[int, ReversalTrace], None]
+"""keep(run, trace): hears every reversal, also one that was broken off."""
+
+
+@dataclass(frozen=True)
+class TorqueBacklash:
+    """What came of it. found: the parameters before; written: the amount written, in counts; `reversals` in the order of time."""
+
+    reversals: tuple[Reversal, ...]
+    method: str
+    found: Found
+    written: int | None = None
+
+    @property
+    def lost_motion_um(self) -> float | None:
+        """Mean of both directions by the method asked for; None where the detection limit was exceeded."""
+        return mean_um(self.reversals, self.method)
+
+    @property
+    def exceeded(self) -> Reversal | None:
+        """The reversal that found no peak within the allowed steps."""
+        return next((one for one in self.reversals if one.lost_motion_um(self.method) is None), None)
+
+
+def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
+    """What the drive cannot do, said before anything is written or moved. Raises CapabilityError, LimitError."""
+    drive.require(Capability.PROFILE_POSITION, Capability.TORQUE_ACTUAL)
+    if drive.sample().torque_percent is None:
+        raise CapabilityError(f"drive {drive.name} does not tell its torque, and backlash is measured by torque")
+    check_reach(drive, *(place(each) for each in DIRECTIONS for place in (how.start_mm, how.turning_mm, how.end_mm)))
+
+
+def measure_backlash(
+    drive: ServoDrive,
+    how: BacklashConfig,
+    settings: BacklashSettings,
+    *,
+    write: bool = False,
+    keep: Keep = lambda _run, _trace: None,
+    listener: Listener = silent,
+    tell: Tell = lambda _text: None,
+) -> TorqueBacklash:
+    """Measure on an open drive. tell: hears what could not be put back, while another error is under way.
+
+    Everything is put back before this returns or raises; with `write` the mean then takes the parameter's place, and is read back.
+    """
+    check_drive(drive, how)
+    reversals: list[Reversal] = []
+    with neutral(settings, tell) as found, BareAxis(drive) as axis:
+        axis.get_ready(home=how.home)
+        measurement = _Measurement(axis, how, keep, listener)
+        for run in range(1, how.runs + 1):
+            for direction in DIRECTIONS:
+                reversals.append(Reversal.of(run, measurement.reversal(run, direction)))
+                if reversals[-1].lost_motion_um(how.method) is None:
+                    return TorqueBacklash(tuple(reversals), how.method, found)
+    result = TorqueBacklash(tuple(reversals), how.method, found)
+    if not write or result.lost_motion_um is None:
+        return result
+    return TorqueBacklash(result.reversals, how.method, found, _write(settings, result.lost_motion_um))
+
+
+def _write(settings: BacklashSettings, lost_motion_um: float) -> int:
+    counts = settings.counts(lost_motion_um)
+    settings.amount.write(counts)
+    kept = settings.amount.read()
+    if kept != counts:
+        raise ProtocolError(f"{settings.amount.name} was written {counts}, it reads back {kept}")
+    return counts
+
+
+@dataclass
+class _Recording:
+    """The rows of one reversal as they come."""
+
+    direction: int
+    resting_percent: float
+    position_load_mm: list[float] = field(default_factory=list)
+    torque_percent: list[list[float]] = field(default_factory=list)
+
+    def trace(self) -> ReversalTrace:
+        positions, torques = np.array(self.position_load_mm), np.array(self.torque_percent)
+        return ReversalTrace(self.direction, positions, torques, self.resting_percent)
+
+
+@dataclass(frozen=True)
+class _Measurement:
+    """Whom it concerns and who listens."""
+
+    axis: BareAxis
+    how: BacklashConfig
+    keep: Keep
+    listener: Listener
+
+    def reversal(self, run: int, direction: int) -> ReversalTrace:
+        """One reversal: run in, turn back, and step until the table slides or the steps are used up."""
+        how, turning, step_mm = self.how, self.how.turning_mm(direction), self.how.step_um / 1000.0
+        stage = f"run {run} of {how.runs}, {NAMES[direction]}"
+        self.listener(Event(stage, "to the reference", 0, how.steps))
+        self.axis.move_to(how.start_mm(direction), how.travel_velocity_mm_s)
+        self.axis.move_to(turning + direction * LEAD_IN_STEPS * step_mm, how.velocity_mm_s)
+        lead_in = [turning + direction * left * step_mm for left in reversed(range(LEAD_IN_STEPS))]
+        left_behind = [self._step(place)[1] for place in lead_in]
+        recording = _Recording(direction, float(np.mean(np.abs(left_behind))))
+        try:
+            for index in range(how.steps + 1):
+                position, torques = self._step(turning + direction * index * step_mm)
+                recording.position_load_mm.append(position)
+                recording.torque_percent.append(torques)
+                travelled_um = abs(position - recording.position_load_mm[0]) * 1000.0
+                self.listener(Event(stage, f"{travelled_um:.1f} µm, {torques[0]:+.1f} %", index, how.steps))
+                if index % _FIT_EVERY == 0 and _enough(recording.trace(), how.step_um):
+                    break
+        finally:
+            if recording.position_load_mm:
+                self.keep(run, recording.trace())
+        self.listener(Event(stage, "done", how.steps, how.steps))
+        return recording.trace()
+
+    def _step(self, position_load_mm: float) -> tuple[float, list[float]]:
+        """Go to one place and rest; where the motor is, and the torque readings."""
+        axis = self.axis
+        axis.move_to(position_load_mm, self.how.velocity_mm_s, slice_s=STEP_SLICE_S)
+        axis.rest(self.how.settle_s)
+        torques: list[float] = []
+        while True:
+            sample = axis.look("reading the torque")
+            if sample.torque_percent is None:
+                raise CapabilityError(f"drive {axis.drive.name} no longer tells its torque")
+            torques.append(sample.torque_percent)
+            if len(torques) == self.how.readings:
+                return sample.position_load_mm, torques
+            axis.rest(READING_S)
+
+
+def _enough(trace: ReversalTrace, step_um: float) -> bool:
+    """Whether the table has been sliding long enough for its level to be known."""
+    fit = fit_wind_up(trace)
+    if fit is None:
+        return False
+    beyond_um = float(trace.travel_um[-1]) - fit.lost_motion_um
+    return beyond_um >= max(_SLIDING_STEPS * step_um, _SLIDING_SHARE * fit.lost_motion_um)

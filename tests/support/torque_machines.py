@@ -1,0 +1,137 @@
+"""Machines whose lost motion is known, as a laser on the table would find it, and what a drive would tell of their torque."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.wind_up.trace import ReversalTrace
+from sim_backends.bench import BenchParameters
+from sim_backends.plant.axis import FeedAxis
+from sim_backends.plant.drive_train import DriveTrain, Guide
+from sim_backends.plant.parameters import Friction, PlantParameters
+from sim_backends.plant.screw import Screw
+from sim_backends.servo import ServoParameters
+
+TICK_S = 0.005
+
+
+@dataclass(frozen=True)
+class PublishedMachine:
+    """A case of CN103561904: what the laser said there, and how near the published rule came; noise of one torque reading, 0.1 %."""
+
+    name: str
+    laser_um: float
+    published_accuracy_percent: float
+    train: DriveTrain
+    noise_permille: float
+    load_kg: float = 0.0
+
+
+PUBLISHED = (
+    PublishedMachine("53 µm", 53.0, 94.34, DriveTrain(), 1.08),
+    PublishedMachine(
+        "36 µm",
+        36.0,
+        91.67,
+        DriveTrain(nut_n_per_um=42.09, screw_friction_n=80.0, guide=Guide(sliding_n=560.0)),
+        1.23,
+    ),
+    PublishedMachine(
+        "60 µm, 15 t",
+        60.0,
+        86.67,
+        DriveTrain(nut_n_per_um=38.55, guide=Guide(sliding_n=300.0, per_kg_n=0.04)),
+        1.22,
+        load_kg=15_000.0,
+    ),
+)
+
+
+def plant_of(train: DriveTrain) -> PlantParameters:
+    """A machine whose only error is its drive train's."""
+    return PlantParameters(screw=Screw(lead_mm=10.0), friction=Friction(table_permille=0.0), drive_train=train)
+
+
+def bench_of(machine: PublishedMachine, seed: int) -> BenchParameters:
+    """The same with a servo whose torque is as noisy as said."""
+    servo = ServoParameters(torque_noise_permille=machine.noise_permille, seed=seed)
+    return BenchParameters(plant=plant_of(machine.train), servo=servo)
+
+
+def some_train(seed: int) -> DriveTrain:
+    """Stiffness, friction, break-away and guideway of a machine nobody has seen: 20 to 90 µm."""
+    rng = random.Random(seed)
+    return DriveTrain(
+        coupling_n_per_um=rng.uniform(80.0, 200.0),
+        nut_n_per_um=rng.uniform(30.0, 60.0),
+        hardening_per_um=rng.uniform(0.0, 0.006),
+        gap_um=rng.choice((0.0, 0.0, rng.uniform(1.0, 6.0))),
+        screw_friction_n=rng.uniform(50.0, 200.0),
+        guide=Guide(
+            sliding_n=rng.uniform(500.0, 1100.0),
+            static_excess=rng.uniform(0.02, 0.15),
+            bond_um=rng.uniform(1.0, 4.0),
+            heal_s=rng.uniform(1.5, 6.0),
+            stribeck_mm_s=rng.uniform(2.0, 8.0),
+            bristle_n_per_um=rng.uniform(9000.0, 25_000.0),
+        ),
+    )
+
+
+class _Crept:
+    """A plant whose motor is led by hand."""
+
+    def __init__(self, train: DriveTrain, load_kg: float) -> None:
+        self.axis = FeedAxis(plant_of(train))
+        self.axis.load_kg = load_kg
+        self.at_um = 0.0
+
+    def creep(self, to_um: float, um_per_s: float) -> None:
+        while self.at_um != to_um:
+            left = to_um - self.at_um
+            step = um_per_s * TICK_S
+            self.at_um = to_um if abs(left) <= step else self.at_um + (step if left > 0.0 else -step)
+            self.axis.step(self.at_um / 10_000.0, TICK_S)
+
+    def rest(self, seconds: float) -> None:
+        for _ in range(round(seconds / TICK_S)):
+            self.axis.step(self.at_um / 10_000.0, TICK_S)
+
+
+def laser_lost_motion_um(train: DriveTrain, load_kg: float = 0.0) -> float:
+    """What a laser on the table reads at one place of the motor, reached downwards, minus the same reached upwards: no torque."""
+    machine = _Crept(train, load_kg)
+    machine.creep(200.0, 500.0)
+    machine.rest(0.5)
+    upwards_mm = machine.axis.position_mm
+    machine.creep(400.0, 500.0)
+    machine.creep(200.0, 500.0)
+    machine.rest(0.5)
+    return (machine.axis.position_mm - upwards_mm) * 1000.0
+
+
+def torque_curve(train: DriveTrain, direction: int, load_kg: float = 0.0, *, steps: int = 130) -> np.ndarray:
+    """Torque without noise at rest after each step of 1 µm, shape (steps + 1,), 0.1 % of rated, signed as the axis."""
+    machine = _Crept(train, load_kg)
+    machine.creep(150.0 * direction, 500.0)
+    machine.creep(0.0, 300.0)
+    machine.rest(0.3)
+    torques = [machine.axis.friction_permille]
+    for index in range(1, steps + 1):
+        machine.creep(float(direction * index), 100.0)
+        machine.rest(0.05)
+        torques.append(machine.axis.friction_permille)
+    return np.array(torques)
+
+
+def noisy_trace(
+    curve_permille: np.ndarray, direction: int, noise_permille: float, rng: np.random.Generator, readings: int = 4
+) -> ReversalTrace:
+    """The curve as a drive tells it: white noise, whole tenths of a per cent of rated torque (6077h)."""
+    shape = (len(curve_permille), readings)
+    read = np.round(curve_permille[:, None] + rng.normal(0.0, noise_permille, shape)) / 10.0
+    position_mm = direction * np.arange(len(curve_permille)) / 1000.0
+    return ReversalTrace(direction, position_mm, read, float(abs(curve_permille[0])) / 10.0)
