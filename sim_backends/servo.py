@@ -106,7 +106,7 @@ class SimulatedServo:
         if speed:
             torque += math.copysign(p.motor_friction_permille, speed) + p.viscous_permille * speed
             torque += p.inertia_permille * self._acceleration / p.counts_per_rev
-        return round(torque)
+        return round(max(-p.peak_torque_permille, min(p.peak_torque_permille, torque)))
 
     @property
     def positive_limit_switch(self) -> bool:

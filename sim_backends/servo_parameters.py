@@ -14,7 +14,8 @@ class ServoParameters:
     """A drive, its motor and its switches. Places are shaft counts, in the frame in which the axis's nominal zero is 0.
 
     position_gain_per_s and feed_forward (0…1) make the lag (1 − feed_forward)·v/gain; the window and time-outs supervise it.
-    home_switch_counts: the switch is active below. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s².
+    home_switch_counts: the switch is active below. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s²; the current
+    limit ends them all at peak_torque_permille.
     """
 
     counts_per_rev: int = 1_000_000
@@ -42,6 +43,7 @@ class ServoParameters:
     cogging_permille: float = 0.6
     cogging_per_rev: int = 8
     torque_noise_permille: float = 1.0
+    peak_torque_permille: float = 3000.0
     seed: int = 7
 
     def __post_init__(self) -> None:

@@ -86,8 +86,7 @@ def test_an_axis_is_calibrated_over_a_real_wire(wire: str, tmp_path: Path, monke
         result = json.loads((tmp_path / "calibrate.json").read_text())
         assert result["before"]["rms_um"] > 2.0
         assert result["rounds"][-1]["rms_um"] < 0.3
-        assert at.machine.end() == 0
-        assert at.machine.errors == ""
+        assert (at.machine.end(), at.machine.errors) == (0, ""), at.machine.errors
         assert at.machine.left is not None
         assert (at.machine.left["powered"], at.machine.left["moving"]) == (False, False)
 

@@ -245,6 +245,18 @@ def test_torque_shows_where_the_table_breaks_away() -> None:
     assert min(torques) <= 3
 
 
+def test_torque_never_exceeds_what_the_current_limit_allows() -> None:
+    """However short a step of time a busy host leaves between two looks: a face has 16 bits for it."""
+    rig = Rig(ServoParameters(position_gain_per_s=2000.0))
+    rig.servo.power_on()
+    rig.servo.move_velocity(10.0 * REV, 400.0 * REV)
+    seen = []
+    for number in range(40):
+        rig.clock.sleep_s(1e-7 if number % 2 else 2e-3)
+        seen.append(rig.servo.torque_actual_permille)
+    assert max(map(abs, seen)) == 3000
+
+
 def test_nonsense_parameters_are_refused() -> None:
     with pytest.raises(InputError, match="position_gain_per_s"):
         ServoParameters(position_gain_per_s=0.0)
