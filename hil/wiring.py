@@ -74,7 +74,7 @@ def connected(
         yield machine
 
 
-def bench_parameters(axis: AxisConfig) -> BenchParameters:
+def bench_parameters(axis: DriveAxis) -> BenchParameters:
     """The simulated machine that an axis file with backend "bench" asks for."""
     return known_bench(axis.drive.machine, axis.drive.seed)
 
@@ -86,7 +86,7 @@ def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -
     return Machine(axis, _session(axis, drive, laser, BenchConditions(bench.plant, axis.conditions.levels)), bench)
 
 
-def _bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -> Bench:
+def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack) -> Bench:
     _check_bench(axis, parameters)
     return stack.enter_context(Bench(parameters))
 
@@ -99,11 +99,11 @@ def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitSta
 
 # -- drives ------------------------------------------------------------------------------------------------------------
 @contextmanager
-def connected_drive(axis: AxisConfig) -> Iterator[ServoDrive]:
-    """The drive alone, open, without its instrument: for looking at parameters. Nothing is enabled or moved."""
+def connected_drive(axis: DriveAxis, bench: BenchParameters | None = None) -> Iterator[ServoDrive]:
+    """The drive alone, open, without an instrument. Nothing is enabled or moved. bench: as for `connected`."""
     with ExitStack() as stack:
         stack.enter_context(held(axis.path))
-        yield stack.enter_context(_drive_alone(axis, stack))
+        yield stack.enter_context(_drive_alone(axis, stack, bench))
 
 
 @contextmanager
@@ -122,9 +122,9 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
         yield drive.parameters
 
 
-def _drive_alone(axis: AxisConfig, stack: ExitStack) -> ServoDrive:
+def _drive_alone(axis: DriveAxis, stack: ExitStack, bench: BenchParameters | None = None) -> ServoDrive:
     if axis.drive.backend == "bench":
-        return _bench_drive(axis, _bench(axis, bench_parameters(axis), stack), stack)
+        return _bench_drive(axis, _bench(axis, bench or bench_parameters(axis), stack), stack)
     return hardware_drive(axis, WallClock(), stack)
 
 
@@ -147,7 +147,7 @@ def hardware_drive(axis: DriveAxis, clock: Clock, stack: ExitStack, links: Links
     return modbus_drive(axis, clock, endpoint, axis.drive.unit, links)
 
 
-def _bench_drive(axis: AxisConfig, bench: Bench, stack: ExitStack) -> ServoDrive:
+def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
     """The bench's servo behind the wire that the axis file asks for."""
     face, clock = axis.drive.face, bench.clock
     if face == "virtual":
@@ -214,7 +214,7 @@ def modbus_drive(
     )
 
 
-def _virtual(axis: AxisConfig, bench: Bench) -> VirtualDrive:
+def _virtual(axis: DriveAxis, bench: Bench) -> VirtualDrive:
     asked = axis.drive.homing
     settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
     given = {
@@ -252,7 +252,7 @@ def _session(
     return AxisSession(drive, instrument, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
 
 
-def _check_bench(axis: AxisConfig, parameters: BenchParameters) -> None:
+def _check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:
     """The bench is a machine like any other: an axis file that does not describe it is refused before anything moves."""
     found: tuple[AxisScaling, DriveLimits] = (parameters.scaling, parameters.limits)
     if axis.scaling != found[0]:
