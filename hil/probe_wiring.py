@@ -6,7 +6,7 @@ On the bench the same drives are simulated, with a probe, a block and a bore tha
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 
 from drivers.canopen import objects
@@ -39,16 +39,33 @@ def connected_probe(
     mode: str | None = None,
     bench: ProbeBench | None = None,
 ) -> Iterator[ProbeSession]:
-    """A session on the machine of a machine file, or on the bench where its axis files say so; see `ProbeSession` for the rest.
+    """A session on the machine of a machine file, or on a bench. Raises as `probe_drives`; arguments as of `ProbeSession`."""
+    with probe_drives(config, bench) as drives, probe_session(config, drives, touching=touching, mode=mode) as session:
+        yield session
+
+
+@contextmanager
+def probe_drives(config: ProbeMachineConfig, bench: ProbeBench | None = None) -> Iterator[dict[str, ServoDrive]]:
+    """The machine's drives, not opened; several sessions may follow each other on them. A bench is connected once.
 
     Raises InputError while another process has connected one of the axis files, and whatever connecting raises.
     """
     with ExitStack() as stack:
         for axis in config.axes.values():
             stack.enter_context(held(axis.path))
-        drives = _simulated(config, bench, stack) if bench is not None else _hardware(config, stack)
-        signals = {name: _signal(drives[name], config.probe) for name in touching}
-        yield stack.enter_context(ProbeSession(config, drives, signals, touching=touching, mode=mode))
+        yield _hardware(config, stack) if bench is None else _simulated(config, bench, stack)
+
+
+def probe_session(
+    config: ProbeMachineConfig,
+    drives: Mapping[str, ServoDrive],
+    *,
+    touching: Sequence[str] = ("x",),
+    mode: str | None = None,
+) -> ProbeSession:
+    """A session on drives that are connected."""
+    signals = {name: _signal(drives[name], config.probe) for name in touching}
+    return ProbeSession(config, drives, signals, touching=touching, mode=mode)
 
 
 def _hardware(config: ProbeMachineConfig, stack: ExitStack) -> dict[str, ServoDrive]:

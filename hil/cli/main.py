@@ -24,6 +24,7 @@ VERBS = (
     "doctor",
     "calibrate",
     "verify",
+    "probe",
     "close_loop",
     "diagnose",
     "fit",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import FollowingErrorError, StateError
@@ -22,6 +23,7 @@ from hil.runout import (
     mean_feeds,
     run_out,
 )
+from hil.runout_store import RunOutStore
 
 
 @dataclass(frozen=True)
@@ -38,21 +40,38 @@ class RunOutMeasurement:
         """Mean of the turns."""
         return mean_feeds(self.turns)
 
-    def check(self, config: ProbeMachineConfig) -> None:
-        """Raise MeasurementRefusedError unless every turn closes, the turns repeat, and the radius is the ball's."""
+    def refusal(self, config: ProbeMachineConfig) -> str | None:
+        """Why it must not be put into force: a turn does not close, turns do not repeat, or the radius is not the ball's."""
         block, probe = config.block, config.probe
-        for turn in self.turns:
-            turn.check_closure(block.closure_limit_um)
-        check_repeat(self.turns, block.repeat_limit_um)
-        if block.radius_limit_um is not None and probe.tip_radius_mm is not None:
-            check_radius(self.run_out, probe.tip_radius_mm, block.radius_limit_um)
+        try:
+            for turn in self.turns:
+                turn.check_closure(block.closure_limit_um)
+            check_repeat(self.turns, block.repeat_limit_um)
+            if block.radius_limit_um is not None and probe.tip_radius_mm is not None:
+                check_radius(self.run_out, probe.tip_radius_mm, block.radius_limit_um)
+        except MeasurementRefusedError as error:
+            return str(error)
+        return None
+
+
+def measure_and_store(
+    session: ProbeSession, store: RunOutStore, now: Callable[[], datetime], listener: Listener = silent
+) -> tuple[RunOutMeasurement, str | None]:
+    """M90, and what it found put into force; or, where that is refused, why. Either way it goes into the history."""
+    measured = measure_run_out(session, listener)
+    refusal, when = measured.refusal(session.config), now()
+    if refusal is None:
+        store.save(measured.run_out, when)
+    verdict = "stored" if refusal is None else f"refused: {refusal}"
+    store.append(when, measured.mode, measured.turns, measured.run_out, verdict)
+    return measured, refusal
 
 
 def measure_run_out(session: ProbeSession, listener: Listener = silent) -> RunOutMeasurement:
     """M90: touch the block's face with the spindle at 0, 90, 180 and 270°, each time from the same start.
 
     The probe has to stand in front of the face, beside nothing else. Afterwards the machine is where it was found. What was measured
-    is returned whether or not it closes; `RunOutMeasurement.check` decides.
+    is returned whether or not it closes; `RunOutMeasurement.refusal` decides.
     """
     config, block = session.config, session.config.block
     began_ns = session.clock.now_ns()
@@ -160,28 +179,25 @@ class Schedule:
 
 
 def on_schedule(
-    job: Callable[[], None], clock: Clock, every_s: float, times: int | None = None, listener: Listener = silent
+    job: Callable[[], str | None], clock: Clock, every_s: float, times: int | None = None, listener: Listener = silent
 ) -> Schedule:
     """Do a job now and at every multiple of `every_s` from now, `times` in all (None: until interrupted).
 
-    A turn that is missed because the one before took longer is left out, not made up for. A measurement that is refused is said and
-    the next one is waited for; any other error ends the schedule: a machine that was stopped is not moved again unasked.
+    job() returns why its measurement was refused, or None. A refusal is said and the next turn is waited for; an error ends the
+    schedule, as a machine that was stopped is not moved again unasked. A turn missed because the one before took longer is left out.
     """
-    due_ns, done, refused = clock.now_ns(), 0, 0
+    start_ns, period_ns = clock.now_ns(), round(every_s * NS_PER_S)
+    done = refused = 0
     while True:
-        try:
-            job()
-        except MeasurementRefusedError as error:
-            refused += 1
-            listener(Event("schedule", f"refused: {error}"))
+        refusal = job()
         done += 1
+        if refusal is not None:
+            refused += 1
+            listener(Event("schedule", f"refused: {refusal}"))
         if times is not None and done >= times:
             return Schedule(done, refused)
-        period_ns = round(every_s * NS_PER_S)
-        due_ns += period_ns * (1 + max(0, clock.now_ns() - due_ns) // period_ns)
-        listener(
-            Event(
-                "schedule", f"{done} measured, {refused} refused; next in {(due_ns - clock.now_ns()) / NS_PER_S:.0f} s"
-            )
-        )
+        turns_gone = (clock.now_ns() - start_ns) // period_ns
+        due_ns = start_ns + (turns_gone + 1) * period_ns
+        wait_s = (due_ns - clock.now_ns()) / NS_PER_S
+        listener(Event("schedule", f"{done} measured, {refused} refused; the next in {wait_s:.0f} s"))
         clock.sleep_until_ns(due_ns)

@@ -113,7 +113,7 @@ def _label(ax: Axes, theme: Theme, x: str, y: str) -> None:
 def contact_plot(turns: Sequence[FourFeeds], theme: Theme) -> Figure:
     """Feed to contact against the spindle's angle, less the mean, with the sine that a run-out makes; µm."""
     with mpl.rc_context(RC):
-        figure = new_figure(9.6, 3.2)
+        figure = new_figure(9.6, 3.2, left_in=0.82)
         ax = figure.subplots()
         mean = mean_feeds(turns)
         values = np.array([mean.n_0_mm, mean.n_90_mm, mean.n_180_mm, mean.n_270_mm])
