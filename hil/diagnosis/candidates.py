@@ -20,7 +20,8 @@ from hil.effects import Effect
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-MOST_STACKS = 6
+MOST_BYTES = 120_000_000
+"""Of whitened candidates kept."""
 BLIND = 0.01
 """Share of a candidate's norm that must be left beside the table for the campaign to show it at all."""
 
@@ -76,7 +77,7 @@ class Candidates:
         """The candidates whitened, made once per whitening."""
         key = id(whitened)
         if key not in self._stacks or self._stacks[key].whitened is not whitened:
-            if len(self._stacks) >= MOST_STACKS:
+            if len(self._stacks) * self.blocks.columns.nbytes >= MOST_BYTES:
                 self._stacks.clear()
             self._stacks[key] = Stack(whitened, self.blocks)
         return self._stacks[key]

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import prepare
+from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import BLIND
 from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.fit import joint_fit
@@ -22,7 +22,9 @@ from hil.diagnosis.held_out import HeldOut, earns_its_place, held_out
 from hil.diagnosis.judge import SURE
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.select import structure_rms
+from hil.diagnosis.thin import AllRows
 from hil.effects import ALL, Effect, Estimate
+from hil.effects.history import stand_ins
 from hil.model import Model
 from hil.records import Records
 
@@ -51,16 +53,17 @@ def diagnose(
 
 def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
     started = time.perf_counter()
-    campaign = prepare(records)
+    rows = AllRows.of(records, seed)
+    campaign = prepare(rows.searched)
     problem = problem_of(campaign, effects, declared, seed)
     chosen = choose(problem)
-    left_out = held_out(problem, chosen)
+    left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = gated(chosen, left_out)
     noise = chosen.last.noise
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     dof = max(len(campaign) - problem.free.bench.table.table_width, 4)
     floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
-    after = Figures.of(left_out.after)
+    after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     return Diagnosis(
         noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
         declared=base,
@@ -72,15 +75,26 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         before_um=left_out.before,
         after_um=left_out.after,
         setup_um=left_out.setup,
-        residual_um=campaign.error_um - chosen.fit.whole.error_um(campaign.columns),
+        residual_um=rows.error_um - chosen.fit.whole.error_um(rows.columns),
         held_out=left_out.how,
-        recommended=after.rms_um < Figures.of(campaign.error_um).rms_um,
-        notes=(
-            *(f"{name} is missing: made up from the row order" for name in campaign.made_up),
-            *(f"{name} fits these rows but does not help on runs left out: not taken" for name in dropped),
-        ),
+        recommended=after.rms_um < alone.rms_um,
+        notes=tuple(_notes(records, campaign, dropped, after, alone)),
         seconds=time.perf_counter() - started,
     )
+
+
+def _notes(
+    records: Records, campaign: Campaign, dropped: Sequence[str], after: Figures, alone: Figures
+) -> Iterator[str]:
+    yield from (f"{name} is missing: made up from the row order" for name in stand_ins(records.columns))
+    if len(campaign) < len(records):
+        yield f"searched and fitted on {len(campaign)} of {len(records)} rows, drawn evenly; the held-out figures are on all"
+    yield from (f"{name} fits these rows but does not help on runs left out: not taken" for name in dropped)
+    if after.rms_um >= alone.rms_um:
+        yield (
+            f"not recommended: on rows that were not fitted the correction leaves {after.rms_um:.3g} µm RMS,"
+            f" and no correction at all {alone.rms_um:.3g} µm"
+        )
 
 
 def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:

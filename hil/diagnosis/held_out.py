@@ -16,6 +16,7 @@ from hil.diagnosis.fit import Choice
 from hil.diagnosis.refine import refine
 from hil.diagnosis.search import LIGHT, Searcher, View
 from hil.diagnosis.select import Selected
+from hil.diagnosis.thin import AllRows
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,7 +25,7 @@ MOST_FOLDS = 5
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Residuals of the rows when they were left out, each shape (n,), and how the rows were left out.
+    """Residuals of all rows when they were left out, each shape (n,), and how the rows were left out.
 
     before: of the declared model; after: with the machine's effects; setup: with those of instrument and set-up too
     gain: by effect chosen on all rows, the squared error it takes away in each fold, shape (folds,), µm²: everything refitted
@@ -50,19 +51,22 @@ def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
     return (run * MOST_FOLDS // runs).astype(np.int64), "leave-runs-out in groups"
 
 
-def held_out(problem: Problem, whole: Chosen) -> HeldOut:
-    """Leave out, choose, fit, predict. whole: what was chosen on all rows, with the gains an effect needs there."""
-    campaign = problem.campaign
-    y = campaign.error_um
-    fold, how = folds(campaign.run)
-    n = len(y)
+def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
+    """Leave out, choose, fit, predict.
+
+    whole: what was chosen with nothing left out, with the gains an effect needs there; rows: what is predicted, the rows of the
+    problem among them
+    """
+    fold, how = folds(problem.campaign.run)
+    fold_of_all = rows.folds(fold)
+    y, n = rows.error_um, len(rows)
     before, after, setup = np.zeros(n), np.zeros(n), np.zeros(n)
     gain: dict[str, list[float]] = {}
     count = int(np.max(fold)) + 1
     structure = np.zeros(count)
     for index in range(count):
-        out = fold == index
-        columns = {name: values[out] for name, values in campaign.columns.items()}
+        out, left = fold == index, fold_of_all == index
+        columns = {name: values[left] for name, values in rows.columns.items()}
         chosen = choose_without(problem, out, whole)
         if problem.declared is not None:
             base = problem.declared
@@ -71,12 +75,13 @@ def held_out(problem: Problem, whole: Chosen) -> HeldOut:
             noise = plain.fit_noise((), problem.plain)
             plain.tame((), noise)
             base = plain.fit((), noise, uncertain=False).extended
-        before[out] = y[out] - base.error_um(columns)
-        setup[out] = y[out] - chosen.fit.whole.error_um(columns)
-        after[out] = y[out] - chosen.fit.extended.error_um(columns)
+        before[left] = y[left] - base.error_um(columns)
+        setup[left] = y[left] - chosen.fit.whole.error_um(columns)
+        after[left] = y[left] - chosen.fit.extended.error_um(columns)
         for effect, fall in gains_without(problem, whole.last, out).items():
             gain.setdefault(effect, []).append(fall)
-        structure[index] = float(np.sum(setup[out] ** 2) - np.sum((setup[out] - chosen.fit.nuisance_um[out]) ** 2))
+        kept = setup[rows.kept[out]]
+        structure[index] = float(np.sum(kept**2) - np.sum((kept - chosen.fit.nuisance_um[out]) ** 2))
     return HeldOut(before, after, setup, {name: np.array(values) for name, values in gain.items()}, structure, how)
 
 
