@@ -22,6 +22,8 @@ BENCH_FACES = ("canopen", "modbus-tcp", "modbus-rtu", "virtual")
 THERMOMETERS = (3, 4)
 """Temperature channels of a µMD display."""
 
+GUARD_S = 2.0
+"""How long a drive on a machine goes on without hearing us, unless its axis file says otherwise."""
 _HOMING_METHODS = (-128, 127)  # 6098h is a signed byte; negative ones are the maker's
 
 
@@ -113,7 +115,7 @@ def _canopen(table: Table) -> DriveConfig:
         sdo_timeout_s=table.take("sdo_timeout_s", reader.between(0.01, 60.0), "seconds, 0.01 to 60", 0.5),
         sample_timeout_s=table.take("sample_timeout_s", reader.between(0.01, 10.0), "seconds, 0.01 to 10", 0.1),
         heartbeat_s=table.take("heartbeat_s", _period, "seconds, 0.01 to 60, or 0 for none", 0.2),
-        guard_s=table.take("guard_s", _period, "seconds, 0.01 to 60, or 0 for none", None),
+        guard_s=table.take("guard_s", _period, "seconds, 0.01 to 60, or 0 for none", GUARD_S),
         homing=_homing(table),
     )
 

@@ -9,9 +9,9 @@ A sample is asked for: SYNC goes out and the synchronous TPDOs that answer it ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
@@ -25,19 +25,20 @@ from drivers.canopen.cia402 import (
     decode_homing,
     decode_state,
 )
+from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.motion import FAULTS, RUN, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
-from drivers.canopen.node import HEARTBEAT, SYNC, NmtCommand, NmtState, NodeMonitor
+from drivers.canopen.node import SYNC, NmtCommand, NodeMonitor
 from drivers.canopen.objects import Entry
 from drivers.canopen.one_axis_stream import OneAxisStream
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Finding
-from drivers.canopen.pdo_setup import PdoSetup
-from drivers.canopen.power import PowerStage, PowerTimes
+from drivers.canopen.power import PowerStage
 from drivers.canopen.reported import readings
 from drivers.canopen.sampling import Sampler, exists, sampled_pdos
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import read_units
 from drivers.clock import Clock
@@ -56,37 +57,7 @@ from drivers.errors import (
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 
-QUICK_STOP_ON_ABORT = 3  # 6007h
-
-
-@dataclass(frozen=True)
-class HomingSettings:
-    """What is written before homing; whatever is None stays as the drive has it. mm/s, and load mm of the home position."""
-
-    method: int | None = None
-    speed_switch_mm_s: float | None = None
-    speed_zero_mm_s: float | None = None
-    home_position_mm: float | None = None
-
-
-@dataclass(frozen=True)
-class CanOpenSettings:
-    """Times in seconds. heartbeat_s: the period asked of the drive, None leaves it and its supervision alone.
-
-    guard_s: the drive shall stop (6007h: quick stop) when it has not heard our own heartbeat, sent as node `master_id`, for so
-    long: 1016h is set up for it. None: it is left alone, and an axis goes on with its move when this process or the cable dies.
-    """
-
-    sdo_timeout_s: float = 0.5
-    sample_timeout_s: float = 0.1
-    handshake_timeout_s: float = 1.0
-    mode_timeout_s: float = 1.0
-    heartbeat_s: float | None = 0.2
-    heartbeat_grace: float = 2.5  # times the period
-    guard_s: float | None = None
-    master_id: int = 127
-    power: PowerTimes = field(default_factory=PowerTimes)
-    homing: HomingSettings = field(default_factory=HomingSettings)
+__all__ = ["CanOpenDrive", "CanOpenSettings", "HomingSettings", "Identity"]
 
 
 @dataclass(frozen=True)
@@ -127,16 +98,14 @@ class CanOpenDrive(ServoDrive):
         self.settings = settings or CanOpenSettings()
         self.eds = eds  # the PDO linter asks it what may be mapped
         self.identity: Identity | None = None
-        self.pdo_findings: list[Finding] = []  # what the linter pointed out when the PDOs were set up
         self.notes: list[str] = []  # what open found worth telling an engineer
         self._open = False
         self._homed: bool | None = None
         self._homing = False
         self._fault_code: int | None = None
         self._has_probe = False
-        self._pdo_setup: PdoSetup | None = None
         self._parameters: NamedParameters | None = None
-        self._before: list[tuple[Entry, int]] = []  # what was changed for the connection, as it stood
+        self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
 
     # -- connection ------------------------------------------------------------------------------------------------------
     def open(self) -> None:
@@ -148,6 +117,8 @@ class CanOpenDrive(ServoDrive):
         self.monitor = NodeMonitor(self.link, self.node_id, where)
         self.power = PowerStage(self.sdo, self.clock, self.settings.power)
         self.sampler = Sampler(self.link, self.sdo, self.monitor, (), timeout_s=self.settings.sample_timeout_s)
+        dictionary = None if self.eds is None else self.eds.mappable_objects()
+        self.connection = Connection(self.link, self.sdo, self.monitor, self.settings, dictionary)
         try:
             self._read_identity()
             self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
@@ -162,16 +133,14 @@ class CanOpenDrive(ServoDrive):
             self._homed = None
             self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
             self._note_ramps()
-            self._map_pdos()
-            self.monitor.command(NmtCommand.START)
-            self._supervise_heartbeat()
-            self._guard()
+            self.connection.set_up((*self.sampler.specs, self.rpdo))
+            self.notes += self.connection.notes
             self.sampler.subscribe()
             self._open = True
             self.sample()
         except BaseException:
             with suppress(BridgeError):  # the error under way matters more
-                self._put_back()
+                self.connection.put_back()
             self._release()
             raise
 
@@ -192,6 +161,12 @@ class CanOpenDrive(ServoDrive):
             text(objects.SOFTWARE_VERSION),
         )
 
+    @property
+    def pdo_findings(self) -> list[Finding]:
+        """What the linter pointed out when the PDOs were set up."""
+        self._require_open()
+        return self.connection.pdo_findings
+
     def _text(self, entry: Entry) -> str:
         try:
             return self.sdo.read_text(entry)
@@ -209,52 +184,39 @@ class CanOpenDrive(ServoDrive):
                 f" moves with up to {self.limits.max_acceleration_mm_s2:g} mm/s²: a stop may overshoot the target"
             )
 
-    def _map_pdos(self) -> None:
-        self.rpdo = PdoSpec(1, False, 0x200 + self.node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
-        self._pdo_setup = PdoSetup(self.sdo, self.node_id, (*self.sampler.specs, self.rpdo))
-        self.pdo_findings = self._pdo_setup.apply(None if self.eds is None else self.eds.mappable_objects())
-        if self.sdo.read_or(objects.SYNC_COB_ID, SYNC) & 0x7FF != SYNC:
-            raise ProtocolError(f"drive {self.name}: {objects.SYNC_COB_ID} is not {SYNC:03X}h")
+    @contextmanager
+    def as_found(self) -> Iterator[None]:
+        """Communication, mode, speeds and ramps as `open` found them, for a store or a survey; afterwards set up again as they were.
 
-    def _supervise_heartbeat(self) -> None:
-        period_s = self.settings.heartbeat_s
-        if period_s is None:
-            return
-        self._set_for_now(objects.PRODUCER_HEARTBEAT, round(1000 * period_s))
-        self.monitor.expect_heartbeat(self.settings.heartbeat_grace * period_s)
+        Raises StateError unless the axis is disabled.
+        """
+        self.require_disabled("be put back as it was found")
+        self.monitor.expect_heartbeat(None)
+        self.sampler.unsubscribe()
+        self.motion.put_back()
+        self.connection.put_back()
+        try:
+            yield
+        finally:
+            self.connection.set_up((*self.sampler.specs, self.rpdo))
+            self.sampler.subscribe()
 
-    def _guard(self) -> None:
-        """Have the drive stop by itself when it no longer hears us."""
-        guard_s = self.settings.guard_s
-        if guard_s is None:
-            return
-        self.link.produce_heartbeat(self.settings.master_id, guard_s / 4)
-        self._set_for_now(objects.ABORT_OPTION, QUICK_STOP_ON_ABORT)
-        self._set_for_now(objects.CONSUMER_HEARTBEAT, self.settings.master_id << 16 | round(1000 * guard_s))
-        self.link.send(
-            HEARTBEAT + self.settings.master_id, bytes((NmtState.OPERATIONAL,))
-        )  # a drive guards from the first on
-
-    def _set_for_now(self, entry: Entry, value: int) -> None:
-        """Write a setting of the connection; `close` puts back what was there."""
-        before = self.sdo.read(entry)
-        if before != value:
-            self.sdo.write(entry, value)
-            self._before.append((entry, before))
+    def require_disabled(self, verb: str) -> None:
+        """Raise StateError unless the axis is without power."""
+        state = self.sample().state
+        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
+            raise StateError(f"drive {self.name} cannot {verb}: it is {state.value}, disable it first")
 
     def restart(self, timeout_s: float = 5.0) -> None:
         """Start the node anew (NMT reset node) and open it again: stored parameters or restored defaults come into force.
 
         Raises StateError unless the axis is disabled, NoAnswerError when no boot-up comes within `timeout_s`.
         """
-        state = self.sample().state
-        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
-            raise StateError(f"drive {self.name} cannot be restarted: it is {state.value}, disable it first")
+        self.require_disabled("be restarted")
         before = self.monitor.boot_ups
         self.monitor.expect_heartbeat(None)
         self.monitor.command(NmtCommand.RESET_NODE)
         started = self.link.wait(lambda: self.monitor.boot_ups > before, timeout_s)
-        self._before, self._pdo_setup = [], None  # the node has forgotten what was set up for this connection
         self._release()
         if not started:
             raise NoAnswerError(
@@ -286,22 +248,11 @@ class CanOpenDrive(ServoDrive):
         finally:
             self.monitor.expect_heartbeat(None)
         self.motion.put_back()
-        self._put_back()
-
-    def _put_back(self) -> None:
-        """Communication settings as `open` found them."""
         self.sampler.unsubscribe()
-        self.monitor.command(NmtCommand.PRE_OPERATIONAL)
-        if self._pdo_setup is not None:
-            self._pdo_setup.restore()
-        while self._before:
-            entry, value = self._before.pop()
-            self.sdo.write(entry, value)
+        self.connection.put_back()
 
     def _release(self) -> None:
         self._open = False
-        self._pdo_setup = None
-        self._before = []
         self.sampler.unsubscribe()
         self.monitor.close()
         self.sdo.close()

@@ -108,6 +108,8 @@ class ProfileMotion:
             entry, value = self._found.popitem()
             if self._written.pop(entry, None) != value:
                 self._sdo.write(entry, value)
+            if entry is objects.MODE:
+                self.mode = mode_of(value)
 
     # -- profile position ------------------------------------------------------------------------------------------------
     def move(self, target: int, velocity: int, acceleration: int, *, after_the_present: bool = False) -> None:

@@ -16,8 +16,7 @@ from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.objects import DataType
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.wire_time import expedited_sdo, frame
-from drivers.drive import DriveState
-from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError, StateError
+from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError
 
 if TYPE_CHECKING:
     from drivers.canopen.drive import CanOpenDrive  # which offers these parameters under their names
@@ -137,7 +136,10 @@ class CanOpenParameters:
     def snapshot(
         self, entries: Iterable[EdsEntry] | None = None, progress: Callable[[int, int], None] = lambda _done, _all: None
     ) -> dict[Key, Access]:
-        """Values of all (or the given) readable entries; those that the drive refuses to show are left out."""
+        """Values of all (or the given) readable entries; those that the drive refuses to show are left out.
+
+        The drive shows what it was told for this connection too; within `CanOpenDrive.as_found` it shows what it was found with.
+        """
         wanted = list(self.readable() if entries is None else entries)
         found: dict[Key, Access] = {}
         for number, eds_entry in enumerate(wanted, start=1):
@@ -151,25 +153,22 @@ class CanOpenParameters:
 
     # -- kept without power ---------------------------------------------------------------------------------------------
     def store(self, *, timeout_s: float = 10.0) -> None:
-        """1010h:1 := "save". Targets are made harmless before, as a drive may store them too.
+        """1010h:1 := "save". Targets are made harmless before, as a drive may store them too; what was set up for this connection
+        alone (PDOs, heartbeats, speeds of moves) is put back for the moment, so that it is not kept.
 
         Raises StateError unless the axis is disabled, CapabilityError when the drive does not store on command.
         """
-        self._require_at_rest("store parameters")
+        self._drive.require_disabled("store parameters")
         self._require_command(objects.STORE_ALL)
         self._drive.motion.stay()
-        self._sdo.write_bytes(0x1010, 1, SAVE, timeout_s=timeout_s, reads_back=False)
+        with self._drive.as_found():
+            self._sdo.write_bytes(0x1010, 1, SAVE, timeout_s=timeout_s, reads_back=False)
 
     def restore_defaults(self, *, timeout_s: float = 10.0) -> None:
         """1011h:1 := "load": factory defaults, in force after the drive's next start (`CanOpenDrive.restart`)."""
-        self._require_at_rest("restore defaults")
+        self._drive.require_disabled("restore defaults")
         self._require_command(objects.RESTORE_ALL)
         self._sdo.write_bytes(0x1011, 1, LOAD, timeout_s=timeout_s, reads_back=False)
-
-    def _require_at_rest(self, verb: str) -> None:
-        state = self._drive.sample().state
-        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
-            raise StateError(f"drive {self._drive.name} cannot {verb}: it is {state.value}, disable it first")
 
     def _require_command(self, entry: objects.Entry) -> None:
         if not self._sdo.read_or(entry, 0) & ON_COMMAND:

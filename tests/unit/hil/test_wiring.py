@@ -128,6 +128,14 @@ def test_a_canopen_drive_in_real_time_with_its_settings(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.parametrize(("line", "guard_s"), [("", 2.0), ("guard_s = 0.5", 0.5), ("guard_s = 0", None)])
+def test_a_drive_on_a_machine_watches_its_master_unless_told_not_to(
+    line: str, guard_s: float | None, tmp_path: Path
+) -> None:
+    drive = f'backend = "canopen"\ninterface = "virtual"\nchannel = "guard-{tmp_path}"\nnode_id = 9\n{line}'
+    assert on_hardware(tmp_path, drive).drive.guard_s == guard_s
+
+
 def test_the_instruments_settings_arrive(lay_out: LayOut) -> None:
     axis = lay_out(
         instrument="wavelength_fraction = 4\ndirection = -1\nphase_sign = -1\naxis = 2\ndead_path_mm = 250\n"

@@ -533,6 +533,72 @@ def test_a_master_that_dies_stops_the_axis(make: MakeRig) -> None:
     rig.drive.close()
 
 
+def _without(rig: Rig, index: int) -> None:
+    """The drive lacks an object, all of it."""
+    dictionary = rig.bench.slave.dictionary
+    for key in [key for key in dictionary.items if key[0] == index]:
+        del dictionary.items[key]
+    dictionary._indices.discard(index)
+
+
+@pytest.mark.parametrize(("index", "why"), [(0x1016, "1016h:00"), (0x6007, "6007h:00")])
+def test_a_drive_that_cannot_watch_its_master_is_left_alone_and_noted(make: MakeRig, index: int, why: str) -> None:
+    rig = make(guard_s=0.2)
+    _without(rig, index)
+    heard: list[int] = []
+    node = rig.bench.wire.add_node()
+    node.connect(lambda cob_id, _data, _now_ns: heard.append(cob_id), lambda _now_ns: None, lambda: None)
+    drive = rig.opened()
+    assert any("does not watch its master" in note and why in note for note in drive.notes)
+    if index != 0x1016:
+        assert rig.number(0x1016, 1) == 0
+    rig.run(1.0)
+    assert 0x77F not in heard
+    drive.enable()
+    assert drive.sample().state is DriveState.ENABLED
+
+
+def test_an_entry_that_watches_another_node_is_left_to_it(make: MakeRig) -> None:
+    other = 20 << 16 | 500
+    rig = make(guard_s=0.2, parameters={(0x1016, 1): other})
+    with rig.drive as drive:
+        assert drive.notes == []
+        assert rig.number(0x1016, 1) == other
+        assert rig.number(0x1016, 2) == 127 << 16 | 200
+    assert rig.number(0x1016, 2) == 0
+
+
+def test_a_drive_whose_entries_all_watch_others_is_noted(make: MakeRig) -> None:
+    others = {(0x1016, 1): 20 << 16 | 500, (0x1016, 2): 21 << 16 | 500}
+    rig = make(guard_s=0.2, parameters={**others, (0x6007, 0): 1})
+    drive = rig.opened()
+    assert any("every entry of 1016h watches another node" in note for note in drive.notes)
+    assert (rig.number(0x1016, 1), rig.number(0x1016, 2), rig.number(0x6007)) == (*others.values(), 1)
+
+
+def test_what_was_set_up_for_the_connection_is_not_stored(make: MakeRig) -> None:
+    """1010h keeps what stands in the dictionary: our heartbeats, speeds and PDOs must not be among it."""
+    rig = make(guard_s=0.2, parameters={(0x6007, 0): 1, (0x1017, 0): 300})
+    drive = rig.enabled()
+    drive.start_move(5.0, 50.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    with pytest.raises(StateError, match="disable it first"), drive.as_found():
+        pytest.fail("entered while enabled")
+    drive.disable()
+    kept = (0x1017, 0x6007, 0x6060, 0x6081)
+    before = {index: rig.number(index) for index in kept}
+    with drive.as_found():
+        found = {index: rig.number(index) for index in kept}
+        assert (found[0x1017], found[0x6007], rig.number(0x1016, 1)) == (300, 1, 0)
+        assert found[0x6081] != before[0x6081]
+    assert rig.number(0x1016, 1) == 127 << 16 | 200
+    drive.enable()  # and everything works as before
+    drive.start_move(1.0, 50.0)
+    assert drive.wait_for(lambda sample: sample.target_reached, 5.0, "back").position_load_mm == pytest.approx(
+        1.0, abs=1e-3
+    )
+
+
 def test_a_following_error_becomes_a_fault_with_its_code(make: MakeRig) -> None:
     rig = make(parameters={(0x6065, 0): 50, (0x6066, 0): 5})
     drive = rig.enabled()
