@@ -15,7 +15,7 @@ ANGLES = ("pitch_urad", "yaw_urad")
 TILT, CHANGING = "tilt", "arm changing along the travel"
 SECOND_OFFSET = {"straight tilt, two offsets": 1, "tilt, two offsets": 3}
 """Forms without a level, for a measuring line moved by `abbe_offset_mm` from where it was (0): orders of the tilt's course."""
-ARMS_MM = (-1000.0, -400.0, -150.0, -60.0, 60.0, 150.0, 400.0, 1000.0)
+ARMS_MM = (-400.0, -150.0, -60.0, 60.0, 150.0, 400.0)
 UM_PER_URAD_MM = 1e-3
 
 
@@ -31,7 +31,7 @@ class Abbe(Effect):
     def forms(self, survey: Survey) -> tuple[Form, ...]:
         constants = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         angles = [name for name in ANGLES if survey.has(name)]
-        arm = NonLinear("arm_mm", -5000.0, 5000.0, logarithmic=False)
+        arm = NonLinear("arm_mm", -600.0, 600.0, logarithmic=False)
         moved = ("abbe_offset_mm", "target_mm")
         return (
             *(Form(self.id, TILT, (name,)) for name in angles),
