@@ -1,0 +1,45 @@
+"""Records as the arrays of a diagnosis: runs, one-directional passes, and where the table's knots stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.campaigns import campaign, wavy
+
+from drivers.errors import InputError
+from hil.diagnosis.campaign import prepare
+from hil.records import Records
+
+
+def test_a_pass_ends_at_a_reversal_and_at_the_end_of_a_run() -> None:
+    prepared = prepare(campaign(runs=3, targets=6))
+    np.testing.assert_array_equal(prepared.run, np.repeat([0, 1, 2], 12))
+    np.testing.assert_array_equal(prepared.sweep, np.repeat(np.arange(6), 6))
+
+
+def test_a_run_that_turns_at_every_row_has_no_passes_shorter_than_itself() -> None:
+    columns = dict(campaign(runs=3, targets=6).columns)
+    prepared = prepare(Records.of(columns | {"direction": np.tile([1.0, -1.0], 18)}))
+    np.testing.assert_array_equal(prepared.sweep, prepared.run)
+
+
+def test_the_error_is_that_of_the_uncorrected_machine() -> None:
+    columns = dict(campaign(wavy, noise_um=0.0).columns)
+    columns["command_mm"] = columns["target_mm"] - 0.004
+    prepared = prepare(Records.of(columns))
+    np.testing.assert_allclose(prepared.error_um, wavy(columns) + 4.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("scatter", "repeated"), [(0.0, True), (0.5, False)])
+def test_knots_are_the_targets_themselves_where_these_repeat(scatter: float, repeated: bool) -> None:
+    prepared = prepare(campaign(scatter=scatter, targets=10))
+    assert prepared.repeated is repeated
+    if repeated:
+        np.testing.assert_allclose(prepared.basis.knots_mm, 300.0 / 10 * (np.arange(10) + 0.5))
+    assert np.all(np.diff(prepared.basis.knots_mm) > 0)
+
+
+def test_too_few_rows_are_refused_by_number() -> None:
+    columns = {name: values[:3] for name, values in campaign().columns.items()}
+    with pytest.raises(InputError, match="3 rows are too few"):
+        prepare(Records.of(columns))

@@ -1,0 +1,146 @@
+"""Evidence from cross products against the same written out with whole covariance matrices (REML of Patterson & Thompson)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.campaigns import campaign, wavy
+
+from hil.diagnosis.campaign import prepare
+from hil.diagnosis.evidence import Bench, Extra, Frame, Noise, bayes_factor, fit_noise, random_gain
+
+CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
+BENCH = Bench(CAMPAIGN)
+Y = CAMPAIGN.error_um
+N = len(Y)
+NOISES = [
+    Noise(even=200.0, odd=50.0),
+    Noise(ar=0.7, rho=0.9, even=100.0, odd=10.0),
+    Noise(ar=1.2, rho=0.5, offset=0.5, even=300.0, odd=300.0),
+]
+COLUMNS = np.column_stack([np.sin(CAMPAIGN.x / 5.0), CAMPAIGN.d * np.cos(CAMPAIGN.x / 9.0)])
+
+
+def correlation(noise: Noise) -> np.ndarray:
+    """White noise and AR(1) within each pass, shape (n, n)."""
+    lag = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
+    same = np.equal.outer(CAMPAIGN.sweep, CAMPAIGN.sweep)
+    return np.eye(N) + noise.ar**2 * np.where(same, noise.rho ** lag.astype(float), 0.0)
+
+
+def dense(noise: Noise, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the errors over the white variance, and the free columns, of some rows."""
+    table, d = BENCH.table.shape, CAMPAIGN.d
+    even = CAMPAIGN.basis.penalised(CAMPAIGN.x)
+    odd = even * d[:, None]
+    runs = np.equal.outer(CAMPAIGN.run, CAMPAIGN.run)
+    v = correlation(noise) + noise.even * even @ even.T + noise.odd * odd @ odd.T + noise.offset**2 * runs
+    return v[np.ix_(rows, rows)], table.free[rows]
+
+
+def reml(v: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Restricted log likelihood with the variance profiled out, up to a constant; generalised residual sum of squares."""
+    inverse = np.linalg.inv(v)
+    xvx = x.T @ inverse @ x
+    rest = y - x @ np.linalg.solve(xvx, x.T @ inverse @ y)
+    rss = float(rest @ inverse @ rest)
+    dof = len(y) - x.shape[1]
+    return -0.5 * (np.linalg.slogdet(v)[1] + np.linalg.slogdet(xvx)[1] + dof * math.log(rss)), rss
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_whitened_rows_are_uncorrelated_and_colouring_is_the_way_back(noise: Noise) -> None:
+    whitened = BENCH.whitened(noise)
+    w = whitened.whiten(np.eye(N))
+    np.testing.assert_allclose(w @ correlation(noise) @ w.T, np.eye(N), atol=1e-9)
+    np.testing.assert_allclose(whitened.colour(whitened.whiten(Y)), Y, atol=1e-9)
+
+
+@pytest.mark.parametrize("out", [None, CAMPAIGN.run == 2], ids=["all rows", "without a run"])
+def test_evidence_of_noise_models_and_residuals_are_those_of_the_whole_matrices(out: np.ndarray | None) -> None:
+    rows = np.arange(N) if out is None else np.flatnonzero(~out)
+    frames = [BENCH.frame(noise, Y, None, out) for noise in NOISES]
+    expected = [reml(*dense(noise, rows), Y[rows]) for noise in NOISES]
+    values = [float(frame.log_null) - noise.log_prior() for frame, noise in zip(frames, NOISES, strict=True)]
+    if out is None:  # with a run left out its random columns stay in the fit, where they add nothing to compare
+        np.testing.assert_allclose(np.diff(values), np.diff([value for value, _ in expected]), atol=1e-5)
+    np.testing.assert_allclose([float(f.rss) for f in frames], [rss for _, rss in expected], rtol=1e-6)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_columns_are_estimated_by_generalised_least_squares(noise: Noise) -> None:
+    y = Y + COLUMNS @ [0.7, -1.1]
+    solution = BENCH.frame(noise, y).solve(COLUMNS)
+    v, x = dense(noise, np.arange(N))
+    x = np.hstack([COLUMNS, x])
+    inverse = np.linalg.inv(v)
+    covariance = np.linalg.inv(x.T @ inverse @ x)
+    expected = covariance @ (x.T @ inverse @ y)
+    rest = y - x @ expected
+    variance = float(rest @ inverse @ rest) / (N - x.shape[1])
+    np.testing.assert_allclose(solution.coefficients, expected[:2], rtol=1e-5)
+    assert solution.variance == pytest.approx(variance, rel=1e-5)
+    np.testing.assert_allclose(solution.covariance, variance * covariance[:2, :2], rtol=1e-5)
+
+
+def test_a_run_left_out_is_a_run_that_was_never_there() -> None:
+    """Whatever stands in its rows."""
+    out = CAMPAIGN.run == 1
+    spoilt = Y + np.where(out, 1e3, 0.0)
+    for noise in NOISES:
+        a, b = (BENCH.frame(noise, y, None, out) for y in (Y, spoilt))
+        assert float(a.rss) == pytest.approx(float(b.rss), rel=1e-9)
+        assert a.gain(COLUMNS) == pytest.approx(b.gain(COLUMNS), abs=1e-9)
+        assert a.rows == np.count_nonzero(~out)
+
+
+def test_columns_beside_are_as_good_as_solved_for() -> None:
+    beside = BENCH.frame(NOISES[1], Y, Extra(COLUMNS[:, :1], COLUMNS[:, :0]))
+    together = BENCH.frame(NOISES[1], Y).solve(COLUMNS)
+    assert beside.solve(COLUMNS[:, 1:]).coefficients[0] == pytest.approx(together.coefficients[1], rel=1e-6)
+
+
+@given(st.floats(0.0, 0.999), st.integers(1, 5), st.integers(20, 400))
+@settings(max_examples=50, deadline=None)
+def test_the_bayes_factor_is_that_of_the_g_prior_with_unit_information(share: float, width: int, rows: int) -> None:
+    """(1 + g)^((dof - k) / 2) / (1 + g (1 - R²))^(dof / 2), g = n (Liang et al. 2008, eq. 6)."""
+    dof = rows - 4
+    value = float(bayes_factor(np.array(share), np.array(1.0), dof, width, rows))
+    expected = (dof - width) / 2 * math.log(1 + rows) - dof / 2 * math.log(1 + rows * (1 - share))
+    assert value == pytest.approx(expected, abs=1e-9)
+    assert float(bayes_factor(np.array(0.0), np.array(1.0), dof, width, rows)) < 0.0
+
+
+def test_a_random_effect_gains_what_its_marginal_likelihood_does() -> None:
+    """Its variance ratio enters the covariance; one nat is taken for having chosen it."""
+    design = np.column_stack([np.sin(CAMPAIGN.columns["time_s"] / 60.0 * k) for k in range(1, 7)])
+    y = Y + design @ [0.4, -0.3, 0.5, 0.1, -0.2, 0.3]
+    noise = NOISES[0]
+    frame: Frame = BENCH.frame(noise, y)
+    gain, variance = random_gain(frame, design)
+    v, x = dense(noise, np.arange(N))
+    with_it, _ = reml(v + float(variance) * design @ design.T, x, y)
+    without, _ = reml(v, x, y)
+    assert float(gain) == pytest.approx(with_it - without - 1.0, abs=1e-4)
+    assert float(gain) > 5.0
+
+
+def test_the_noise_model_found_is_the_best_of_its_neighbourhood() -> None:
+    """No small step of any parameter improves its evidence, and the search does better than where it started."""
+    start = Noise(even=300.0, odd=300.0)
+    noise = fit_noise(BENCH, Y, Extra.none(N), start, correlations=((0.0, 0.0),))
+
+    def evidence(trial: Noise) -> float:
+        v, x = dense(trial, np.arange(N))
+        return reml(v, x, Y)[0] + trial.log_prior()
+
+    best = evidence(noise)
+    assert best >= evidence(start)
+    for name in ("even", "odd"):
+        for factor in (0.3, 3.0):
+            trial = Noise(**{**vars(noise), name: getattr(noise, name) * factor})
+            assert evidence(trial) < best + 0.3

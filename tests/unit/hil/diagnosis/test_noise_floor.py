@@ -1,0 +1,155 @@
+"""The noise floor is pure error where targets repeat, and what a model leaves is judged against it, on data certified by NIST."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.campaigns import campaign, wavy
+
+from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.candidates import enumerate_candidates
+from hil.diagnosis.evidence import CORRELATIONS, Bench, Extra, Noise, fit_noise
+from hil.diagnosis.fit import Setting, start_noise
+from hil.diagnosis.search import Searcher
+from hil.diagnosis.spline import TableBasis
+from hil.records import Records
+
+FREE = Noise()
+"""A table with a value of its own at every target and direction, white noise."""
+LOADS = np.tile(150_000.0 * np.arange(1, 21), 2)
+DEFLECTIONS = np.array(
+    [
+        0.11019, 0.21956, 0.32949, 0.43899, 0.54803, 0.65694, 0.76562, 0.87487, 0.98292, 1.09146,
+        1.20001, 1.30822, 1.41599, 1.52399, 1.63194, 1.73947, 1.84646, 1.95392, 2.06128, 2.16844,
+        0.11052, 0.22018, 0.32939, 0.43886, 0.54798, 0.65739, 0.76596, 0.87474, 0.98300, 1.09150,
+        1.20004, 1.30818, 1.41613, 1.52408, 1.63159, 1.73965, 1.84696, 1.95445, 2.06177, 2.16829,
+    ]
+)  # fmt: skip
+"""Load cell of NIST's statistical reference data (Pontius), 20 loads in lb applied twice (Engineering Statistics Handbook 4.6.1)."""
+
+
+SLOPE = 7.3e-7
+
+
+def white_um(bench: Bench, noise: Noise, y: np.ndarray, columns: int = 0) -> float:
+    """Standard deviation of the white noise beside the table and the first powers of the position."""
+    z = np.vander(np.asarray(bench.campaign.x) / 1e6, 3)[:, :columns]
+    return math.sqrt(bench.frame(noise, y).solve(z).variance)
+
+
+def load_cell() -> Campaign:
+    """Loads as positions, deflections as errors; a straight line taken off, which every model here holds."""
+    error_um = DEFLECTIONS - SLOPE * LOADS
+    columns = {"run": np.repeat([1.0, 2.0], 20), "direction": np.ones(40), "target_mm": LOADS}
+    return prepare(Records.of(columns | {"measured_mm": LOADS + error_um / 1000.0}))
+
+
+def test_what_models_of_the_certified_load_cell_leave_against_its_pure_error() -> None:
+    cell = load_cell()
+    assert cell.repeated
+    y = cell.error_um
+    free = Bench(cell)
+    pure = white_um(free, FREE, y)
+    assert pure == pytest.approx(math.sqrt(np.mean((y[:20] - y[20:]) ** 2) / 2), rel=1e-5)
+    line = Bench(
+        Campaign(**{**vars(cell), "basis": TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)})
+    )
+    straight = line.frame(FREE, y)
+    curved = straight.solve((cell.x[:, None] / 1e6) ** 2)
+    left_by_line = float(straight.rss)
+    left_by_curve = curved.variance * 37
+
+    def lack_of_fit(rss: float, parameters: int) -> float:
+        return (rss - 20 * pure**2) / (20 - parameters) / pure**2
+
+    assert math.sqrt(left_by_line / 38) == pytest.approx(2.171e-3, rel=5e-4)
+    assert lack_of_fit(left_by_line, 2) == pytest.approx(214.7, rel=5e-4)
+    assert math.sqrt(left_by_curve / 37) == pytest.approx(0.205177424076185e-3, rel=1e-4)  # certified
+    assert lack_of_fit(left_by_curve, 3) == pytest.approx(0.8107, rel=1e-3)
+    assert math.sqrt(left_by_curve / 37) / pure == pytest.approx(0.956, abs=1e-3)
+    assert curved.coefficients[0] == pytest.approx(-0.316081871345029e-2, rel=1e-4)  # certified, per (10⁶ lb)²
+    assert math.sqrt(curved.covariance[0, 0]) == pytest.approx(0.486652849992036e-4, rel=1e-4)  # certified
+
+
+def test_the_evidence_takes_the_curve_of_the_load_cell_and_nothing_beyond_it() -> None:
+    cell = load_cell()
+    line = Bench(
+        Campaign(**{**vars(cell), "basis": TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)})
+    )
+    u = (cell.x[:, None] - 1.6e6) / 1.4e6
+    square = u**2
+    assert line.frame(FREE, cell.error_um).gain(square) > 50.0
+    beside = line.frame(FREE, cell.error_um, Extra(square, square[:, :0]))
+    for power in (3, 4, 5):
+        assert beside.gain(u**power) < 0.0
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.4])
+def test_the_floor_of_scattered_targets_is_that_of_repeated_ones(scatter: float) -> None:
+    """Pooled over the cells where targets repeat; where they do not, what a smooth table leaves comes to the same."""
+    prepared = prepare(campaign(wavy, noise_um=0.3, runs=8, scatter=scatter, seed=4))
+    bench = Bench(prepared)
+    y = prepared.error_um
+    noise = fit_noise(bench, y, Extra.none(len(y)), start_noise(prepared), correlations=((0.0, 0.0),))
+    floor = white_um(bench, noise, y)
+    assert floor == pytest.approx(0.3, rel=0.1)
+    if scatter == 0.0:
+        cells = y.reshape(8, 24)
+        pooled = math.sqrt(float(np.mean(np.var(cells, axis=0, ddof=1))))
+        assert white_um(bench, FREE, y) == pytest.approx(pooled, rel=1e-6)
+
+
+def test_rows_far_out_do_not_raise_the_floor() -> None:
+    """3 % of the rows 20 standard deviations off: most of what they add to the floor is gone when they are tamed."""
+    rng = np.random.default_rng(6)
+    noise_um = 0.3 * rng.normal(size=192)
+    noise_um[rng.choice(192, 6, replace=False)] += 6.0 * rng.choice([-1.0, 1.0], 6)
+    prepared = prepare(campaign(wavy, noise_um=noise_um, runs=8))
+    setting = Setting.free(prepared)
+    searcher = Searcher(setting, enumerate_candidates(prepared, ()))
+    smooth = searcher.fit_noise((), start_noise(prepared))
+    searcher.tame((), smooth)
+    raised, tamed = (white_um(setting.bench, smooth, y) for y in (setting.error_um, searcher.y))
+    assert raised > 3 * 0.3
+    assert 0.9 * 0.3 < tamed < 0.3 + 0.3 * (raised - 0.3)
+
+
+def test_heavy_tails_keep_the_standard_deviation_they_have() -> None:
+    """Student's t of four degrees of freedom, scaled to 0.3: only the far end of its tails is pulled in."""
+    floors = []
+    for seed in range(8):
+        noise_um = 0.3 * np.random.default_rng(seed).standard_t(4, 192) / math.sqrt(2.0)
+        prepared = prepare(campaign(wavy, noise_um=noise_um, runs=8, scatter=0.0))
+        setting = Setting.free(prepared)
+        searcher = Searcher(setting, enumerate_candidates(prepared, ()))
+        searcher.tame((), FREE)
+        floors.append(white_um(setting.bench, FREE, searcher.y))
+    assert np.mean(floors) == pytest.approx(0.3, rel=0.12)
+
+
+def test_noise_that_lasts_is_told_from_noise_that_does_not() -> None:
+    """AR(1) beside white noise: the floor is the root of the sum of both variances, and no correlation is seen where there is none."""
+    white, lasting = [], []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        steady = np.zeros(240)
+        state = rng.normal(size=10)
+        for i in range(240):
+            pass_, row = divmod(i, 24)
+            state[pass_] = 0.5 * state[pass_] + math.sqrt(0.75) * rng.normal() if row else rng.normal()
+            steady[i] = state[pass_]
+        for noise_um, found in (
+            (0.3 * rng.normal(size=240), white),
+            (0.2 * rng.normal(size=240) + 0.3 * steady, lasting),
+        ):
+            prepared = prepare(campaign(noise_um=noise_um, runs=5, targets=24, scatter=0.0))
+            bench = Bench(prepared)
+            y = prepared.error_um
+            noise = fit_noise(bench, y, Extra.none(240), FREE, correlations=CORRELATIONS)
+            found.append((noise.ar, white_um(bench, noise, y) * math.hypot(1.0, noise.ar)))
+    assert np.median([ar for ar, _ in white]) == 0.0
+    assert np.mean([floor for _, floor in white]) == pytest.approx(0.3, rel=0.1)
+    assert np.median([ar for ar, _ in lasting]) > 0.5
+    assert np.mean([floor for _, floor in lasting]) == pytest.approx(math.hypot(0.2, 0.3), rel=0.15)
