@@ -15,8 +15,8 @@ from hil.axis_reader import Table
 METHODS = ("fitted", "four-sample")
 """Which estimate counts: the fitted wind-up curve, or the published rule of four samples. Both are always told."""
 
-LEAD_IN_STEPS = 12
-"""Single steps before the reversal, in the old direction: they show the torque that sliding leaves behind."""
+SLIDES, SLIDE_MM = 8, 0.1
+"""Ways beyond the break-away, each ended by a reading: they show the torque that sliding leaves behind."""
 
 _OBJECT = re.compile(r"([0-9A-Fa-f]{4})h(?::([0-9A-Fa-f]{2}))?")
 
@@ -51,11 +51,11 @@ class BacklashConfig:
 
     def start_mm(self, direction: int) -> float:
         """Where the way to that reversal begins."""
-        return self.turning_mm(direction) + direction * (self.run_in_mm + LEAD_IN_STEPS * self.step_um / 1000.0)
+        return self.turning_mm(direction) + direction * self.run_in_mm
 
     def end_mm(self, direction: int) -> float:
-        """The furthest that its steps may lead."""
-        return self.turning_mm(direction) + direction * self.steps * self.step_um / 1000.0
+        """The furthest that its steps, and the slides after them, may lead."""
+        return self.turning_mm(direction) + direction * (self.steps * self.step_um / 1000.0 + SLIDES * SLIDE_MM)
 
 
 def object_key(text: str) -> tuple[int, int] | None:

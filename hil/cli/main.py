@@ -24,6 +24,7 @@ VERBS = (
     "doctor",
     "calibrate",
     "verify",
+    "backlash",
     "probe",
     "close_loop",
     "diagnose",

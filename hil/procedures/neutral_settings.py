@@ -20,14 +20,20 @@ Tell = Callable[[str], None]
 
 
 class Setting(Protocol):
-    """One number that the drive (or, for want of one, a file) keeps. Both raise what access to a parameter raises."""
+    """One number that the drive (or, for want of one, a file) keeps. Both raise what access to a parameter raises.
+
+    resolution: the smallest difference between two values that it can hold.
+    """
 
     @property
     def name(self) -> str: ...
 
-    def read(self) -> int: ...
+    @property
+    def resolution(self) -> float: ...
 
-    def write(self, value: int) -> None:
+    def read(self) -> float: ...
+
+    def write(self, value: float) -> None:
         """Write and read back; raises ProtocolError when another value stands there."""
 
 
@@ -37,7 +43,7 @@ class NotRestoredError(SafetyError):
 
 @dataclass(frozen=True)
 class BacklashSettings:
-    """The amount in counts of `amount_um` µm each, the switch, and where their values are noted meanwhile."""
+    """The amount, of which 1 is `amount_um` µm, the switch, and where their values are noted meanwhile."""
 
     amount: Setting
     amount_um: float
@@ -48,25 +54,25 @@ class BacklashSettings:
         """In the order in which they are changed."""
         return (self.amount,) if self.acceleration is None else (self.amount, self.acceleration)
 
-    def counts(self, lost_motion_um: float) -> int:
-        """The amount as the drive keeps it."""
-        return round(lost_motion_um / self.amount_um)
+    def amount_of(self, lost_motion_um: float) -> float:
+        """The amount as the drive keeps it, to what it can hold."""
+        step = self.amount.resolution
+        return round(lost_motion_um / self.amount_um / step) * step
 
 
 @dataclass(frozen=True)
 class Found:
     """What stood there before, by name; from_note: a measurement before this one did not get to put it back."""
 
-    values: dict[str, int]
+    values: dict[str, float]
     from_note: bool
 
 
 def look(settings: BacklashSettings) -> Found:
     """Read the present values, or what an earlier measurement noted and never put back. Changes nothing."""
     noted = _noted(settings.note)
-    if noted is not None:
-        return Found({setting.name: noted.get(setting.name, setting.read()) for setting in settings.settings()}, True)
-    return Found({setting.name: setting.read() for setting in settings.settings()}, False)
+    values = {setting.name: setting.read() for setting in settings.settings()}
+    return Found(values if noted is None else {**values, **noted}, noted is not None)
 
 
 @contextmanager
@@ -112,7 +118,7 @@ def _put_back(settings: BacklashSettings, found: Found, tell: Tell) -> str:
             except KeyboardInterrupt as error:
                 interrupt = error
             except BridgeError as error:
-                failures.append(f"{setting.name} was {found.values[setting.name]} ({error})")
+                failures.append(f"{setting.name} was {found.values[setting.name]:g} ({error})")
                 break
     if failures:
         text = f"not put back: {'; '.join(failures)}; kept in {settings.note}, `--restore` puts it back"
@@ -124,13 +130,13 @@ def _put_back(settings: BacklashSettings, found: Found, tell: Tell) -> str:
     return ""
 
 
-def _noted(path: Path) -> dict[str, int] | None:
+def _noted(path: Path) -> dict[str, float] | None:
     if not path.exists():
         return None
     try:
         values = json.loads(read_text(path))
     except ValueError as error:
         raise InputError("is not JSON, expected the values noted before a measurement", path=path) from error
-    if not isinstance(values, dict) or not all(isinstance(value, int) for value in values.values()):
+    if not isinstance(values, dict) or not all(isinstance(value, int | float) for value in values.values()):
         raise InputError("holds no values noted before a measurement", path=path)
-    return {str(name): int(value) for name, value in values.items()}
+    return {str(name): value for name, value in values.items()}

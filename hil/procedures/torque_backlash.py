@@ -1,7 +1,7 @@
 """Lost motion from the servo's torque, with no position sensor (system B, CN103561904).
 
 note the drive's backlash parameter and its acceleration switch, both to 0
-each run: to the reference in +, reverse, step by step until the table has broken away; the same from −
+each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer ways; the same from −
 both estimates of every reversal, the mean of both directions
 the parameters as they were, on every way out; the new amount only where it was asked for
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.drive import Capability, ServoDrive
 from drivers.errors import CapabilityError, ProtocolError
-from hil.axis_backlash import LEAD_IN_STEPS, BacklashConfig
+from hil.axis_backlash import SLIDE_MM, SLIDES, BacklashConfig
 from hil.procedures.bare_axis import STEP_SLICE_S, BareAxis, check_reach
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.neutral_settings import BacklashSettings, Found, Tell, neutral
@@ -28,7 +28,7 @@ DIRECTIONS = (-1, 1)
 READING_S = 0.002
 """Between two torque readings of one place."""
 _FIT_EVERY = 8  # steps
-_SLIDING_STEPS, _SLIDING_SHARE = 20, 0.4  # how far to go on beyond the break-away
+_SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to go on beyond the break-away
 
 Keep = Callable[[int, ReversalTrace], None]
 """keep(run, trace): hears every reversal, also one that was broken off."""
@@ -36,12 +36,12 @@ Keep = Callable[[int, ReversalTrace], None]
 
 @dataclass(frozen=True)
 class TorqueBacklash:
-    """What came of it. found: the parameters before; written: the amount written, in counts; `reversals` in the order of time."""
+    """What came of it. found: the parameters before; written: the amount written; `reversals` in the order of time."""
 
     reversals: tuple[Reversal, ...]
     method: str
     found: Found
-    written: int | None = None
+    written: float | None = None
 
     @property
     def lost_motion_um(self) -> float | None:
@@ -92,13 +92,13 @@ def measure_backlash(
     return TorqueBacklash(result.reversals, how.method, found, _write(settings, result.lost_motion_um))
 
 
-def _write(settings: BacklashSettings, lost_motion_um: float) -> int:
-    counts = settings.counts(lost_motion_um)
-    settings.amount.write(counts)
+def _write(settings: BacklashSettings, lost_motion_um: float) -> float:
+    amount = settings.amount_of(lost_motion_um)
+    settings.amount.write(amount)
     kept = settings.amount.read()
-    if kept != counts:
-        raise ProtocolError(f"{settings.amount.name} was written {counts}, it reads back {kept}")
-    return counts
+    if abs(kept - amount) > 0.5 * settings.amount.resolution:
+        raise ProtocolError(f"{settings.amount.name} was written {amount:g}, it reads back {kept:g}")
+    return amount
 
 
 @dataclass
@@ -106,13 +106,14 @@ class _Recording:
     """The rows of one reversal as they come."""
 
     direction: int
-    resting_percent: float
     position_load_mm: list[float] = field(default_factory=list)
     torque_percent: list[list[float]] = field(default_factory=list)
+    slides_percent: list[list[float]] = field(default_factory=list)
 
     def trace(self) -> ReversalTrace:
-        positions, torques = np.array(self.position_load_mm), np.array(self.torque_percent)
-        return ReversalTrace(self.direction, positions, torques, self.resting_percent)
+        torques = np.array(self.torque_percent)
+        slides = np.array(self.slides_percent).reshape(-1, torques.shape[1])
+        return ReversalTrace(self.direction, np.array(self.position_load_mm), torques, slides)
 
 
 @dataclass(frozen=True)
@@ -130,10 +131,8 @@ class _Measurement:
         stage = f"run {run} of {how.runs}, {NAMES[direction]}"
         self.listener(Event(stage, "to the reference", 0, how.steps))
         self.axis.move_to(how.start_mm(direction), how.travel_velocity_mm_s)
-        self.axis.move_to(turning + direction * LEAD_IN_STEPS * step_mm, how.velocity_mm_s)
-        lead_in = [turning + direction * left * step_mm for left in reversed(range(LEAD_IN_STEPS))]
-        left_behind = [self._step(place)[1] for place in lead_in]
-        recording = _Recording(direction, float(np.mean(np.abs(left_behind))))
+        self.axis.move_to(turning, how.velocity_mm_s)
+        recording = _Recording(direction)
         try:
             for index in range(how.steps + 1):
                 position, torques = self._step(turning + direction * index * step_mm)
@@ -142,12 +141,20 @@ class _Measurement:
                 travelled_um = abs(position - recording.position_load_mm[0]) * 1000.0
                 self.listener(Event(stage, f"{travelled_um:.1f} µm, {torques[0]:+.1f} %", index, how.steps))
                 if index % _FIT_EVERY == 0 and _enough(recording.trace(), how.step_um):
+                    self._slide(recording)
                     break
         finally:
             if recording.position_load_mm:
                 self.keep(run, recording.trace())
         self.listener(Event(stage, "done", how.steps, how.steps))
         return recording.trace()
+
+    def _slide(self, recording: _Recording) -> None:
+        """Longer ways in the new direction, at the measuring speed; what each leaves behind at rest."""
+        broken_away_mm = recording.position_load_mm[-1]
+        for index in range(1, SLIDES + 1):
+            place = broken_away_mm + recording.direction * index * SLIDE_MM
+            recording.slides_percent.append(self._step(place)[1])
 
     def _step(self, position_load_mm: float) -> tuple[float, list[float]]:
         """Go to one place and rest; where the motor is, and the torque readings."""

@@ -3,8 +3,8 @@
 While the table sticks, motor travel goes into wind-up alone, so the torque is a curve of the wind-up. When it has risen as far as it
 takes to slide, what the motor has travelled since the reversal is the wind-up released and built up again, and that is the lost motion
 which the table shows from then on. The break-away lies above: static friction takes the torque, and its peak, further than sliding
-needs. So the peak itself is not looked for. The flank's upper half is fitted by a line (or a parabola where the data demand it), the
-sliding level is averaged beyond the peak, and the two are brought to meet.
+needs. So the peak itself is not looked for. The upper half of the flank is fitted by a parabola, the level of sliding is what longer
+ways beyond the peak leave behind (or, without them, the mean of the steps there), and the two are brought to meet.
 
 What torque cannot show: how far the guideway gives before it slides, which looks like more wind-up. `HIDDEN_SHARE` stands for it.
 """
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
+from scipy.special import fdtrc, ndtri, stdtrit
 
 from hil.wind_up.trace import Floats, ReversalTrace
 
@@ -25,7 +25,7 @@ HIDDEN_SHARE = 0.006
 _LOW, _HIGH = (0.0, 0.2, 0.35, 0.5), 0.88
 """Where the flank is taken from, and to: 0 where torque is zero, 1 where sliding begins."""
 _BEYOND_SHARE, _BEYOND_STEPS = 0.12, 5  # what is left out beyond the meeting point: peak and drop
-_FEWEST_FLANK, _FEWEST_CURVED, _FEWEST_SLIDING = 4, 9, 10  # places
+_FEWEST_FLANK, _FEWEST_CURVED, _FEWEST_SLIDING, _FEWEST_SLIDES = 4, 9, 10, 4  # places
 _STEEP = 0.12  # of the flank's slope: what still rises so much is not sliding
 _STEP_PERCENT = 0.1  # 6077h counts in 0.1 % of rated
 _CERTAIN = 0.01  # a parabola must be better than the line with less than this chance of luck
@@ -101,27 +101,46 @@ class _Flank:
 def fit_wind_up(trace: ReversalTrace) -> FittedWindUp | None:
     """Fit one reversal. None while (or where) there is no flank that ends in sliding."""
     travel, torque = trace.travel_um, trace.rising_percent
-    meet = _first_guess(travel, torque, trace.resting_percent)
+    meet = _first_guess(travel, torque)
     for _ in range(8):
         if meet is None:
             return None
         sliding = _sliding(travel, meet)
         if int(sliding.sum()) < _FEWEST_SLIDING:
             return None
-        fitted = _flank(travel, torque, meet, float(torque[sliding].mean()))
+        fitted = _flank(travel, torque, meet, _level(trace, sliding))
         if fitted is None or abs(fitted.meet - meet) < 1e-4:
             break
         meet = fitted.meet
     return None if fitted is None else _result(trace, fitted, sliding)
 
 
-def _first_guess(travel: Floats, torque: Floats, resting_percent: float) -> float | None:
+def _level(trace: ReversalTrace, sliding: Mask) -> float:
+    """Torque of sliding. Single steps with rests in between stick a little each time, so longer ways are asked first."""
+    slides = trace.slides_rising_percent
+    return float(np.mean(slides if len(slides) >= _FEWEST_SLIDES else trace.rising_percent[sliding]))
+
+
+def _level_variance(trace: ReversalTrace, sliding: Mask, drift: float) -> float:
+    """Of that mean; drift: slope of the sliding steps, % per µm."""
+    slides = trace.slides_rising_percent
+    if len(slides) >= _FEWEST_SLIDES:
+        values, trend = slides, 0.0
+    else:
+        values = trace.rising_percent[sliding]
+        trend = drift * float(np.ptp(trace.travel_um[sliding])) / 4.0
+    rounding = _STEP_PERCENT / np.sqrt(12.0 * trace.torque_percent.shape[1])
+    student = float(stdtrit(len(values) - 1, 0.975) / ndtri(0.975))
+    return float((student**2 * values.var(ddof=1) + rounding**2) / len(values) + trend**2 / 3.0)
+
+
+def _first_guess(travel: Floats, torque: Floats) -> float | None:
     """Roughly where sliding begins: the first place whose smoothed torque is at the level of the last quarter."""
     tail = max(_FEWEST_SLIDING, len(travel) // 5)
     if len(travel) < tail + 8:
         return None
     level = float(np.median(torque[-tail:]))
-    if level < 0.5 * resting_percent or level <= torque[0]:
+    if level < 0.5 * abs(torque[0]) or level <= torque[0]:
         return None  # it still hangs in a clearance, or goes down
     smooth = np.convolve(np.pad(torque, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     above = np.flatnonzero(smooth >= level - 0.03 * (level - torque[0]))
@@ -180,11 +199,8 @@ def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp 
     tail = _fit(travel[sliding], torque[sliding], 1)
     if slope <= 0.0 or tail.slope(meet) > _STEEP * slope:
         return None  # it has not broken away
-    level, count = float(torque[sliding].mean()), int(sliding.sum())
-    rounding = _STEP_PERCENT / np.sqrt(12.0 * trace.torque_percent.shape[1])
-    drift = tail.slope(meet) * float(np.ptp(travel[sliding])) / 4.0
-    level_variance = (float(torque[sliding].std(ddof=1)) ** 2 + rounding**2) / count + drift**2 / 3.0
-    chance_um = float(np.sqrt(flank.curve.variance(meet) + level_variance)) / slope
+    variance = flank.curve.variance(meet) + _level_variance(trace, sliding, tail.slope(meet))
+    chance_um = float(np.sqrt(variance)) / slope
     u_um = float(np.hypot(chance_um, HIDDEN_SHARE * meet))
     near = (travel > 0.8 * meet) & (travel < 1.5 * meet)
     peak = int(np.argmax(np.where(near, torque, -np.inf)))
@@ -193,7 +209,7 @@ def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp 
         meet,
         u_um,
         chance_um,
-        level,
+        _level(trace, sliding),
         float(travel[peak]),
         float(torque[peak]),
         flank.curve.centre,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,14 @@ class ReversalTrace:
     """One reversal. direction: of the motion after it, +1 or -1.
 
     position_load_mm: shape (n,), by the motor's encoder; its first place is that of the reversal. torque_percent: shape (n, k), k
-    readings at each place, % of rated, with the axis's sign. resting_percent: |torque| that sliding left behind on the way there.
+    readings at each place, % of rated, with the axis's sign. slides_percent: shape (m, k), the same after each of m longer ways in the
+    new direction, once the table slides; m may be 0.
     """
 
     direction: int
     position_load_mm: Floats
     torque_percent: Floats
-    resting_percent: float
+    slides_percent: Floats = field(default_factory=lambda: np.empty((0, 1)))
 
     def __post_init__(self) -> None:
         n = len(self.position_load_mm)
@@ -45,11 +46,16 @@ class ReversalTrace:
         """Mean torque of each place in the new direction's sense, shape (n,): rises from below 0 to above."""
         return np.asarray(self.direction * self.torque_percent.mean(axis=1), dtype=np.float64)
 
+    @property
+    def slides_rising_percent(self) -> Floats:
+        """Mean torque after each slide in the new direction's sense, shape (m,)."""
+        return np.asarray(self.direction * self.slides_percent.mean(axis=1), dtype=np.float64)
+
     def to_json(self) -> dict[str, Any]:
         """Plain values, for a file."""
         return {
             "direction": self.direction,
-            "resting_percent": self.resting_percent,
             "position_load_mm": self.position_load_mm.tolist(),
             "torque_percent": self.torque_percent.tolist(),
+            "slides_percent": self.slides_percent.tolist(),
         }

@@ -31,20 +31,20 @@ class PublishedMachine:
 
 
 PUBLISHED = (
-    PublishedMachine("53 µm", 53.0, 94.34, DriveTrain(), 1.08),
+    PublishedMachine("53 µm", 53.0, 94.34, DriveTrain(), 1.03),
     PublishedMachine(
         "36 µm",
         36.0,
         91.67,
         DriveTrain(nut_n_per_um=42.09, screw_friction_n=80.0, guide=Guide(sliding_n=560.0)),
-        1.23,
+        1.27,
     ),
     PublishedMachine(
         "60 µm, 15 t",
         60.0,
         86.67,
         DriveTrain(nut_n_per_um=38.55, guide=Guide(sliding_n=300.0, per_kg_n=0.04)),
-        1.22,
+        1.19,
         load_kg=15_000.0,
     ),
 )
@@ -113,8 +113,18 @@ def laser_lost_motion_um(train: DriveTrain, load_kg: float = 0.0) -> float:
     return (machine.axis.position_mm - upwards_mm) * 1000.0
 
 
-def torque_curve(train: DriveTrain, direction: int, load_kg: float = 0.0, *, steps: int = 130) -> np.ndarray:
-    """Torque without noise at rest after each step of 1 µm, shape (steps + 1,), 0.1 % of rated, signed as the axis."""
+@dataclass(frozen=True)
+class TorqueCurve:
+    """Torque without noise, 0.1 % of rated, signed as the axis: at rest after each step of 1 µm, the first at the reversal, and after
+    each longer way."""
+
+    direction: int
+    steps_permille: np.ndarray
+    slides_permille: np.ndarray
+
+
+def torque_curve(train: DriveTrain, direction: int, load_kg: float = 0.0, *, steps: int = 130) -> TorqueCurve:
+    """Through one reversal into `direction`."""
     machine = _Crept(train, load_kg)
     machine.creep(150.0 * direction, 500.0)
     machine.creep(0.0, 300.0)
@@ -122,16 +132,23 @@ def torque_curve(train: DriveTrain, direction: int, load_kg: float = 0.0, *, ste
     torques = [machine.axis.friction_permille]
     for index in range(1, steps + 1):
         machine.creep(float(direction * index), 100.0)
-        machine.rest(0.05)
+        machine.rest(0.1)
         torques.append(machine.axis.friction_permille)
-    return np.array(torques)
+    slides = []
+    for index in range(1, 9):
+        machine.creep(direction * (steps + 100.0 * index), 500.0)
+        machine.rest(0.1)
+        slides.append(machine.axis.friction_permille)
+    return TorqueCurve(direction, np.array(torques), np.array(slides))
 
 
 def noisy_trace(
-    curve_permille: np.ndarray, direction: int, noise_permille: float, rng: np.random.Generator, readings: int = 4
+    curve: TorqueCurve, noise_permille: float, rng: np.random.Generator, readings: int = 4
 ) -> ReversalTrace:
     """The curve as a drive tells it: white noise, whole tenths of a per cent of rated torque (6077h)."""
-    shape = (len(curve_permille), readings)
-    read = np.round(curve_permille[:, None] + rng.normal(0.0, noise_permille, shape)) / 10.0
-    position_mm = direction * np.arange(len(curve_permille)) / 1000.0
-    return ReversalTrace(direction, position_mm, read, float(abs(curve_permille[0])) / 10.0)
+    steps, slides = (
+        np.round(true[:, None] + rng.normal(0.0, noise_permille, (len(true), readings))) / 10.0
+        for true in (curve.steps_permille, curve.slides_permille)
+    )
+    position_mm = curve.direction * np.arange(len(steps)) / 1000.0
+    return ReversalTrace(curve.direction, position_mm, steps, slides)

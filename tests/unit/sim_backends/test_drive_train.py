@@ -29,7 +29,7 @@ def test_lost_motion_is_that_of_springs_against_friction() -> None:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_torque_through_a_reversal_looks_like_the_published_curve(direction: int) -> None:
     """A residual after stopping; |T| falls through zero about half way, rises, peaks just beyond the lost motion, drops to sliding."""
-    torque = direction * torque_curve(DriveTrain(), direction)
+    torque = direction * torque_curve(DriveTrain(), direction).steps_permille
     size = np.abs(torque)
     assert size[0] == pytest.approx(size[-1], rel=0.01)
     assert torque[0] < 0.0 < torque[-1]

@@ -21,7 +21,7 @@ def made(
     peak_um = lost_um + 0.6 / slope
     t = np.where(x <= peak_um, -LEVEL + slope * x, LEVEL + 0.6 * np.exp(-(x - peak_um) / 1.5))
     readings = t[:, None] + np.random.default_rng(seed).normal(0.0, noise, (len(x), 4))
-    return ReversalTrace(direction, 100.0 + direction * x / 1000.0, direction * readings, LEVEL)
+    return ReversalTrace(direction, 100.0 + direction * x / 1000.0, direction * readings)
 
 
 @pytest.mark.parametrize("lost_um", [22.0, 36.0, 53.0, 60.0])
@@ -51,8 +51,11 @@ def test_its_chance_is_what_it_really_scatters_by() -> None:
         ("too little sliding to know its level", made(53.0, end_um=62.0)),
         ("three places", made(53.0, end_um=3.0)),
         ("one place", made(53.0, end_um=0.0)),
-        ("a clearance without torque", ReversalTrace(1, np.arange(60) / 1000.0, np.full((60, 2), 0.1), LEVEL)),
-        ("torque that only falls", ReversalTrace(1, np.arange(60) / 1000.0, np.linspace(9, 5, 60)[:, None], LEVEL)),
+        (
+            "a clearance without torque",
+            ReversalTrace(1, np.arange(60) / 1000.0, np.vstack([np.full((1, 2), -LEVEL), np.full((59, 2), 0.1)])),
+        ),
+        ("torque that only falls", ReversalTrace(1, np.arange(60) / 1000.0, np.linspace(9, 5, 60)[:, None])),
     ],
 )
 def test_without_a_wind_up_that_ends_in_sliding_it_finds_nothing(what: str, trace: ReversalTrace) -> None:
@@ -62,7 +65,7 @@ def test_without_a_wind_up_that_ends_in_sliding_it_finds_nothing(what: str, trac
 def test_noise_alone_is_no_wind_up() -> None:
     rng = np.random.default_rng(4)
     for _ in range(50):
-        trace = ReversalTrace(1, np.arange(100) / 1000.0, rng.normal(0.0, 0.1, (100, 4)), LEVEL)
+        trace = ReversalTrace(1, np.arange(100) / 1000.0, rng.normal(0.0, 0.1, (100, 4)))
         assert fit_wind_up(trace) is None
 
 

@@ -45,11 +45,11 @@ def test_it_speaks_at_the_fourth_sample_and_not_before() -> None:
 def test_of_a_trace_it_takes_one_reading_a_step_and_the_motors_own_distance() -> None:
     positions = np.array([10.0, 9.9991, 9.9980, 9.9970])
     torques = np.array([[1.0, 9.0], [-2.0, 0.0], [-3.0, 0.0], [-2.5, 9.0]])
-    assert four_sample(ReversalTrace(-1, positions, torques, 1.0)) == pytest.approx(2.0)
+    assert four_sample(ReversalTrace(-1, positions, torques)) == pytest.approx(2.0)
 
 
 def test_a_trace_knows_its_shape() -> None:
     with pytest.raises(InputError, match="expected \\+1 or -1"):
-        ReversalTrace(0, np.zeros(3), np.zeros((3, 1)), 0.0)
+        ReversalTrace(0, np.zeros(3), np.zeros((3, 1)))
     with pytest.raises(InputError, match="one row of torques"):
-        ReversalTrace(1, np.zeros(3), np.zeros((2, 1)), 0.0)
+        ReversalTrace(1, np.zeros(3), np.zeros((2, 1)))
