@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 
 from sim_backends.plant.touch_probe import Bore, Chip, Face, Solid, Stylus
 
-CLEAR_MM = 0.01  # a touch is over when the ball has come so far away from where it would signal
+CLEAR_MM = (
+    0.01  # a touch is over when the ball is so far away that nothing which comes between could make it signal at once
+)
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class SimulatedProbe:
         self._play = (0.0, 0.0)
         self._angle_deg = math.nan
         self._touching = False
+        self._clear_mm = CLEAR_MM + sum(chip.thickness_mm for chip in parameters.chips)
         self._draw()
 
     def _draw(self) -> None:
@@ -72,7 +75,7 @@ class SimulatedProbe:
         if pushed_mm >= 0.0 and not self._touching:
             self._touching = True
             self.touches += 1
-        elif self._touching and pushed_mm < -CLEAR_MM:
+        elif self._touching and pushed_mm - self._between_mm < -self._clear_mm:
             self._touching = False
             self._draw()
         return pushed_mm >= 0.0

@@ -46,7 +46,7 @@ class Face:
     """A plane face of a block, through a point, met by moving in the direction `facing` (+1 or -1) of x.
 
     tilt_z_rad turns the face about z (its normal leans towards y), tilt_y_rad about y (the normal leans towards z); the block reaches
-    half_width_mm to both sides of the point along y.
+    half_width_mm to both sides of the point along y, and depth_mm behind the face.
     """
 
     point_mm: Vector
@@ -54,6 +54,7 @@ class Face:
     tilt_z_rad: float = 0.0
     tilt_y_rad: float = 0.0
     half_width_mm: float = 20.0
+    depth_mm: float = 30.0
 
     def clearance_mm(self, point_mm: Vector) -> float:
         if abs(point_mm[1] - self.point_mm[1]) > self.half_width_mm:
@@ -63,7 +64,8 @@ class Face:
             math.sin(self.tilt_z_rad) * math.cos(self.tilt_y_rad),
             math.sin(self.tilt_y_rad),
         )
-        return sum(n * (p - q) for n, p, q in zip(normal, point_mm, self.point_mm, strict=True))
+        clearance_mm = sum(n * (p - q) for n, p, q in zip(normal, point_mm, self.point_mm, strict=True))
+        return clearance_mm if clearance_mm > -self.depth_mm else math.inf
 
 
 @dataclass(frozen=True)
