@@ -23,7 +23,8 @@ from hil.diagnosis.judge import SURE
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.select import structure_rms
 from hil.diagnosis.thin import AllRows
-from hil.effects import ALL, Effect, Estimate
+from hil.effects import ALL, Effect, Estimate, Survey
+from hil.effects.base import Term
 from hil.effects.history import stand_ins
 from hil.model import Model
 from hil.records import Records
@@ -70,7 +71,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         extended=chosen.fit.extended,
         findings=_findings(chosen, campaign.columns),
         unexplained=unexplained,
-        carriers=_carriers(chosen) if unexplained else (),
+        carriers=tuple(_carriers(chosen, campaign.survey)) if unexplained else (),
         blind=_blind(problem),
         before_um=left_out.before,
         after_um=left_out.after,
@@ -103,6 +104,7 @@ def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, .
     kept = tuple(c for c in last.choices if c.effect.id in ONCE or earns_its_place(left_out.gain[c.effect.id]))
     hits = [hit for selected in chosen.selections for hit in selected.hits]
     unexplained = bool(hits) and (max(hit.gain for hit in hits) > SURE or earns_its_place(left_out.structure))
+    unexplained = unexplained or last.memory is not None
     if len(kept) == len(last.choices):
         return chosen, unexplained, ()
     dropped = tuple(dict.fromkeys(c.effect.id for c in last.choices if c not in kept))
@@ -118,7 +120,7 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, .
         if effect.id in named:
             continue
         named.add(effect.id)
-        weights = _weights(chosen, effect.id)
+        weights = _doubted(_weights(chosen, effect.id), chosen, term)
         rivals = [
             RivalFound(name, weight, _separate_by(effect, name))
             for name, weight in weights.items()
@@ -133,7 +135,7 @@ def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
     """Weight of each effect at the stage at which this one was taken, best first; 'unexplained' for a cause outside the catalogue."""
     for selected in chosen.selections:
         for stage in selected.stages:
-            if stage.taken and stage.ranking[0].effect == effect:
+            if stage.taken and stage.ranking and effect in (stage.about, stage.ranking[0].effect):
                 top = stage.ranking[0].evidence
                 odds = {r.effect: r.evidence - top for r in stage.ranking}
                 odds[OUTSIDE] = selected.foreign.get(effect, -math.inf)
@@ -143,6 +145,21 @@ def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
     return {}
 
 
+def _doubted(weights: dict[str, float], chosen: Chosen, term: Term) -> dict[str, float]:
+    """With the share of unexplained structure of the term's own columns: whatever makes that may make all of it."""
+    own = set(term.needs) | {"target_mm", "direction"}
+    last = chosen.last
+    columns = last.searcher.bench.campaign.columns
+    hits = [hit for selected in chosen.selections for hit in selected.hits if set(hit.structure.columns) <= own]
+    if not hits:
+        return weights
+    other = sum(structure_rms(last.searcher, hit, last.choices, last.noise) ** 2 for hit in hits)
+    mine = float(np.var(term.error_um(columns)))
+    share = other / max(mine + other, 1e-300)
+    doubted = {name: weight * (1.0 - share) for name, weight in weights.items()}
+    return doubted | {OUTSIDE: doubted.get(OUTSIDE, 0.0) + share}
+
+
 def _separate_by(effect: Effect, rival: str) -> str:
     for known in effect.rivals:
         if known.effect == rival:
@@ -150,16 +167,14 @@ def _separate_by(effect: Effect, rival: str) -> str:
     return "a campaign in which the columns the two read vary apart"
 
 
-def _carriers(chosen: Chosen) -> tuple[Carrier, ...]:
-    return tuple(
-        Carrier(
-            hit.structure.columns,
-            structure_rms(selected.searcher, hit, selected.choices, selected.noise),
-            hit.probability,
-        )
-        for selected in chosen.selections
-        for hit in selected.hits
-    )
+def _carriers(chosen: Chosen, survey: Survey) -> Iterator[Carrier]:
+    for selected in chosen.selections:
+        for hit in selected.hits:
+            rms = structure_rms(selected.searcher, hit, selected.choices, selected.noise)
+            yield Carrier(hit.structure.columns, rms, hit.probability)
+    if chosen.last.memory is not None:
+        found = chosen.last.memory
+        yield Carrier((survey.time_column,), found.noise.ar * chosen.fit.white_um, math.exp(-found.log_odds))
 
 
 def _blind(problem: Problem) -> tuple[Blind, ...]:

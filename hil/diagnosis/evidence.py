@@ -33,6 +33,8 @@ MOST_OFFSET = 0.8
 PRIOR_OFFSET = 0.35
 CORRELATIONS = ((0.0, 0.0), (0.5, 0.5), (0.35, 0.9), (1.0, 0.5), (0.7, 0.9), (1.2, 0.75), (2.5, 0.7))
 """Grid of (ar, rho): noise may be strong where it forgets within a few rows, weak where it lasts."""
+WEAK_CORRELATIONS = 2
+"""Where none of so many, after none at all, is better than none, the stronger ones are not tried."""
 
 VARIANCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Variance ratios tried for a random effect of unit columns."""
@@ -455,8 +457,8 @@ def fit_noise(
     """
     best: tuple[float, Noise] | None = None
     point: Floats | None = None
-    for ar, rho in correlations:
-        if best is not None and ar > 0.3 and best[1].ar == 0.0:
+    for i, (ar, rho) in enumerate(correlations):
+        if best is not None and i > WEAK_CORRELATIONS and best[1].ar == 0.0:
             break
         profile = Profile(bench, replace(start, ar=ar, rho=rho), y, extra, out)
         step, trials = (1.2, 30) if point is None and not near else (0.4, 30 if not near else 12)

@@ -21,6 +21,7 @@ from hil.diagnosis.thin import AllRows
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 MOST_FOLDS = 5
+TRIMMED = 5
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,12 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
 
 
 def earns_its_place(gain: Floats) -> bool:
-    """Whether a gain per fold, shape (folds,), is on average above zero by more than its standard error."""
-    if len(gain) < 2:
-        return bool(np.sum(gain) > 0)
-    return bool(np.mean(gain) > np.std(gain, ddof=1) / np.sqrt(len(gain)))
+    """Whether a gain per fold, shape (folds,), is on average above zero by more than its standard error.
+
+    Of five folds or more the best and the worst are left away: without the first run, what changes with time has no beginning.
+    """
+    trim = len(gain) // TRIMMED
+    kept = np.sort(gain)[trim : len(gain) - trim]
+    if len(kept) < 2:
+        return bool(np.sum(kept) > 0)
+    return bool(np.mean(kept) > np.std(kept, ddof=1) / np.sqrt(len(kept)))

@@ -6,6 +6,7 @@ what no longer earns its place. Whether a best candidate is more than noise is a
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +33,7 @@ GRID = tuple(
 )
 """Noise models over which each candidate is profiled."""
 MOST_FRAMES = 40
+EXCHANGES = 2
 CONTENDERS = 8
 TAME, TAME_TAIL = 3.2, 1.5
 """Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger holds, so that a real bulge stays."""
@@ -75,11 +77,15 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the choice: evidence without, the ranking with each effect at its best, whether the best was taken."""
+    """One step of the choice: evidence without, the ranking with each effect at its best, whether the best was taken.
+
+    about: the effect whose place is contested, where it came there otherwise than as the best of a stage
+    """
 
     before: float
     ranking: tuple[Ranked, ...]
     taken: bool
+    about: str = ""
 
 
 @dataclass(frozen=True)
@@ -340,12 +346,16 @@ def _hopeful(judge: Judge, before: float, ranked: Ranked) -> bool:
 
 
 def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:
-    """Each earlier choice but the first `fixed` may give way to one that is better now that the later ones are there."""
+    """Each choice after the first `fixed` may give way to one that is better now that the others are there, until none does."""
     current = list(chosen)
-    for i in range(fixed, len(current) - 1):
+    settled = len(current) - 1  # the last one was just found the best beside the others
+    for i in itertools.islice(itertools.cycle(range(fixed, len(current))), EXCHANGES * (len(current) - fixed)):
+        if i == settled:
+            break
         rest = current[:i] + current[i + 1 :]
         now = searcher.evidence(current, noise)
         ranking = searcher.rank(rest, noise)
         if ranking and ranking[0].evidence > now + 2.0:
             current[i] = ranking[0].choice
+            settled = i
     return current

@@ -5,7 +5,7 @@ What may go in: the order of these steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +16,7 @@ from hil.diagnosis.evidence import Noise
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.judge import FoldScout, Hit, Scout, hit_of
 from hil.diagnosis.search import Judge, Searcher, Stage, search
+from hil.diagnosis.serial import Memory, memory
 from hil.diagnosis.structure import Catalogue
 
 Floats = NDArray[np.float64]
@@ -38,6 +39,7 @@ class Selected:
     searcher: with the tamed errors, and the columns of no interest (unexplained structure, drift within the noise)
     hits: unexplained structures; shapes: small misfits of the terms' own forms
     foreign: by effect, log odds of the best structure of other columns against the term
+    memory: correlation from row to row beyond that of noise
     """
 
     searcher: Searcher
@@ -47,6 +49,7 @@ class Selected:
     hits: tuple[Hit, ...] = ()
     shapes: tuple[Hit, ...] = ()
     foreign: dict[str, float] = field(default_factory=dict)
+    memory: Memory | None = None
 
 
 def select(
@@ -66,10 +69,15 @@ def select(
         if hit is None:
             if isinstance(scout, FoldScout):
                 break
-            foreign, replaced = _foreign(searcher, scout.catalogue, chosen, noise, len(start))
-            if replaced is None:
+            foreign, chosen, taken = _foreign(searcher, scout.catalogue, chosen, noise, len(start))
+            if taken is None:
                 break
-            chosen, hit = replaced
+            if isinstance(taken, Stage):
+                stages.append(taken)
+                chosen.append(taken.ranking[0].choice)
+                noise = searcher.fit_noise(chosen, taken.ranking[0].noise)
+                continue
+            hit = taken
         elif _is_shape(searcher, hit, chosen, noise):
             shapes.append(hit)
             searcher.add_nuisance(hit.extra)
@@ -84,7 +92,10 @@ def select(
         stages.extend(found.stages)
         chosen, noise = drop(searcher, found.choices, found.noise, len(start)), found.noise
     searcher.tame(chosen, noise)
-    return Selected(searcher, tuple(chosen), noise, tuple(stages), tuple(hits), tuple(shapes), foreign)
+    if scout is not None and not isinstance(scout, FoldScout):
+        stages.extend(_contests(searcher, chosen, noise, stages, len(start)))
+    left = None if scout is None else memory(searcher, chosen, noise)
+    return Selected(searcher, tuple(chosen), noise, tuple(stages), tuple(hits), tuple(shapes), foreign, left)
 
 
 def drop(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:
@@ -105,15 +116,17 @@ def drop(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int 
 
 def _foreign(
     searcher: Searcher, catalogue: Catalogue, chosen: Sequence[Choice], noise: Noise, fixed: int
-) -> tuple[dict[str, float], tuple[list[Choice], Hit] | None]:
-    """Log odds of the best structure of other columns against each term; the first exchange that is called for."""
+) -> tuple[dict[str, float], list[Choice], Hit | Stage | None]:
+    """Whether a structure of other columns does better than some terms: all together, those of one effect, a single one.
+
+    Its log odds against each effect. Where it does better: the terms that stay, and the structure, or the stage at which an effect
+    that is as good as the structure is taken.
+    """
     odds: dict[str, float] = {}
     worth = searcher.profiled_evidence(chosen, noise)[0]
-    for i, choice in enumerate(chosen):
-        if i < fixed:
-            continue
-        rest = [other for j, other in enumerate(chosen) if j != i]
-        own = set(choice.form.inputs) | {"target_mm", "direction"}
+    for group in _groups(chosen, fixed):
+        rest = [choice for i, choice in enumerate(chosen) if i not in group]
+        own = {"target_mm", "direction"}.union(*(chosen[i].form.inputs for i in group))
         base, calm = searcher.profiled_evidence(rest, noise)
         stranger = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
         if not np.any(stranger):
@@ -125,10 +138,38 @@ def _foreign(
             top = int(np.argmax(gains))
             total = searcher.evidence(rest, trial) + float(gains[top])
             if total > worth + REPLACE and total > base + REPLACE:
-                return odds, (rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0))
+                ranking = searcher.rank(rest, noise)
+                if ranking and ranking[0].evidence > total - REPLACE:
+                    return odds, rest, Stage(base, ranking, True)
+                return odds, rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0)
             best = max(best, total)
-        odds[choice.effect.id] = max(odds.get(choice.effect.id, -np.inf), best - worth)
-    return odds, None
+        names = {chosen[i].effect.id for i in group}
+        if len(names) == 1:
+            (name,) = names
+            odds[name] = max(odds.get(name, -np.inf), best - worth)
+    return odds, list(chosen), None
+
+
+def _contests(
+    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, stages: Sequence[Stage], fixed: int
+) -> Iterator[Stage]:
+    """The ranking beside the others for each effect that no stage took as its best."""
+    known = {stage.ranking[0].effect for stage in stages if stage.taken}
+    for i in range(fixed, len(chosen)):
+        if chosen[i].effect.id not in known:
+            rest = [*chosen[:i], *chosen[i + 1 :]]
+            base, _ = searcher.profiled_evidence(rest, noise)
+            yield Stage(base, searcher.rank(rest, noise), True, chosen[i].effect.id)
+
+
+def _groups(chosen: Sequence[Choice], fixed: int) -> list[tuple[int, ...]]:
+    """Terms after the first `fixed` that one structure may replace: all, those of one effect, each."""
+    free = range(fixed, len(chosen))
+    same = [
+        tuple(i for i in free if chosen[i].effect.id == name)
+        for name in dict.fromkeys(chosen[i].effect.id for i in free)
+    ]
+    return [group for group in dict.fromkeys([tuple(free), *same, *((i,) for i in free)]) if group]
 
 
 def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> bool:
