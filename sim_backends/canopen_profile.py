@@ -351,7 +351,7 @@ class DriveProfile:
 
     # -- modes ---------------------------------------------------------------------------------------------------------
     def _write_mode(self, mode: int) -> None:
-        if mode and not self._od.number(0x6502) & 1 << (mode - 1):
+        if mode < 0 or (mode and not self._od.number(0x6502) & 1 << (mode - 1)):  # a maker's own modes are negative
             raise RefusedError(INVALID_VALUE)
         if mode == self._mode or Defect.MODE_STUCK in self.defects:
             return

@@ -109,7 +109,7 @@ def modbus_server(
     for unit in faces:
         if tcp is None and not 1 <= unit <= 247:
             raise InputError(f"unit id is {unit}, expected 1 to 247 on a serial line")
-    server = ModbusServer(faces, faults)
+    server = ModbusServer(faces, faults, remember=False)
     master, slave = os.openpty() if tcp is None else (-1, -1)
     try:
         if tcp is None:

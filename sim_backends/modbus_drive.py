@@ -55,14 +55,16 @@ class _Late:
 class ModbusServer:
     """Units behind one wire. faces: unit id -> `Face`. Start it with `tcp_server` or `rtu_slave` below.
 
-    `faults.add(...)` arms a fault at any time; `requests` counts what was received, `advance` is for the clock.
+    `faults.add(...)` arms a fault at any time; `requests` counts what was received, `advance` is for the clock. remember: keep every
+    request in `seen`. What its thread dies of is raised by the next `advance`, or by `stop`.
     """
 
-    def __init__(self, faces: Mapping[int, Face], faults: Iterable[WireFault] = ()) -> None:
+    def __init__(self, faces: Mapping[int, Face], faults: Iterable[WireFault] = (), *, remember: bool = True) -> None:
         self.faces = dict(faces)
         self.faults = WireFaultPlan(faults)
         self.requests = 0
         self.seen: list[tuple[int, bytes]] = []  # (unit, PDU) of every request, for tests
+        self._remember = remember
         self._now_ns = 0
         self._lock = threading.RLock()
         self._ports: dict[int, _Port] = {}
@@ -125,6 +127,8 @@ class ModbusServer:
         """Bring the faces to now_ns, after handling what has been received, and send replies that were held back until now."""
         if self._stopping:
             return
+        if self._error is not None:
+            raise self._error
         with self._lock:
             self._pump()
             self._now_ns = now_ns
@@ -180,16 +184,17 @@ class ModbusServer:
                         self._pump()
                     else:
                         self._silence()
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001 - whoever owns this server raises it
             self._error = error
-            raise
 
     def _pump(self) -> None:
         """Take and handle everything that is there, without waiting."""
         with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 64)
         if self._listener is not None:
-            with contextlib.suppress(BlockingIOError):
+            with contextlib.suppress(
+                BlockingIOError, ConnectionError
+            ):  # nobody waits, or went away before it was let in
                 while True:
                     self._accept(self._listener.accept()[0])
         for port in list(self._ports.values()):
@@ -197,7 +202,8 @@ class ModbusServer:
 
     def _accept(self, connection: socket.socket) -> None:
         connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):  # it may be gone already: reading it will say so
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         handle = connection.fileno()
 
         def send(data: bytes) -> None:
@@ -238,7 +244,8 @@ class ModbusServer:
         if port.handle not in self._ports:
             return
         self.requests += 1
-        self.seen.append((request.unit, request.pdu))
+        if self._remember:
+            self.seen.append((request.unit, request.pdu))
         function = request.pdu[0] if request.pdu else 0
         fault = self.faults.hit_by(request.unit, function)
         face = self.faces.get(request.unit)

@@ -66,7 +66,11 @@ class Cell:
         value = self.read()
         if self.code == "?":
             return [int(bool(value))]
-        words = list(struct.unpack(f">{self.words}H", struct.pack(f">{self.code}", value)))
+        if isinstance(value, int) and self.code in "HhIiQq":  # a counter that is full begins anew, as in any firmware
+            data = (value & (1 << 16 * self.words) - 1).to_bytes(2 * self.words, "big")
+        else:
+            data = struct.pack(f">{self.code}", value)
+        words = list(struct.unpack(f">{self.words}H", data))
         return self._arranged(words)
 
     def value_of(self, words: Sequence[int]) -> Value:

@@ -22,7 +22,7 @@ PATIENCE_S = 600.0 if os.environ.get("HIL_VCAN") == "guest" else 90.0
 """For whatever another process has to do before a test can go on, on a busy host; in the guest Python starts slowly."""
 
 PATIENT = {
-    "canopen": "sdo_timeout_s = 5.0\nsample_timeout_s = 5.0\nheartbeat_s = 2.0",
+    "canopen": "sdo_timeout_s = 5.0\nsample_timeout_s = 5.0\nheartbeat_s = 2.0\nguard_s = 6.0",
     "modbus": "",
 }
 
