@@ -1,0 +1,95 @@
+"""Runs left out: nothing of them reaches the choice that predicts them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.campaigns import campaign, wavy
+
+from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.choose import Chosen, choose, choose_without, problem_of
+from hil.diagnosis.held_out import earns_its_place, folds
+from hil.effects import Effect
+from hil.effects.load_deflection import LoadDeflection
+from hil.effects.velocity_lag import VelocityLag
+
+Array = np.ndarray
+EFFECTS: tuple[Effect, ...] = (VelocityLag(), LoadDeflection())
+LEFT_OUT = 2
+
+
+def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    n = len(c["run"])
+    return {
+        "velocity_mm_s": rng.choice([10.0, 30.0, 90.0], n),
+        "load_kg": np.where(c["run"] == LEFT_OUT + 1, rng.choice([0.0, 50.0, 100.0], n), 0.0) + rng.normal(size=n),
+        "since_reversal_mm": rng.uniform(1.0, 80.0, n),
+        "stroke_mm": rng.uniform(100.0, 300.0, n),
+    }
+
+
+def machine(c: dict[str, Array]) -> Array:
+    """It lags, and bends under a load, which one run alone has any to speak of."""
+    return wavy(c) + 0.02 * c["direction"] * c["velocity_mm_s"] + 0.03 * c["load_kg"]
+
+
+CAMPAIGN = prepare(campaign(machine, runs=5, targets=10, sensors=sensors))
+OUT = CAMPAIGN.run == LEFT_OUT
+
+
+@pytest.fixture(scope="module")
+def whole() -> Chosen:
+    return choose(problem_of(CAMPAIGN, EFFECTS, None, 0))
+
+
+def without(prepared: Campaign, whole: Chosen) -> Chosen:
+    return choose_without(problem_of(prepared, EFFECTS, None, 0), OUT, whole)
+
+
+def test_an_effect_that_one_run_alone_shows_is_not_chosen_without_that_run(whole: Chosen) -> None:
+    """A choice made on all rows, or with a look at the run left out, holds the load."""
+    assert {choice.effect.id for choice in whole.last.choices} == {"velocity_lag", "load_deflection"}
+    chosen = without(CAMPAIGN, whole)
+    assert {choice.effect.id for choice in chosen.last.choices} == {"velocity_lag"}
+
+
+@pytest.mark.parametrize("spoilt", [1e3, -5.0, np.nan], ids=str)
+def test_whatever_the_run_left_out_measured_its_prediction_is_the_same(whole: Chosen, spoilt: float) -> None:
+    rng = np.random.default_rng(1)
+    other = np.where(OUT, 40.0 * rng.normal(size=len(CAMPAIGN)) if np.isnan(spoilt) else spoilt, CAMPAIGN.error_um)
+    first = without(CAMPAIGN, whole)
+    second = without(replace(CAMPAIGN, error_um=other), whole)
+    np.testing.assert_allclose(
+        second.fit.extended.error_um(CAMPAIGN.columns), first.fit.extended.error_um(CAMPAIGN.columns), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(("runs", "how"), [(1, "quarter"), (4, "leave-one-run-out"), (13, "groups")])
+def test_folds_are_whole_runs_or_parts_of_the_only_one(runs: int, how: str) -> None:
+    run = np.repeat(np.arange(runs), 8)
+    fold, said = folds(run)
+    assert how in said
+    np.testing.assert_array_equal(np.unique(fold), np.arange(np.max(fold) + 1))
+    if runs > 1:
+        for index in range(runs):
+            assert len(set(fold[run == index])) == 1
+    assert np.all(np.diff(fold) >= 0)
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=4), st.floats(0.1, 100.0))
+@settings(max_examples=50, deadline=None)
+def test_a_gain_counts_when_it_is_above_its_standard_error_whatever_the_unit(gain: list[float], unit: float) -> None:
+    values = np.array(gain)
+    clear = np.mean(values) - np.std(values, ddof=1) / np.sqrt(len(values))
+    if abs(clear) > 1e-9:
+        assert earns_its_place(unit * values) == (clear > 0)
+    assert not earns_its_place(-np.abs(values))
+
+
+def test_one_fold_that_likes_it_does_not_speak_for_all() -> None:
+    assert not earns_its_place(np.array([50.0, -0.1, -0.1, -0.1, -0.1]))
+    assert earns_its_place(np.array([3.0, 2.0, 2.5, 2.0, 3.0]))
