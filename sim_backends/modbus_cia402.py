@@ -99,6 +99,9 @@ class Cia402Registers:
         for (index, subindex), value in (parameters or {}).items():
             self.dictionary.set_number(index, subindex, value)
         self.profile = DriveProfile(self.dictionary, servo, lambda _code: None)
+        servo.backlash.follow(
+            lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
+        )
         self.eeprom_writes: dict[int, int] = {}
         self.stores = 0
         self.store_s = 0.2

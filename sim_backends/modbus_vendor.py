@@ -50,8 +50,10 @@ class VendorRegisters:
             "stiffness": 60.0,
             "torque_limit": 3000,
         }
+        self._working: dict[str, float] = {"backlash": 0, "backlash_quick": 0}  # in RAM
         self._kept.update(settings or {})
         self.eeprom_writes: dict[str, int] = {}
+        servo.backlash.follow(lambda: self._working["backlash"], lambda: bool(self._working["backlash_quick"]))
         self._now_ns = 0
         self._ordered_ns = 0
         self.banks: Mapping[Space, Bank] = {
@@ -63,8 +65,8 @@ class VendorRegisters:
 
     @property
     def settings(self) -> dict[str, float]:
-        """What the drive holds at present: motion values and kept parameters by name, raw."""
-        return {**self._motion, **self._kept}
+        """What the drive holds at present: motion values and parameters by name, raw."""
+        return {**self._motion, **self._working, **self._kept}
 
     # -- what stands where ---------------------------------------------------------------------------------------------
     def _coil_cells(self) -> list[Cell]:
@@ -103,7 +105,10 @@ class VendorRegisters:
         ]
 
     def _holding_cells(self) -> list[Cell]:
-        motion = self._motion
+        motion, working = self._motion, self._working
+
+        def set_to(name: str) -> Callable[[Value], None]:
+            return lambda value: working.__setitem__(name, int(value))
 
         def moved(name: str) -> Callable[[Value], None]:
             return lambda value: motion.__setitem__(name, int(value))
@@ -121,6 +126,8 @@ class VendorRegisters:
             self._kept_cell(108, "H", "gear_denominator", 1, 9999),
             self._kept_cell(109, "f", "stiffness", 0.0, 500.0, low_byte_first=True),
             self._kept_cell(111, "H", "torque_limit", 0, 3000),
+            _low_first(112, "I", self._reader(working, "backlash"), set_to("backlash"), (0, 1_000_000)),
+            Cell(114, "H", self._reader(working, "backlash_quick"), set_to("backlash_quick"), 0, 1),
             Cell(200, "12s", lambda: _NAME, low_byte_first=True),
         ]
 

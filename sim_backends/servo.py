@@ -11,6 +11,7 @@ import math
 import random
 
 from drivers.errors import InputError
+from sim_backends.backlash_compensation import BacklashCompensation
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.homing import HOMING_METHODS, HomingSensor
 from sim_backends.homing_run import HomingRun
@@ -36,6 +37,7 @@ class SimulatedServo:
     ) -> None:
         self.parameters = p = parameters or ServoParameters()
         self.mechanics = mechanics
+        self.backlash = BacklashCompensation(mechanics, p.counts_per_rev)
         self._rng = random.Random(p.seed)
         self.powered = False
         self.stopping = False
@@ -338,7 +340,7 @@ class SimulatedServo:
         if now_ns >= self._fault_change_ns:
             self._meet_faults()
         if not self._moving:
-            self.mechanics.step(self._actual / self.parameters.counts_per_rev, dt_s)
+            self.backlash.step(self._actual, dt_s)
             return
         before, velocity_before = self._actual, self._actual_velocity
         demand_before = self._demand
@@ -354,7 +356,7 @@ class SimulatedServo:
             self._actual = max(p.negative_stop_counts, min(p.positive_stop_counts, self._actual))
             self._actual_velocity = 0.0
         self._acceleration = (self._actual_velocity - velocity_before) / dt_s
-        self.mechanics.step(self._actual / p.counts_per_rev, dt_s)
+        self.backlash.step(self._actual, dt_s)
         if self._homing is not None:
             self._advance_homing(self._homing, before)
         self._watch_limits()

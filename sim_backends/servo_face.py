@@ -5,6 +5,7 @@ Units are the drive's own: motor counts, counts/s, counts/s², torque in 0.1 % o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 from typing import Protocol
 
@@ -32,11 +33,22 @@ class Mechanics(Protocol):
         """Torque it puts on the motor, 0.1 % of rated, with the sign of the motion it opposes."""
 
 
+class Compensation(Protocol):
+    """What a servo adds at a reversal."""
+
+    def follow(self, amount: Callable[[], float], accelerated: Callable[[], bool]) -> None:
+        """From now on add so many motor counts, quickly or not."""
+
+
 class Servo(Protocol):
     """What a face may use of a servo. Readings are always of the present moment of simulated time.
 
     Motion orders are without effect while unpowered or while a stop runs or holds, as on a real drive.
     """
+
+    @property
+    def backlash(self) -> Compensation:
+        """Its backlash compensation, for a face to tie to its parameters."""
 
     @property
     def powered(self) -> bool: ...

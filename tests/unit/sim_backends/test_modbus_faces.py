@@ -176,6 +176,7 @@ def test_the_vendors_values_stand_where_the_map_says() -> None:
     by_name = {"target_speed": 123_456, "ramp": 70_000, "target": -123_456_789, "trigger": 0}
     by_name |= {"origin_method": 21, "origin_speed": 4321, "origin_creep": 321, "origin_offset": -70_000}
     by_name |= {"gear_numerator": 3, "gear_denominator": 7, "torque_limit": 2500}
+    by_name |= {"backlash": 5300, "backlash_quick": 1}
     access.write(by_name)
     access.write({"stiffness": 12.5})
     expected: dict[str, float] = {**by_name, "stiffness": 12.5}

@@ -1,0 +1,56 @@
+"""The drive's own backlash compensation: after a reversal the motor turns a little further than the drive shows.
+
+Sits between the servo and what it turns. The amount is a parameter of the drive and may change at any time; it comes into force with
+the next motion, as on a real drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sim_backends.servo_face import Mechanics
+
+SLOW_S, QUICK_S = 0.2, 0.01
+"""Time over which the amount is added after a reversal: without the acceleration that hides it, and with it."""
+_REVERSAL_COUNTS = 1.0  # a motor that stands trembles by less
+
+
+class BacklashCompensation:
+    """`follow` says where amount (motor counts, >= 0) and acceleration switch are kept; without it nothing is added."""
+
+    def __init__(self, mechanics: Mechanics, counts_per_rev: int) -> None:
+        self._mechanics = mechanics
+        self._counts_per_rev = counts_per_rev
+        self._amount: Callable[[], float] = lambda: 0.0
+        self._accelerated: Callable[[], bool] = lambda: False
+        self._direction = 0
+        self._turn_counts: float | None = None  # the furthest place in the present direction
+        self.added_counts = 0.0
+
+    def follow(self, amount: Callable[[], float], accelerated: Callable[[], bool]) -> None:
+        """Take both from the drive's parameters from now on."""
+        self._amount, self._accelerated = amount, accelerated
+
+    def step(self, shown_counts: float, dt_s: float) -> None:
+        """The servo went to `shown_counts` within dt_s; turn the shaft there, and by what is added."""
+        moving = self._watch(shown_counts)
+        amount = self._amount()
+        if moving and (amount or self.added_counts):
+            wanted = amount if self._direction > 0 else 0.0
+            most = max(amount, abs(self.added_counts)) * dt_s / (QUICK_S if self._accelerated() else SLOW_S)
+            self.added_counts += max(-most, min(most, wanted - self.added_counts))
+        self._mechanics.step((shown_counts + self.added_counts) / self._counts_per_rev, dt_s)
+
+    def _watch(self, shown_counts: float) -> bool:
+        """Whether it moves, and which way it moved last."""
+        if self._turn_counts is None:
+            self._turn_counts = shown_counts
+        moved = shown_counts - self._turn_counts
+        if moved * self._direction > 0.0:
+            self._turn_counts = shown_counts
+            return True
+        if abs(moved) >= _REVERSAL_COUNTS:
+            self._direction = 1 if moved > 0.0 else -1
+            self._turn_counts = shown_counts
+            return True
+        return False
