@@ -20,11 +20,12 @@ from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
+from drivers.canopen.node import NmtCommand, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, configure
 from drivers.canopen.sdo import SdoClient
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
-from drivers.errors import AbortError, DriveFaultError
+from drivers.errors import AbortError, DriveFaultError, NoAnswerError, ProtocolError
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave, served
@@ -134,6 +135,55 @@ def test_ours_keeps_the_axis_when_the_mode_is_set(rig: Rig) -> None:
         drive.set_mode(mode)
         assert drive.sample().state is ENABLED
         assert rig.servo.powered
+
+
+# -- p402: setters log and return, the check of the NMT state checks nothing ----------------------------------------------
+
+
+DEAF_TO_MODES = CanFault(CanFaultKind.MODE_STUCK)
+
+
+def test_the_librarys_setter_logs_a_mode_that_does_not_come_and_returns(caplog: pytest.LogCaptureFixture) -> None:
+    with _rig(DEAF_TO_MODES) as rig:
+        node = rig.foreign()
+        logging.getLogger("canopen").setLevel(logging.WARNING)
+        node.op_mode = "PROFILED VELOCITY"
+        assert "Timeout setting node 5's new mode" in caplog.text
+        assert rig.slave.dictionary.number(0x6061) == 0
+
+
+def test_ours_raises_for_a_mode_that_does_not_come() -> None:
+    with _rig(DEAF_TO_MODES) as rig, pytest.raises(ProtocolError, match="mode 3 was written, 6061h"):
+        rig.ours().set_mode(Mode.PROFILE_VELOCITY)
+
+
+def test_the_library_believes_the_state_it_has_commanded_itself() -> None:
+    """Nobody is on the bus, and its check for a state in which SDO works is passed all the same."""
+    network = canopen.Network()
+    network.connect(interface="virtual", channel=uuid.uuid4().hex)
+    try:
+        node = BaseNode402(NODE, str(EDS))
+        network.add_node(node)
+        node.sdo.RESPONSE_TIMEOUT = 0.02
+        node.nmt.state = "PRE-OPERATIONAL"
+        assert node.nmt.state == "PRE-OPERATIONAL"
+        with pytest.raises(canopen.SdoCommunicationError):
+            node.setup_402_state_machine()
+    finally:
+        network.disconnect()
+
+
+def test_ours_knows_no_state_that_it_has_not_heard() -> None:
+    clock = WallClock()
+    with CanLink.open(clock, interface="virtual", channel=uuid.uuid4().hex) as link:
+        monitor = NodeMonitor(link, NODE, "drive X")
+        monitor.command(NmtCommand.PRE_OPERATIONAL)
+        assert monitor.state is None
+        settings = CanOpenSettings(sdo_timeout_s=0.02)
+        scaling = AxisScaling(100_000, 10.0)
+        drive = CanOpenDrive("X", scaling, LIMITS, clock, link=link, node_id=NODE, settings=settings)
+        with pytest.raises(NoAnswerError, match="drive X"):
+            drive.open()
 
 
 # -- p402: a fault reset times out, and then enables -----------------------------------------------------------------------
