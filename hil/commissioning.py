@@ -9,13 +9,18 @@ from hil.diagnosis import Diagnosis, diagnose, fit_model
 from hil.iso230 import Iso230, iso230
 from hil.journal import Campaign
 from hil.manual import read_manual_tables, read_straightness
+from hil.probe_machine import ProbeMachineConfig, load_probe_machine
+from hil.probe_wiring import connected_probe, probe_bench
 from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.close_loop import Loop, close_loop
 from hil.procedures.doctor import Check, doctor
 from hil.procedures.events import Event
+from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
 from hil.procedures.verify import Verification, verify
 from hil.procedures.warm_up import warm_up
 from hil.records import Records, read_csv, to_csv
+from hil.runout import CorrectionCode, RunOut
+from hil.runout_store import RunOutStore
 from hil.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
 from hil.store import SealedStore
 from hil.tables import Band, TableMode, TableSet
@@ -28,27 +33,38 @@ __all__ = [
     "Campaign",
     "Check",
     "Compensation",
+    "CorrectionCode",
     "Diagnosis",
     "Event",
     "Iso230",
     "Loop",
     "Machine",
+    "ProbeMachineConfig",
     "Records",
+    "RunOut",
+    "RunOutStore",
     "SealedStore",
     "TableMode",
     "TableSet",
     "Verification",
     "calibrate",
+    "centre_bore",
     "close_loop",
     "connected",
+    "connected_probe",
+    "correct",
     "diagnose",
     "doctor",
     "fit_model",
     "iso230",
     "load_axis",
     "load_private_key",
+    "load_probe_machine",
     "load_public_key",
+    "measure_and_store",
+    "measure_run_out",
     "new_key",
+    "probe_bench",
     "read_csv",
     "read_manual_tables",
     "read_straightness",
