@@ -1,0 +1,104 @@
+"""The joint fit: table and terms together, what an instrument's effect leaves in the machine's table, declared terms as a prior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.campaigns import campaign, wavy
+
+from hil.diagnosis.campaign import prepare
+from hil.diagnosis.evidence import Noise
+from hil.diagnosis.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit
+from hil.effects import Action, Form, Term
+from hil.effects.air_index import AirIndex
+from hil.effects.cyclic import Cyclic
+from hil.effects.datum_step import DatumStep
+from hil.effects.velocity_lag import VelocityLag
+from hil.model import Model, PitchTable
+
+Array = np.ndarray
+SMOOTH = Noise(even=100.0, odd=30.0)
+
+
+def speeds(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    return {"velocity_mm_s": rng.choice([10.0, 30.0, 90.0], len(c["run"]))}
+
+
+def test_a_fitted_model_predicts_a_fresh_campaign_to_its_noise() -> None:
+    model = fit_model(campaign(wavy, runs=5))
+    fresh = campaign(wavy, seed=2)
+    left = fresh.uncorrected_error_um - model.error_um(fresh.columns)
+    assert np.sqrt(np.mean(left**2)) < 1.15 * 0.3
+    assert model.declared == ["pitch_table"]
+
+
+def test_terms_that_follow_each_other_are_estimated_together() -> None:
+    """Against least squares of table and both terms at once, written out."""
+    records = campaign(
+        lambda c: wavy(c) + 0.02 * c["direction"] * c["velocity_mm_s"] + np.where(c["time_s"] > 400.0, 1.5, 0.0),
+        sensors=speeds,
+    )
+    prepared = prepare(records)
+    setting = Setting.free(prepared)
+    lag = grid_choices(VelocityLag(), VelocityLag().forms(prepared.survey)[0])[0]
+    jump = next(c for c in grid_choices(DatumStep(), DatumStep().forms(prepared.survey)[0]) if c.theta[0] > 400.0)
+    fit = joint_fit(setting, SMOOTH, setting.error_um, [lag, jump])
+    table = setting.bench.table
+    wide = np.hstack([lag.columns(prepared), jump.columns(prepared), table.stacked])
+    ridge = np.concatenate([[0.0, 0.0], table.ridge(SMOOTH)])
+    expected = np.linalg.solve(wide.T @ wide + np.diag(ridge), wide.T @ setting.error_um)
+    got = [term.coefficients[0] for term in fit.found]
+    np.testing.assert_allclose(got, expected[:2], rtol=1e-4)
+    assert got == pytest.approx([0.02, 1.5], rel=0.2)
+
+
+def test_what_an_instrument_does_is_found_and_left_out_of_the_correction() -> None:
+    """The whole model holds it; the extended one, for the machine, predicts the errors as measured less its moving part."""
+    records = campaign(lambda c: wavy(c) + np.where(c["time_s"] > 300.0, 2.0, 0.0))
+    prepared = prepare(records)
+    setting = Setting.free(prepared)
+    jump = next(c for c in grid_choices(DatumStep(), DatumStep().forms(prepared.survey)[0]) if c.theta[0] > 300.0)
+    fit = joint_fit(setting, SMOOTH, setting.error_um, [jump])
+    assert jump.effect.action is not Action.COMPENSATE
+    assert [term.effect.id for term in fit.whole.terms] == ["datum_step"]
+    assert fit.extended.terms == ()
+    whole, machine = (model.error_um(prepared.columns) for model in (fit.whole, fit.extended))
+    assert np.std(setting.error_um - whole) < 0.35
+    assert np.mean(machine) == pytest.approx(np.mean(whole), abs=0.05)
+    before = prepared.columns["time_s"] <= 300.0
+    static = np.mean(np.where(before, 0.0, 2.0))
+    np.testing.assert_allclose((machine - whole)[before], static, atol=0.45)
+    np.testing.assert_allclose((machine - whole)[~before], static - 2.0, atol=0.45)
+
+
+@pytest.mark.parametrize(("std", "follows"), [(1e-5, False), (1.0, True)])
+def test_a_declared_term_moves_as_far_as_its_uncertainty_allows(std: float, follows: bool) -> None:
+    prepared = prepare(campaign(lambda c: wavy(c) + 0.03 * c["direction"] * c["velocity_mm_s"], sensors=speeds))
+    form: Form = VelocityLag().forms(prepared.survey)[0]
+    declared = Model(
+        PitchTable.of([0.0, 300.0], [0.0, 0.0], [0.0, 0.0]), (Term(VelocityLag(), form, (), (0.02,), ((std**2,),)),)
+    )
+    error_um = prepared.error_um - declared.terms[0].error_um(prepared.columns)
+    free = Setting.free(prepared)
+    setting = Setting(free.bench, error_um, Known.of(declared, prepared, 0.3))
+    moved = joint_fit(setting, SMOOTH, error_um, ()).whole.terms[0].coefficients[0]
+    assert moved == pytest.approx(0.03 if follows else 0.02, abs=0.003)
+
+
+def test_grid_steps_are_the_distance_to_the_nearest_neighbour() -> None:
+    prepared = prepare(campaign())
+    form = Cyclic().forms(prepared.survey)[0]
+    choices = grid_choices(Cyclic(), form)
+    logs = np.log([choice.theta[0] for choice in choices])
+    for i in (0, 1, len(choices) // 2, len(choices) - 1):
+        gaps = np.abs(np.delete(logs, i) - logs[i])
+        assert choices[i].steps[0] == pytest.approx(np.min(gaps))
+
+
+def test_a_prior_on_a_choice_is_that_of_its_parameters() -> None:
+    """None where nothing is known beforehand."""
+    prepared = prepare(campaign())
+    assert all(c.log_prior == 0.0 for c in grid_choices(Cyclic(), Cyclic().forms(prepared.survey)[0])[:3])
+    assert AirIndex().forms(prepared.survey) == ()
+    form = Form("cyclic", "fundamental", ("target_mm",))
+    assert Choice(Cyclic(), form, ()).log_prior == 0.0
