@@ -2,16 +2,21 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import pytest
 
+from drivers.clock import WallClock
 from drivers.drive import DriveState
-from drivers.errors import InputError
+from drivers.errors import CapabilityError, InputError
 from drivers.modbus.codec import Order, RegisterType
 from drivers.modbus.drive_map import Handshake
 from drivers.modbus.map_loader import load_drive_map, load_register_map
 from drivers.modbus.plan import Span, Table, WireCost, plan_reads
+from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Access, Memory, find_map, shipped_maps
+from drivers.modbus.touch_probe import ModbusTouchProbe
+from drivers.touch_probe import Edge
 
 HEAD = """\
 [map]
@@ -239,6 +244,59 @@ def test_a_drive_that_cannot_work_is_refused(write: Write, text: str, what: str)
     assert "\n" not in str(caught.value)
     assert caught.value.path == str(path)
     assert caught.value.line is not None or "unknown key" in what or "lacks the table" in what
+
+
+PROBE = """
+[[drive.touch_probe]]
+number = 1
+off = [{ register = "control", mask = 0x30, value = 0 }]
+on = [{ register = "control", mask = 0x10, value = 0x10 }]
+
+[drive.touch_probe.positive]
+arm = [{ register = "control", mask = 0x20, value = 0x20 }]
+latched = [{ register = "status", bit = "reached" }]
+position = "position"
+"""
+SIGNED = SMALL.replace('type = "u32"\nunit = "counts/s"', 'type = "i32"\nunit = "counts/s"')
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (SMALL + '[drive.run]\ntarget = "speed"\n', "drive.run.target is 'speed' of type u32, which has no sign"),
+        (SIGNED + '[drive.run]\ntarget = "speed"\n', "drive.run needs drive.velocity"),
+        (SMALL + '[drive.run]\ntarget = "position"\n', "expected a unit of counts/s, rpm, rev/s"),
+        (SMALL + '[drive.stream]\ntarget = "position"\n', "lacks least_period_s"),
+        (SMALL + '[drive.stream]\ntarget = "kept"\nleast_period_s = 0.01\n', "motion would wear it out"),
+        (SMALL + PROBE + PROBE, "has two probes of one number"),
+        (SMALL + PROBE.partition("[drive.touch_probe.positive]")[0], "expected at least one edge"),
+        (SMALL + PROBE.replace('position = "position"', 'position = "status"'), "expected a unit of counts, rev"),
+        (SMALL + PROBE.replace("latched", "latch"), "lacks latched"),
+        (SMALL + PROBE.replace("number = 1", "number = 0"), "expected the number of the input, 1 to 16"),
+    ],
+)
+def test_runs_streams_and_probes_that_cannot_work_are_refused(write: Write, text: str, what: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_drive_map(write(text))
+    assert what in str(caught.value)
+    assert caught.value.line is not None
+
+
+def test_a_probe_that_latches_one_edge_once_says_what_it_cannot_do(write: Write) -> None:
+    probes = load_drive_map(write(SMALL + PROBE)).probes
+    assert [(probe.number, list(probe.edges), probe.continuous) for probe in probes] == [(1, [Edge.POSITIVE], ())]
+    access = cast("RegisterAccess", None)  # refused before anything is asked of it
+
+    class Off(ModbusTouchProbe):
+        def _switch_off(self, probe: int) -> None: ...
+
+    probe = Off("X", WallClock(), probes, access, lambda _raw, _name: 0.0)
+    with pytest.raises(CapabilityError, match="touch probe 1 does not latch negative edges"):
+        probe.arm(1, [Edge.NEGATIVE])
+    with pytest.raises(CapabilityError, match="does not latch each edge, only the next one"):
+        probe.arm(1, [Edge.POSITIVE], continuous=True)
+    with pytest.raises(InputError, match="expected probe 1 and at least one edge"):
+        probe.arm(2, [Edge.POSITIVE])
 
 
 def test_the_small_drive_is_read_as_written(write: Write) -> None:
