@@ -89,3 +89,24 @@ def test_the_model_corrects_fresh_records_down_to_the_noise(
     for part in (str(model), "'coolant_level'", "--effects FILE.py"):
         assert part in error
     assert not out.exists()
+
+
+def test_it_can_be_declared_to_be_there(measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Fitted beside the table without a search; another effect, and one that is never corrected, are refused."""
+    model, fresh, out = tmp_path / "declared.json", tmp_path / "fresh.csv", tmp_path / "out.csv"
+    argv = ["fit", str(measured), "--out", str(model), "--with"]
+    assert main([*argv, "coolant_level", "--effects", str(OWN)]) == 0
+    assert "Each mm of coolant in the tank moves the table by 0.0" in capsys.readouterr().out
+    fresh.write_text(to_csv(campaign(2)))
+    assert main(["apply", "--model", str(model), str(fresh), "--out", str(out), "--effects", str(OWN)]) == 0
+    assert np.std(read_csv(out)["residual_um"]) < 1.25 * NOISE_UM
+    for name, expected in (
+        ("coolant_level", "--with coolant_level: there is no such effect; there are cyclic, "),
+        ("dead_path", "effect dead_path is never corrected (fix-setup)"),
+        ("velocity_lag", "these records cannot show velocity_lag: a column is missing"),
+    ):
+        capsys.readouterr()
+        assert main([*argv, name]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert expected in error
