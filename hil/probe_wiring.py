@@ -181,7 +181,7 @@ def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) 
 
 
 def _virtual(name: str, axis: DriveAxis, bench: ProbeBench, number: int) -> ServoDrive:
-    settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
+    settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2, home_position_mm=0.0)
     servo = bench.servos[name]
     drive = VirtualDrive(servo, axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
     bench.clock.attach(lambda now_ns, _dt_s: drive.probe.tick(now_ns), bearable=servo.bearable)
@@ -191,10 +191,11 @@ def _virtual(name: str, axis: DriveAxis, bench: ProbeBench, number: int) -> Serv
 
 
 def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:
-    """What such a drive's builder sets up: encoder, direct gear, a quick stop as hard as any move."""
+    """What such a drive's builder sets up: encoder, direct gear, a quick stop as hard as any move, homing on its switch."""
     counts = axis.scaling.encoder_counts_per_motor_rev
     ramp = axis.scaling.motor_counts_per_s(axis.limits.max_acceleration_mm_s2)
-    return {(0x608F, 1): counts, (0x608F, 2): 1, (0x6092, 1): counts, (0x6092, 2): 1, (0x6085, 0): ramp}
+    units = {(0x608F, 1): counts, (0x608F, 2): 1, (0x6092, 1): counts, (0x6092, 2): 1}
+    return {**units, (0x6085, 0): ramp, (0x6098, 0): 21, (0x6099, 1): 2 * counts, (0x6099, 2): counts // 10}
 
 
 def _on_can(name: str, axis: DriveAxis, bench: ProbeBench, number: int, stack: ExitStack) -> ServoDrive:

@@ -21,7 +21,7 @@ _PATIENT_NS = 60_000_000_000
 
 @dataclass(frozen=True)
 class AxisOfBench:
-    """A servo's units (mm, or degrees for a spindle), its limit switches and where it stands at first."""
+    """A servo's units (mm, or degrees for a spindle), its travel and where it stands at first. The home switch is at 0."""
 
     scaling: AxisScaling
     low: float
@@ -40,7 +40,7 @@ class AxisOfBench:
             positive_limit_counts=high + 1.0 * counts,
             negative_stop_counts=low - 1.5 * counts,
             positive_stop_counts=high + 1.5 * counts,
-            home_switch_counts=low - 0.5 * counts,
+            home_switch_counts=0.0,
         )
 
 
