@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
+from contract import test_effects as suite
 from support import bench_axis
 
 import hil.examples.coolant_level as example
@@ -172,6 +174,50 @@ def test_a_sealed_store_that_holds_one_is_read_with_its_file_alone(
         assert error.count("\n") == 1
     assert main([*verb, "--effects", str(OWN)]) == 2
     assert "holds the effects coolant_level" in capsys.readouterr().err
+
+
+FAULTS = {
+    "looks at the rows to come": (
+        'level = columns[LEVEL] - form.constants["mean_mm"]',
+        "level = columns[LEVEL] - np.mean(columns[LEVEL])",
+        "test_it_reads_only_what_it_says_and_only_the_past",
+    ),
+    "reads what it does not name": (
+        'Form(self.id, "with position", (LEVEL, "target_mm"), constants)',
+        'Form(self.id, "with position", (LEVEL,), constants)',
+        "test_it_reads_only_what_it_says_and_only_the_past",
+    ),
+    "grows without end": (
+        "return level[:, None]",
+        "return np.exp(1e3 * level)[:, None]",
+        "test_its_basis_is_finite_and_of_one_width_over_its_whole_grid",
+    ),
+    "names no figure": (
+        "moves the table by {term.coefficient(0)} µm {where}.",
+        "moves the table {where}.",
+        "test_it_survives_the_model_file_and_says_what_it_is",
+    ),
+    "names no column": (
+        "COLUMNS = {LEVEL: 120.0}",
+        "COLUMNS = {}",
+        "test_it_shows_in_a_rich_campaign_and_names_its_rivals",
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_contract_suite_finds_what_is_wrong_with_a_file(fault: str, tmp_path: Path) -> None:
+    right, wrong, check = FAULTS[fault]
+    assert TEXT.count(right) == 1
+    for text, good in ((TEXT, True), (TEXT.replace(right, wrong), False)):
+        (subject,) = suite.subjects([str(own(tmp_path, text))])
+        arguments = [(subject, form) for form in subject.effect.forms(subject.survey)]
+        if check == "test_it_shows_in_a_rich_campaign_and_names_its_rivals":
+            arguments = [(subject,)]
+        with nullcontext() if good else pytest.raises((AssertionError, KeyError)):
+            for each in arguments:
+                getattr(suite, check)(*each)
 
 
 @pytest.fixture
