@@ -18,7 +18,7 @@ from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import BLIND
 from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.fit import joint_fit
-from hil.diagnosis.held_out import HeldOut, earns_its_place, held_out
+from hil.diagnosis.held_out import ONCE, HeldOut, earns_its_place, held_out
 from hil.diagnosis.judge import SURE
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.select import structure_rms
@@ -34,8 +34,6 @@ Floats = NDArray[np.float64]
 TEMPERATURE = 2.0
 """Log odds between effects are divided by this before they become confidences: no form is exactly right."""
 LEAST_CONFIDENCE = 0.02
-ONCE = frozenset({"datum_step", "beam_drift"})
-"""What happens once cannot be asked to help on a run left out."""
 OUTSIDE = "unexplained"
 """Stands among the rivals for a dependence on other columns that no effect of the catalogue has."""
 
@@ -101,7 +99,8 @@ def _notes(
 def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
     """Without the terms that do not help on runs left out; whether the structure found does; the effects dropped."""
     last = chosen.last
-    kept = tuple(c for c in last.choices if c.effect.id in ONCE or earns_its_place(left_out.gain[c.effect.id]))
+    sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(SURE))}
+    kept = tuple(c for c in last.choices if c.effect.id in sure or earns_its_place(left_out.gain[c.effect.id]))
     hits = [hit for selected in chosen.selections for hit in selected.hits]
     unexplained = bool(hits) and (max(hit.gain for hit in hits) > SURE or earns_its_place(left_out.structure))
     unexplained = unexplained or last.memory is not None

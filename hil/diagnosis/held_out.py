@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 MOST_FOLDS = 5
 TRIMMED = 5
+ONCE = frozenset({"datum_step", "beam_drift"})
+"""What happens once cannot be asked to help on a run left out."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +91,16 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
 def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:
     """By effect, the squared error of the rows left out that it takes away, µm², with its parameters found again on the others.
 
-    A campaign of few runs hardly lets an effect be chosen again without one of them; whether it predicts that run is asked here.
+    Beside what happens once, which nothing can predict, each run is taken about its own mean. A campaign of few runs hardly lets an
+    effect be chosen again without one of them; whether it predicts that run is asked here.
     """
     campaign = problem.campaign
     columns = {name: values[out] for name, values in campaign.columns.items()}
     whole = selected.searcher
     searcher = Searcher(whole.setting, whole.candidates, out, LIGHT)
     searcher.nuisance = whole.nuisance
+    once = any(choice.effect.id in ONCE for choice in selected.choices)
+    run = (campaign.run[out][:, None] == np.unique(campaign.run[out])).astype(np.float64)
     refound = list(selected.choices)
     for i, choice in enumerate(refound):
         view = View(searcher, [*refound[:i], *refound[i + 1 :]])
@@ -103,7 +108,10 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
 
     def left(choices: Sequence[Choice]) -> float:
         model = searcher.fit(choices, selected.noise, uncertain=False).whole
-        return float(np.sum((campaign.error_um[out] - model.error_um(columns)) ** 2))
+        rest = campaign.error_um[out] - model.error_um(columns)
+        if once:
+            rest = rest - run @ np.linalg.lstsq(run, rest, rcond=None)[0]
+        return float(np.sum(rest**2))
 
     everything = left(refound)
     names = dict.fromkeys(choice.effect.id for choice in refound)

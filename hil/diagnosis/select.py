@@ -25,7 +25,7 @@ MOST_STRUCTURES = 3
 KEEP = 6.0
 """Log Bayes factor a term must still bring beside an unexplained structure."""
 REPLACE = 6.0
-"""Log odds by which a structure of other columns must beat a term to take its place."""
+"""Log odds by which a structure of other columns must beat a term to take its place; for several terms their share of it."""
 SHAPE = 0.35
 """A structure of an effect's own columns, smaller than this share of the effect, is the effect's shape, not another cause."""
 OUTGROWN = 0.7
@@ -50,6 +50,16 @@ class Selected:
     shapes: tuple[Hit, ...] = ()
     foreign: dict[str, float] = field(default_factory=dict)
     memory: Memory | None = None
+
+    def beyond(self, log_odds: float) -> set[str]:
+        """Effects that were taken with more than these log odds."""
+        return {
+            r.effect
+            for stage in self.stages
+            if stage.taken
+            for i, r in enumerate(stage.ranking)
+            if (r.effect == stage.about or (i == 0 and not stage.about)) and r.evidence - stage.before > log_odds
+        }
 
 
 def select(
@@ -137,9 +147,9 @@ def _foreign(
             gains = np.where(stranger, score(frame, catalogue.stack(frame.whitened)).gain, -np.inf)
             top = int(np.argmax(gains))
             total = searcher.evidence(rest, trial) + float(gains[top])
-            if total > worth + REPLACE and total > base + REPLACE:
+            if total > worth + REPLACE / len(group) and total > base + REPLACE:
                 ranking = searcher.rank(rest, noise)
-                if ranking and ranking[0].evidence > total - REPLACE:
+                if ranking and ranking[0].evidence > max(total - REPLACE, worth):
                     return odds, rest, Stage(base, ranking, True)
                 return odds, rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0)
             best = max(best, total)
