@@ -1,0 +1,74 @@
+"""An axis file for measuring backlash by torque on the bench, for every face its drive can have, and the machine behind it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import hil.wiring
+from sim_backends.bench import Bench, BenchParameters
+
+PARAMETERS = {
+    "virtual": "",
+    "canopen": 'parameter = "2201h"\nacceleration = "2202h"\nparameter_um = 0.01\n',
+    "modbus-tcp": 'parameter = "backlash"\nacceleration = "backlash_quick"\nparameter_um = 0.01\n',
+}
+"""What the axis file says of the drive's parameters; a count of the bench is 10 nm."""
+FACES = {
+    "virtual": 'face = "virtual"\n',
+    "canopen": 'face = "canopen"\n',
+    "modbus-tcp": 'face = "modbus-tcp"\nregister_map = "vendor_style"\n',
+}
+
+TEXT = """
+[axis]
+name = "X"
+travel_min_mm = -2.0
+travel_max_mm = 502.0
+max_velocity_mm_s = 200.0
+max_acceleration_mm_s2 = 1000.0
+
+[scaling]
+encoder_counts_per_motor_rev = 1_000_000
+feed_mm_per_shaft_rev = 10.0
+
+[drive]
+backend = "bench"
+machine = "worn"
+{face}
+[backlash]
+reference_plus_mm = 5.0
+reference_minus_mm = 5.0
+travel_velocity_mm_s = 100.0
+{backlash}
+"""
+
+QUICK = "step_um = 2.0\nsettle_s = 0.03\nreadings = 2\n"
+"""For tests of anything but the accuracy."""
+
+
+def lay_out(directory: Path, face: str = "virtual", backlash: str = QUICK) -> Path:
+    """Write axis.toml into a directory; its path."""
+    path = directory / "axis.toml"
+    path.write_text(TEXT.format(face=FACES[face], backlash=PARAMETERS[face] + backlash), encoding="utf-8")
+    return path
+
+
+class BenchBehind:
+    """The bench that a verb or `connected_drive` built last."""
+
+    bench: Bench
+
+
+def look_behind(monkeypatch: pytest.MonkeyPatch) -> BenchBehind:
+    """Catch the benches that are built from now on."""
+    seen = BenchBehind()
+
+    class SeenBench(Bench):
+        def __init__(self, parameters: BenchParameters | None = None, *, wait_for_arrival: bool = True) -> None:
+            super().__init__(parameters, wait_for_arrival=wait_for_arrival)
+            seen.bench = self
+
+    monkeypatch.setattr(hil.wiring, "Bench", SeenBench)
+    return seen
