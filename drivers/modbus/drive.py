@@ -18,15 +18,15 @@ from drivers.errors import (
     CapabilityError,
     DriveFaultError,
     MotionTimeoutError,
-    NoAnswerError,
     ProtocolError,
     StateError,
     TransportError,
 )
 from drivers.modbus.codec import Raw
-from drivers.modbus.drive_map import FAULTS, Condition, DriveMap, HomingMap, Transition, Write, all_hold
+from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, Transition, all_hold
 from drivers.modbus.drive_units import from_counts, to_counts, to_percent
 from drivers.modbus.link import ModbusLink
+from drivers.modbus.orders import POLL_S, Orders, hold
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.stream import ModbusStream
@@ -35,12 +35,10 @@ from drivers.modbus.wear import WearLedger
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 
-POLL_S = 0.005
 _BOOT_S = 5.0  # how long a drive may be not ready to switch on
 _LOOKS = 50  # at a position that does not change, before an axis is believed to be at rest
 
 StateTest = Callable[[DriveState], bool]
-Evidence = Callable[[], bool]
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class ModbusDrive(ServoDrive):
         self._homing = False
         self._move: _Move | None = None
         self._running = False  # at a velocity that stands in the drive
-        self._found: dict[str, Raw] = {}  # settings as they were before we changed them
+        self.orders = Orders(name, self.access, clock, lambda: self._state().value)
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
@@ -93,7 +91,7 @@ class ModbusDrive(ServoDrive):
         self._open = True
         try:
             self._homed, self._homing, self._move, self._running = None, False, None, False
-            self._found = {}
+            self.orders.forget()
             self.sample()
         except BaseException:
             self._open = False
@@ -112,17 +110,12 @@ class ModbusDrive(ServoDrive):
             except BridgeError:
                 self.quick_stop()
                 raise
-            self._restore()
+            self.orders.put_back()
         except TransportError:
             pass  # the link is dead: there is nobody left to tell
         finally:
             self._open = False
             self.link.close()
-
-    def _restore(self) -> None:
-        if self._found:
-            self.access.write(self._found)
-            self._found = {}
 
     def _require_open(self) -> None:
         if not self._open:
@@ -187,20 +180,13 @@ class ModbusDrive(ServoDrive):
 
     def _state_of(self, raw: dict[str, Raw]) -> DriveState:
         for rule in self.map.states:
-            if self._holds((rule.condition,), raw):
+            if hold((rule.condition,), raw):
                 return rule.state
         shown = ", ".join(
             f"{name} {whole(raw[name], name):#x}"
             for name in dict.fromkeys(rule.condition.register for rule in self.map.states)
         )
         raise ProtocolError(f"drive {self.name}: {shown} is no state that its register map knows")
-
-    @staticmethod
-    def _holds(conditions: tuple[Condition, ...], raw: dict[str, Raw]) -> bool:
-        return all_hold(
-            conditions,
-            {condition.register: whole(raw[condition.register], condition.register) for condition in conditions},
-        )
 
     def _counts(self, raw: dict[str, Raw], name: str) -> float:
         return to_counts(raw[name], self.registers[name], self.scaling.encoder_counts_per_motor_rev)
@@ -218,7 +204,7 @@ class ModbusDrive(ServoDrive):
 
     def _reached(self, raw: dict[str, Raw]) -> bool:
         move = self.map.move
-        if not self._holds(move.reached, raw):
+        if not hold(move.reached, raw):
             return False
         if self._move is None or move.window is None:
             return True
@@ -232,12 +218,12 @@ class ModbusDrive(ServoDrive):
 
     def _look_at_homing(self, raw: dict[str, Raw]) -> None:
         homing = self.map.homing
-        if homing is None or not self._holds(homing.applies, raw):
+        if homing is None or not hold(homing.applies, raw):
             return
-        if self._homing and homing.failed and self._holds(homing.failed, raw):
+        if self._homing and homing.failed and hold(homing.failed, raw):
             self._homing, self._homed = False, False
             raise DriveFaultError(f"drive {self.name}: homing failed", self._fault_code(raw))
-        attained = self._holds(homing.attained, raw)
+        attained = hold(homing.attained, raw)
         if attained:
             self._homing = False
         self._homed = attained
@@ -255,7 +241,7 @@ class ModbusDrive(ServoDrive):
         elif state is DriveState.QUICK_STOP:
             self._await_standstill()  # the way out of a quick stop may lead through power off
         self._end_run()
-        self._set_mode(self.map.move.mode, self.map.move.mode_shown, self.map.move.timeout_s)
+        self.orders.set_mode(self.map.move.mode, self.map.move.mode_shown, self.map.move.timeout_s)
         for _ in range(len(self.map.enable) + 1):
             state = self._state()
             if state is DriveState.ENABLED:
@@ -286,8 +272,7 @@ class ModbusDrive(ServoDrive):
         if state in FAULTS or not any(state in transition.sources for transition in self.map.disable):
             return  # nothing is powered
         if state is DriveState.ENABLED:
-            for write in self.map.halt:
-                self.access.command(write)
+            self.orders.give(self.map.halt)
         if state in (DriveState.ENABLED, DriveState.QUICK_STOP):
             self._await_standstill()
         self._end_run()
@@ -329,8 +314,7 @@ class ModbusDrive(ServoDrive):
         if state not in FAULTS:
             return
         transition = self._transition_from(self.map.reset_fault, state, "reset the fault")
-        for write in transition.writes:
-            self.access.command(write)
+        self.orders.give(transition.writes)
         try:
             self._await_state("reset", lambda now: now in transition.targets, transition.timeout_s)
         except MotionTimeoutError as error:
@@ -350,8 +334,7 @@ class ModbusDrive(ServoDrive):
         raise StateError(f"drive {self.name} cannot {verb} from {state.value}")
 
     def _walk(self, transition: Transition, verb: str, *, fault_ends: bool = False) -> None:
-        for write in transition.writes:
-            self.access.command(write)
+        self.orders.give(transition.writes)
         state = self._await_state(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,
@@ -378,10 +361,10 @@ class ModbusDrive(ServoDrive):
         self._move = None
         self._end_run()
         self._release_homing(homing)
-        self._set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
+        self.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
         self._homed = False
-        self._commands(homing.start, "homing", homing.timeout_s, lambda: False)
-        self._await(homing.accepted, "homing to be taken up", homing.timeout_s)
+        self.orders.start(homing.start, "homing", homing.timeout_s)
+        self.orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s)
         self._homing = True
         # an "attained" of the last time may stand until the drive has looked at the order
         deadline = self.clock.deadline(homing.timeout_s)
@@ -393,8 +376,7 @@ class ModbusDrive(ServoDrive):
         return all_hold(homing.applies, raw) and all_hold(homing.attained, raw)
 
     def _release_homing(self, homing: HomingMap) -> None:
-        for write in homing.release:
-            self.access.command(write)
+        self.orders.give(homing.release)
 
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         move = self.map.move
@@ -404,19 +386,17 @@ class ModbusDrive(ServoDrive):
         values = self._profile(target_counts, velocity_mm_s)  # refused here, before anything is written
         self._leave_homing(raw)
         self._end_run()
-        self._set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
-        if not self._hold_now(move.idle, raw):
-            for write in move.release:
-                self.access.command(write)
-            self._await(move.idle, "set-point hand-shake to be idle", move.timeout_s)
+        self.orders.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
+        if not self.orders.hold_now(move.idle, raw):
+            self.orders.give(move.release)
+            self.orders.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
         try:
             self.access.write(values)
             self._move = _Move(start_counts, target_counts)
-            self._commands(move.start, "move", move.timeout_s, lambda: not self._reached_now())
-            self._await(move.accepted, "new target to be accepted", move.timeout_s)
-            for write in move.release:
-                self.access.command(write)
-            self._await(move.released, "set-point hand-shake to end", move.timeout_s)
+            self.orders.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
+            self.orders.wait_for(move.accepted, "new target to be accepted", move.timeout_s)
+            self.orders.give(move.release)
+            self.orders.wait_for(move.released, "set-point hand-shake to end", move.timeout_s)
             self._await_departure(velocity_mm_s)
         except BaseException:
             with suppress(BridgeError):  # it may be moving, and nobody watches a move that was never confirmed
@@ -443,7 +423,7 @@ class ModbusDrive(ServoDrive):
 
     def _settings(self, wanted: dict[str, float]) -> dict[str, Raw]:
         """Speeds and ramps in counts -> raw, after noting what stood there."""
-        self._remember(tuple(wanted))
+        self.orders.remember(tuple(wanted))
         return {name: self._raw(self._at_least_one_step(name, counts), name) for name, counts in wanted.items()}
 
     def _at_least_one_step(self, name: str, counts: float) -> float:
@@ -466,10 +446,10 @@ class ModbusDrive(ServoDrive):
         self.access.write(self._settings(ramps))
         if not self._running:
             self._write_no_velocity()  # what is left there from before must not come to life with the mode
-        self._set_mode(run.mode, run.mode_shown, run.timeout_s)
+        self.orders.set_mode(run.mode, run.mode_shown, run.timeout_s)
         self._running = True
         try:
-            self._commands(run.start, "velocity run", run.timeout_s, lambda: False)
+            self.orders.start(run.start, "velocity run", run.timeout_s)
             self.access.write(target)
         except BaseException:
             with suppress(BridgeError):  # it may be running
@@ -500,8 +480,8 @@ class ModbusDrive(ServoDrive):
         self._end_run()
         self._leave_homing(self.access.read(self.map.sampled()))
         self._write_here(stream.target)
-        self._set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
-        self._commands(stream.start, "stream", stream.timeout_s, lambda: False)
+        self.orders.set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
+        self.orders.start(stream.start, "stream", stream.timeout_s)
 
     def send_set_point(self, position_load_mm: float) -> None:
         """For `ModbusStream`: the next set-point."""
@@ -512,7 +492,7 @@ class ModbusDrive(ServoDrive):
     def end_stream(self) -> None:
         """For `ModbusStream`: back to the mode of moves, held where it is."""
         self._target_here()
-        self._set_mode(self.map.move.mode, self.map.move.mode_shown, self.map.move.timeout_s)
+        self.orders.set_mode(self.map.move.mode, self.map.move.mode_shown, self.map.move.timeout_s)
 
     # -- what stands beside the motion -----------------------------------------------------------------------------------
     def _touch_probe(self) -> ModbusTouchProbe:
@@ -531,64 +511,12 @@ class ModbusDrive(ServoDrive):
         """By the names of the register map."""
         return self._parameters
 
-    def _remember(self, names: tuple[str, ...]) -> None:
-        """Note what stood there before we write it for the first time."""
-        new = [name for name in names if name not in self._found and self.registers[name].readable]
-        if new:
-            self._found.update(self.access.read(new))
-
     def _leave_homing(self, raw: dict[str, Raw]) -> None:
         """A homing order that still stands would come to life again, or be taken for a new set-point."""
         homing = self.map.homing
         self._homing = False
-        if homing is not None and homing.applies and self._holds(homing.applies, raw):
+        if homing is not None and homing.applies and hold(homing.applies, raw):
             self._release_homing(homing)
-
-    def _hold_now(self, conditions: tuple[Condition, ...], raw: dict[str, Raw]) -> bool:
-        """From values just read where they are among them."""
-        if all(condition.register in raw for condition in conditions):
-            return self._holds(conditions, raw)
-        return all_hold(conditions, self.access.of_conditions(conditions))
-
-    def _set_mode(
-        self,
-        writes: tuple[Write, ...],
-        shown: tuple[Condition, ...],
-        timeout_s: float,
-        raw: dict[str, Raw] | None = None,
-    ) -> None:
-        """Change the mode of operation and see it confirmed; does nothing when it is already shown."""
-        if not writes or (shown and self._hold_now(shown, raw or {})):
-            return
-        self._remember(tuple(write.register for write in writes if write.mask is None))
-        for write in writes:
-            self.access.command(write)
-        self._await(shown, "change of mode", timeout_s)
-
-    def _commands(self, writes: tuple[Write, ...], what: str, timeout_s: float, taken: Evidence) -> None:
-        """Start something. Where a start bit went unanswered and cannot be read back, what the axis does is the evidence."""
-        for write in writes:
-            try:
-                self.access.command(write)
-            except NoAnswerError as error:
-                if not self._becomes(taken, timeout_s):
-                    raise NoAnswerError(f"drive {self.name}: start of {what} is in doubt: {error}") from error
-
-    def _becomes(self, test: Evidence, timeout_s: float) -> bool:
-        deadline = self.clock.deadline(timeout_s)
-        while not test():
-            if deadline.expired:
-                return False
-            self.clock.sleep_s(POLL_S)
-        return True
-
-    def _await(self, conditions: tuple[Condition, ...], what: str, timeout_s: float) -> None:
-        if not conditions:
-            return
-        if not self._becomes(lambda: all_hold(conditions, self.access.of_conditions(conditions)), timeout_s):
-            raise MotionTimeoutError(
-                f"drive {self.name}: {what} not within {timeout_s:g} s, it is {self._state().value}"
-            )
 
     def _reached_now(self) -> bool:
         return self._reached(self.access.read(self.map.sampled()))
@@ -604,7 +532,7 @@ class ModbusDrive(ServoDrive):
         way_counts = abs(move.target_counts - move.start_counts)
         way_mm = abs(self.scaling.load_mm(way_counts))
         longest_s = way_mm / velocity_mm_s + 2.0 * velocity_mm_s / self.limits.max_acceleration_mm_s2 + 0.05
-        if way_counts <= self._window_counts() or self._becomes(
+        if way_counts <= self._window_counts() or self.orders.becomes(
             lambda: not self._reached_now(), min(longest_s, self.map.move.timeout_s)
         ):
             return
