@@ -1,0 +1,173 @@
+"""`hil backlash` as a user types it, on the bench."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.backlash_axis import QUICK, lay_out
+
+from drivers.errors import LinkLostError
+from hil.backlash_settings import TableSetting
+from hil.cli.main import main
+from sim_backends.virtual_drive import VirtualDrive
+
+Until = Callable[[Callable[[], bool], str], None]
+
+
+def test_measure_report_json_and_our_own_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axis, out, page = lay_out(tmp_path), tmp_path / "out.json", tmp_path / "out.html"
+    assert main(["backlash", str(axis), "--json", str(out), "--report", str(page), "--write"]) == 0
+    found = json.loads(out.read_text())
+    assert found["good"] is True
+    assert abs(found["fitted"]["mean_um"] - 53.0) <= found["fitted"]["u95_um"]
+    assert found["lost_motion_um"] == found["fitted"]["mean_um"]
+    assert found["lost_motion_um"] == pytest.approx(sum(found["by_direction_um"].values()) / 2.0)
+    assert {one["direction"] for one in found["reversals"]} == {-1, 1}
+    assert all(one["four_sample_um"] is not None for one in found["reversals"])
+    assert found["parameters"]["before"] == {"the bridge's own table": 0.0}
+    table = tmp_path / "X-campaign" / "backlash.json"
+    assert json.loads(table.read_text())["backlash_um"] == found["parameters"]["written"]
+    assert found["parameters"]["written"] == pytest.approx(found["lost_motion_um"], abs=0.051)
+
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") == 1
+    for words in ("+ → −", "− → +", "peak by the four-sample rule", "lost motion ± U95", "the table breaks away"):
+        assert words in text
+    assert not re.search(r"(src|href)=\"https?:", text)
+    embedded = re.search(r'id="data-run-1-minus-plus">(.*?)</script>', text)
+    assert embedded is not None
+    columns = json.loads(embedded[1])["columns"]
+    assert columns["travel_um"][0] == 0
+    assert len(columns["torque_1_percent"]) == len(columns["torque_2_percent"]) == len(columns["travel_um"])
+
+    rows = [json.loads(line) for line in (tmp_path / "X-campaign/backlash-001.jsonl").read_text().splitlines()]
+    assert [(row["run"], row["direction"]) for row in rows] == [(1, -1), (1, 1)]
+    assert "± " in capsys.readouterr().out
+
+
+def test_a_dry_run_touches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axis = lay_out(tmp_path, "canopen")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["backlash", str(axis), "--dry-run", "--write"]) == 0
+    assert sorted(tmp_path.rglob("*")) == before
+    plan = capsys.readouterr().out
+    assert "2201h and 2202h would be 0" in plan
+    assert "from 4.5 mm to 5 mm, turn back, and go in steps of 2 µm, to 3.8 mm at most" in plan
+    assert "take the place" in plan
+
+
+def test_detection_limit_exceeded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axis, out = lay_out(tmp_path, backlash=QUICK + "steps = 20\n"), tmp_path / "out.json"
+    TableSetting(tmp_path / "X-campaign" / "backlash.json").write(12.5)
+    assert main(["backlash", str(axis), "--json", str(out), "--write"]) == 1
+    found = json.loads(out.read_text())
+    assert found["detection_limit_exceeded"] is True
+    assert found["lost_motion_um"] is None
+    assert found["parameters"]["written"] is None
+    assert TableSetting(tmp_path / "X-campaign" / "backlash.json").read() == 12.5
+    assert not (tmp_path / "X-campaign" / "backlash-before.json").exists()
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (
+        "detection limit exceeded: + → − shows no break-away within 40 µm (20 steps); everything is as it was" in shown
+    )
+
+
+def test_restore_puts_back_what_was_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axis, table = lay_out(tmp_path), TableSetting(tmp_path / "X-campaign" / "backlash.json")
+    assert main(["backlash", str(axis), "--restore"]) == 0
+    assert "nothing to put back" in capsys.readouterr().out
+    table.write(0.0)
+    (tmp_path / "X-campaign" / "backlash-before.json").write_text(json.dumps({table.name: 31.5}))
+    assert main(["backlash", str(axis), "--restore"]) == 0
+    assert table.read() == 31.5
+    assert not (tmp_path / "X-campaign" / "backlash-before.json").exists()
+
+
+def test_a_lost_link_is_one_line_and_what_is_not_put_back_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis = lay_out(tmp_path)
+    looks = iter(range(10_000))
+    sample, write = VirtualDrive.sample, TableSetting.write
+
+    def lost(drive: VirtualDrive) -> object:
+        if next(looks) > 200:
+            raise LinkLostError("CAN adapter unplugged")
+        return sample(drive)
+
+    def refused(setting: TableSetting, value: float) -> None:
+        if next(looks) > 200:
+            raise LinkLostError("CAN adapter unplugged")
+        write(setting, value)
+
+    monkeypatch.setattr(VirtualDrive, "sample", lost)
+    monkeypatch.setattr(TableSetting, "write", refused)
+    assert main(["backlash", str(axis)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert "not put back: the bridge's own table was 0" in lines[0]
+    assert lines[1] == "hil: CAN adapter unplugged"
+
+
+@pytest.mark.parametrize(
+    ("face", "backlash", "words"),
+    [
+        ("virtual", "acceleration = '2202h'\n", "[backlash] names acceleration without parameter"),
+        ("canopen", "runs = 0\n", "axis.toml:25: [backlash] runs is 0, expected a whole number, 1 to 100"),
+    ],
+)
+def test_a_wrong_axis_file_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str, backlash: str, words: str
+) -> None:
+    assert main(["backlash", str(lay_out(tmp_path, face, backlash))]) == 2
+    assert words in capsys.readouterr().err
+    assert not list((tmp_path).rglob("*.jsonl"))
+
+
+@pytest.mark.parametrize("parameter", ["6040h", "607Ah", "1010h:01"])
+def test_an_object_that_moves_the_axis_is_refused_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], parameter: str
+) -> None:
+    path = lay_out(tmp_path, "canopen")
+    path.write_text(path.read_text().replace('"2201h"', f'"{parameter}"'))
+    assert main(["backlash", str(path)]) == 2
+    assert f"{parameter} is no parameter of backlash; nothing was written" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until: Until) -> None:
+    axis, folder = lay_out(tmp_path), tmp_path / "X-campaign"
+    TableSetting(folder / "backlash.json").write(12.5)
+    command = [sys.executable, "-m", "hil.cli", "backlash", str(axis), "--runs", "100"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    kept = folder / "backlash-001.jsonl"
+    until(lambda: kept.exists() and kept.read_text().count("\n") >= 2, "two reversals measured")
+    assert TableSetting(folder / "backlash.json").read() == 0.0, "out of force while it is measured"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == "hil: interrupted; the axis was stopped, what was measured is kept\n"
+    assert TableSetting(folder / "backlash.json").read() == 12.5
+    assert not (folder / "backlash-before.json").exists()
+    assert all(json.loads(line)["position_load_mm"] for line in kept.read_text().splitlines())
+
+
+@pytest.mark.slow
+def test_the_example_runs_as_it_is_shipped(tmp_path: Path) -> None:
+    shipped = Path(__file__).parents[2] / "hil/examples/backlash_axis.toml"
+    axis = tmp_path / "axis.toml"
+    axis.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
+    command = [sys.executable, "-m", "hil.examples.backlash", str(axis)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "LC_ALL": "C.UTF-8"})
+    assert (done.returncode, done.stderr) == (0, "")
+    found = re.search(r"lost motion ([\d.]+) ± ([\d.]+) µm", done.stdout)
+    assert found is not None
+    assert abs(float(found[1]) - 53.0) <= float(found[2])
