@@ -17,18 +17,18 @@ NOISE_UM = 0.4
 
 
 def campaign(seed: int) -> Records:
-    """5 runs of 32 rows on a wavy axis whose bed bends, more and more slowly, under a tank that is pumped up and down."""
+    """5 runs of 24 rows on a wavy axis whose bed bends, more and more slowly, under a tank that is pumped up and down."""
     rng = np.random.default_rng(seed)
     rows: dict[str, list[float]] = {
         name: [] for name in ("run", "direction", "target_mm", "measured_mm", "time_s", "coolant_level_mm")
     }
     time_s, phase = 0.0, rng.uniform(0.0, 6.0)
     for run in range(1, 6):
-        for step in range(32):
+        for step in range(24):
             time_s += 6.0
-            direction = 1.0 if step < 16 else -1.0
-            place = step if step < 16 else 31 - step
-            target = 30.0 * place + rng.uniform(-9.0, 9.0) + 10.0
+            direction = 1.0 if step < 12 else -1.0
+            place = step if step < 12 else 23 - step
+            target = 40.0 * place + rng.uniform(-12.0, 12.0) + 10.0
             level = 120.0 + 35.0 * np.sin(2 * np.pi * time_s / 210.0 + phase) + rng.normal(0.0, 1.0)
             bend_um = 4.0 * np.tanh((level - 110.0) / 100.0)
             error_um = 4.0 * np.sin(target / 90.0) - 2.5 * (direction < 0) + bend_um + rng.normal(0.0, NOISE_UM)
