@@ -1,0 +1,128 @@
+"""`hil probe` as a user types it, on the bench."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import runpy
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import probe_files
+
+from hil.cli.main import main
+from hil.sealed import Cost, new_key, save_private_key, save_public_key
+
+QUICK = "touch_mm_s = 20.0\nposition_mm_s = 50.0"
+SEED = "[bench]\nseed = 4"
+TRUE_X_UM, TRUE_Y_UM = -63.49, -16.63  # of that seed, as the verb itself says of the simulated machine
+
+
+def machine(tmp_path: Path, **more: Any) -> Path:
+    return probe_files.lay_out(
+        tmp_path, **{"start_mm": 102.6, "search_mm": 1.0, "probe": QUICK, "block": "turns = 1", "more": SEED, **more}
+    )
+
+
+def form(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+def test_measure_correct_and_centre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = machine(tmp_path), tmp_path / "out.json"
+    assert main(["probe", "measure", str(path), "--json", str(out), "--report", str(tmp_path / "r.html")]) == 0
+    said = capsys.readouterr().out
+    assert f"simulated     Δx {TRUE_X_UM:+.2f} µm, Δy {TRUE_Y_UM:+.2f} µm, tip radius 1.9894 mm" in said
+    found = form(out)
+    assert (found["good"], found["mode"], found["refused"]) == (True, "latch", None)
+    assert 1000 * found["run_out"]["x_mm"] == pytest.approx(TRUE_X_UM, abs=1.0)
+    assert 1000 * found["run_out"]["y_mm"] == pytest.approx(TRUE_Y_UM, abs=1.0)
+    assert form(tmp_path / "mill-probe/runout.json")["x_mm"] == found["run_out"]["x_mm"]
+    page = (tmp_path / "r.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert page.count("<svg") == 2
+
+    assert main(["probe", "correct", str(path), "--code", "M91", "--json", str(out)]) == 0
+    assert form(out)["driven_mm"] == pytest.approx([found["run_out"]["x_mm"], 0.0])
+
+    assert main(["probe", "centre", str(path), "--json", str(out), "--report", str(tmp_path / "c.html")]) == 0
+    said = capsys.readouterr().out
+    true = [float(word) for word in said.split("simulated")[1].replace(",", " ").split()[2:7] if word[0].isdigit()]
+    assert form(out)["centre_mm"] == pytest.approx(true, abs=1e-3)
+    assert form(out)["middle_mm"] != pytest.approx(true, abs=10e-3)
+    assert "Diameter" in (tmp_path / "c.html").read_text()
+
+
+def test_a_refused_measurement_is_status_1_and_changes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = machine(tmp_path, block="turns = 1\nclosure_limit_um = 0.000001"), tmp_path / "out.json"
+    assert main(["probe", "measure", str(path), "--json", str(out)]) == 1
+    assert "refused: the contacts do not close: N0 + N180 =" in capsys.readouterr().out
+    assert form(out)["good"] is False
+    assert "N90 + N270" in form(out)["refused"]
+    assert [entry.name for entry in (tmp_path / "mill-probe").iterdir()] == ["history.csv"]
+
+
+def test_on_a_schedule_in_simulated_time(tmp_path: Path) -> None:
+    path = machine(tmp_path)
+    assert main(["probe", "measure", str(path), "--every", "30", "--times", "3"]) == 0
+    with (tmp_path / "mill-probe/history.csv").open() as lines:
+        rows = list(csv.DictReader(lines))
+    times = [datetime.fromisoformat(row["time"]) for row in rows]
+    waits = [(later - first).total_seconds() for first, later in itertools.pairwise(times)]
+    assert waits == pytest.approx([1800.0, 1800.0], abs=1.0)
+
+
+@pytest.mark.slow
+def test_sealed_values_need_the_builders_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = machine(tmp_path, more=SEED + "\n[store]\nsealed = true")
+    key = new_key()
+    save_private_key(tmp_path / "builder.key", key, "builder", cost=Cost(n=1 << 10, r=8, p=1))
+    save_public_key(tmp_path / "builder.pub", key.public_key())
+    monkeypatch.setenv("HIL_PASSWORD", "reading")
+    monkeypatch.setenv("HIL_KEY_PASSWORD", "wrong")
+    assert main(["probe", "measure", str(path)]) == 2
+    assert not (tmp_path / "mill-probe").exists()
+    monkeypatch.setenv("HIL_KEY_PASSWORD", "builder")
+    assert main(["probe", "measure", str(path)]) == 0
+    assert [entry.name for entry in sorted((tmp_path / "mill-probe").iterdir())] == ["history.csv", "runout.sealed"]
+    assert main(["probe", "correct", str(path), "--code", "M93", "--dry-run"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["correct", "--code", "M91"], "runout.json: cannot be read"),
+        (["centre"], "runout.json: cannot be read"),
+        (["measure", "--times", "3"], "--times needs --every"),
+    ],
+)
+def test_what_cannot_be_done_is_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    path = machine(tmp_path)
+    assert main(["probe", arguments[0], str(path), *arguments[1:]]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_dry_run_says_what_would_move_and_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = machine(tmp_path)
+    assert main(["probe", "measure", str(path), "--dry-run", "--mode", "step"]) == 0
+    said = capsys.readouterr().out
+    assert "would feed x by up to 1 mm in + direction at 20 mm/s, contact by pulses of 1 µm" in said
+    assert not (tmp_path / "mill-probe").exists()
+
+
+@pytest.mark.slow
+def test_the_example_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    examples = Path(__file__).parents[2] / "hil/examples"
+    for name in ("probe_machine.toml", "probe_x.toml", "probe_y.toml", "probe_spindle.toml"):
+        text = (examples / name).read_text().replace('face = "canopen"', 'face = "virtual"')
+        (tmp_path / name).write_text(text)
+    module = runpy.run_path(str(examples / "measure_probe.py"))
+    assert module["main"](str(tmp_path / "probe_machine.toml")) == 0
+    assert (tmp_path / "mill-probe/runout.json").exists()

@@ -1,0 +1,73 @@
+"""The same procedure over CANopen and Modbus: the same contacts as without a wire, and what a drive cannot do said before it moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support import probe_files
+
+from drivers.errors import CapabilityError
+from hil.probe_machine import load_probe_machine
+from hil.probe_wiring import connected_probe, probe_bench
+from hil.procedures.probe_runout import centre_bore, measure_run_out
+from hil.runout import CorrectionCode
+from sim_backends.plant.touch_probe import Bore, Face, Stylus
+from sim_backends.probe import ProbeParameters
+
+STYLUS = Stylus(2.0, (0.008, -0.004))
+TRUTH = ProbeParameters(STYLUS, (Face((105.0, 40.0, 0.0)), Bore((50.05, 59.98, 0.0), 2.5)))
+FAST = "velocity_deg_s = 360.0"
+
+
+def lay_out(tmp_path: Path, drive: str, mode: str, **more: str) -> Path:
+    """Close to the face by pulses, each of which takes several requests."""
+    start_mm, search_mm = (102.98, 0.05) if mode == "step" else (102.6, 1.0)
+    path = probe_files.lay_out(tmp_path, drive=drive, start_mm=start_mm, search_mm=search_mm, block="turns = 1", **more)
+    path.write_text(
+        path.read_text().replace("velocity_deg_s = 180.0", FAST).replace("reach_mm = 8.0", "reach_mm = 1.5")
+    )
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["latch", "step"])
+@pytest.mark.parametrize("drive", [probe_files.CANOPEN, probe_files.MODBUS], ids=["canopen", "modbus"])
+def test_the_same_contacts_as_without_a_wire(tmp_path: Path, drive: str, mode: str) -> None:
+    found = []
+    for face in (probe_files.VIRTUAL, drive):
+        config = load_probe_machine(lay_out(tmp_path, face, mode))
+        bench = probe_bench(config, TRUTH)
+        with connected_probe(config, mode=mode, bench=bench) as session:
+            found.append(measure_run_out(session))
+        assert not any(servo.powered for servo in bench.servos.values())
+    without, over = found
+    assert over.feeds == without.feeds
+    error_um = [1000 * (a - b) for a, b in zip((over.run_out.x_mm, over.run_out.y_mm), STYLUS.offset_mm, strict=True)]
+    assert max(map(abs, error_um)) <= 1.0
+    assert over.run_out.tip_radius_mm == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_bore_is_centred_over_canopen(tmp_path: Path) -> None:
+    config = load_probe_machine(lay_out(tmp_path, probe_files.CANOPEN, "latch"))
+    with connected_probe(config, bench=probe_bench(config, TRUTH)) as session:
+        known = measure_run_out(session).run_out
+    bench = probe_bench(config, TRUTH, in_bore=True)
+    with connected_probe(config, touching=("x", "y"), bench=bench) as session:
+        centre_bore(session, known, CorrectionCode.M93)
+    assert (bench.place("x"), bench.place("y")) == pytest.approx((50.05, 59.98), abs=1e-3)
+
+
+def test_a_drive_that_neither_latches_nor_shows_the_signal_is_refused_before_it_moves(tmp_path: Path) -> None:
+    config = load_probe_machine(lay_out(tmp_path, probe_files.VENDOR, "latch", spindle_drive=probe_files.VIRTUAL))
+    bench = probe_bench(config, TRUTH)
+    with pytest.raises(CapabilityError, match="drive X cannot do: touch probe; nothing was moved, expected mode step"):
+        connected_probe(config, bench=bench).__enter__()
+    bench = probe_bench(config, TRUTH)
+    with (
+        pytest.raises(CapabilityError, match="its register map has no register digital_inputs"),
+        connected_probe(config, mode="step", bench=bench),
+    ):
+        pass
+    assert bench.place("x") == pytest.approx(config.block.start_mm)
