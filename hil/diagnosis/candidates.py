@@ -5,6 +5,7 @@ What may go in: enumeration and scoring of fixed columns. Refinement of the non-
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -46,7 +47,12 @@ class Blocks:
 
     @classmethod
     def of_choices(cls, choices: Sequence[Choice], campaign: Campaign) -> Blocks:
-        blocks = cls.of([choice.columns(campaign) for choice in choices], len(campaign))
+        parts: list[Floats] = []
+        for _, same in itertools.groupby(choices, lambda choice: (id(choice.effect), id(choice.form))):
+            group = list(same)
+            wide = group[0].effect.bases(group[0].form, [choice.theta for choice in group], campaign.columns)
+            parts.extend(np.split(wide, len(group), axis=1))
+        blocks = cls.of(parts, len(campaign))
         shrunk = np.array([choice.form.shrunk for choice in choices], dtype=np.bool_)
         return replace(blocks, shrunk=shrunk, log_prior=np.array([choice.log_prior for choice in choices]))
 

@@ -198,9 +198,9 @@ class Searcher:
         return self._enriched(view, ranked)
 
     def _rough(self, view: View, noise: Noise) -> list[Ranked]:
-        """The best grid point of each form, under the noise as fitted and under white noise."""
+        """The best grid point of each form, under the noise as fitted and, where the search is thorough, under white noise."""
         found: dict[int, Ranked] = {}
-        for trial in dict.fromkeys((noise, noise.calm())):
+        for trial in dict.fromkeys((noise, noise.calm()) if self.effort.correlations else (noise,)):
             frame = view.frame(trial)
             gains = score(frame, self.candidates.stack(frame.whitened)).gain
             for key, index in enumerate(self.candidates.forms):

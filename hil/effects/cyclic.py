@@ -81,6 +81,12 @@ class Cyclic(Effect):
             return np.column_stack([sine, cosine, d * sine, d * cosine])
         raise KeyError(form.name)
 
+    def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
+        if form.name != FUNDAMENTAL:
+            return super().bases(form, thetas, columns)
+        angle = columns["target_mm"][:, None] * (2 * np.pi / np.array(thetas)[:, 0])
+        return np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(len(angle), -1)
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"period_mm": term.nonlinear(0), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
         if term.form.name == HARMONICS:

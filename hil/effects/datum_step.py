@@ -35,6 +35,9 @@ class DatumStep(Effect):
             raise KeyError(form.name)
         return (columns[form.inputs[0]] > theta[0]).astype(np.float64)[:, None]
 
+    def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
+        return (columns[form.inputs[0]][:, None] > np.array(thetas)[:, 0]).astype(np.float64)
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         unit = "rows" if term.form.inputs[0] == "row_order" else "s"
         return {"step_um": term.coefficient(0), f"moment_{unit}": term.nonlinear(0)}
