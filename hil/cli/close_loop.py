@@ -12,20 +12,26 @@ from hil.cli.axis_options import add_axis_arguments, add_password_options, open_
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
 from hil.cli.summary import error_figures, print_findings, print_stages
+from hil.diagnosis.planned_run import PlannedRun
 from hil.files import replace_file
 from hil.journal import Campaign
-from hil.procedures.close_loop import Loop, close_loop
+from hil.procedures.close_loop import MOST_RUNS, Consent, Loop, Turn, close_loop
 from hil.procedures.conditions import AskedConditions, Conditions
 from hil.procedures.explore import Exploration
 from hil.procedures.measure import bidirectional_steps
+from hil.procedures.next_run import runs_of
+from hil.procedures.plans import read_plan
 from hil.wiring import connected
 
 EXAMPLE = """\
 example:
   hil close-loop X.toml --report loop.html
   hil close-loop X.toml --resume
+  hil close-loop X.toml --plan plan.csv --person none
 
-Exit status 1: structure is left that nothing in the catalogue explains, or the axis came out no better.
+Where two causes could have made what is left, the measurement that tells them apart best for its time is made next: by itself
+where the axis can, after asking where somebody has to lend a hand. Exit status 1: structure is left that nothing in the
+catalogue explains, a measurement is waiting for a person, or the axis came out no better.
 """
 
 
@@ -45,6 +51,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--warm-up", metavar="S", type=float, default=240.0, help="mean seconds of strokes, or rest, between runs"
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    parser.add_argument(
+        "--plan", metavar="PLAN.csv", help="explore by this plan (`hil campaign design`) instead of --runs and --rows"
+    )
+    parser.add_argument(
+        "--person",
+        choices=("ask", "none"),
+        help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
+    )
     add_password_options(parser, key=True)
     parser.set_defaults(run=run)
 
@@ -52,23 +66,38 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """0: what is left is within the noise or explained; 1: not."""
     axis = load_axis(args.axis)
+    plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
     if args.dry_run:
         steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
         print_dry_run(axis, steps, [f"rows below {axis.store.directory}", str(axis.tables_path)])
-        print(
-            f"then twice {args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each"
+        rows = (
+            f"the {sum(len(part.steps) for part in plan)} rows of {args.plan}"
+            if plan
+            else (f"{args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each")
         )
+        print(f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart")
         return 0
     store = open_store(args, axis, writing=True)
     how = Exploration(args.runs, args.rows, args.warm_up)
-    purpose = {**axis.purpose("close-loop"), "exploration": vars(how)}
+    exploration = vars(how) if plan is None else {"plan": repr(plan)}
+    purpose = {**axis.purpose("close-loop"), "exploration": exploration}
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
     with connected(axis, conditions=_asked(axis)) as machine, terminal_progress() as listener:
         machine.session.prepare()
-        loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, how=how)
+        loop = close_loop(
+            machine.session,
+            campaign,
+            axis.correction,
+            store.save,
+            listener,
+            how=how,
+            consent=_consent(args.person),
+            plan=plan,
+        )
     stages = loop_stages(loop)
     print_stages(stages)
     print_findings(loop.turn.diagnosis)
+    print_runs(loop.turn)
     if args.report:
         from hil.cli.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
 
@@ -76,7 +105,14 @@ def run(args: argparse.Namespace) -> int:
     good = loop_is_good(loop)
     if args.json:
         write_json(
-            args.json, {"axis": axis.name, "stages": stages, "diagnosis": loop.turn.diagnosis.to_json(), "good": good}
+            args.json,
+            {
+                "axis": axis.name,
+                "stages": stages,
+                "diagnosis": loop.turn.diagnosis.to_json() if loop.turn.follow is None else loop.turn.follow.to_json(),
+                "further": [run.describe() for run in loop.turn.further],
+                "good": good,
+            },
         )
     return 0 if good else 1
 
@@ -95,6 +131,36 @@ def _asked(axis: AxisConfig) -> Conditions | None:
     return AskedConditions(levels, ask)
 
 
+def _consent(person: str | None) -> Consent | None:
+    """Asks on the terminal whether a run that needs a person shall be made; None where nobody is there."""
+    if person == "none" or (person is None and not sys.stdin.isatty()):
+        return None
+
+    def ask(run: PlannedRun) -> bool:
+        print(f"next measurement: {run.describe()}", file=sys.stderr)
+        try:
+            return input("make it now? [y/N] ").strip().lower() in ("y", "yes")
+        except EOFError:
+            return False
+
+    return ask
+
+
+def print_runs(turn: Turn) -> None:
+    """Which measurements the loop asked for, what is still undecided, and what would decide it."""
+    for run in turn.further:
+        print(f"measured to tell causes apart: {run.describe()}")
+    follow = turn.follow
+    if follow is None:
+        return
+    for finding in follow.diagnosis.findings:
+        if finding.effect in follow.undecided:
+            for rival in finding.rivals:
+                print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
+    if follow.run is not None:
+        print(f"next measurement, not made: {follow.run.describe()}")
+
+
 def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
     """The measured stages of a loop with their figures."""
     return {
@@ -106,7 +172,8 @@ def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
 
 
 def loop_is_good(loop: Loop) -> bool:
-    """Everything found, and the axis measured no worse than before."""
+    """Everything found, no measurement left that needs a person, and the axis measured no worse than before."""
     before, after = error_figures(loop.turn.before)["rms_um"], error_figures(loop.turn.after)["rms_um"]
     diagnosis = loop.turn.diagnosis
-    return not diagnosis.unexplained and bool(after <= max(before, 2 * diagnosis.noise_floor.value))
+    waits = loop.turn.follow is not None and loop.turn.follow.run is not None and bool(loop.turn.follow.run.person)
+    return not diagnosis.unexplained and not waits and bool(after <= max(before, 2 * diagnosis.noise_floor.value))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 
 from drivers.errors import InputError
+from hil.axis import load_axis
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import add_json_option, print_facts, print_table, write_json
 from hil.cli.records_input import add_records_argument, read_model, read_records
 from hil.diagnosis import Diagnosis, diagnose
+from hil.diagnosis.follow_up import follow_up, means_of_records
 from hil.files import replace_file
 from hil.user_effects import blaming, check_on
 
@@ -36,6 +38,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--model", metavar="MODEL", help="the declared model (`hil fit`); default: fitted from the records"
     )
     parser.add_argument("--out", metavar="EXTENDED", help="write the extended model; `hil apply` uses it")
+    parser.add_argument(
+        "--axis", metavar="AXIS.toml", help="the axis file: its pitch decides where the next measurement looks"
+    )
     add_effects_option(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)
@@ -52,12 +57,21 @@ def run(args: argparse.Namespace) -> int:
             diagnosis = diagnose(records, declared, effects=effects)
         except InputError as error:
             raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+        means = means_of_records(records, _pitches(args.axis))
+        follow = follow_up(diagnosis, records, declared, means, effects=effects)
     if args.out:
         replace_file(args.out, diagnosis.extended.to_json().encode("utf-8"))
     if args.json:
-        write_json(args.json, diagnosis.to_json())
-    print_diagnosis(diagnosis)
+        write_json(args.json, follow.to_json())
+    print_diagnosis(follow.diagnosis)
+    if follow.run is not None:
+        print(f"next measurement: {follow.run.describe()}; then diagnose both files together")
     return 1 if diagnosis.unexplained else 0
+
+
+def _pitches(axis: str | None) -> tuple[float, ...]:
+    """Lengths at which the mechanics of an axis repeat."""
+    return () if axis is None else (load_axis(axis).scaling.feed_mm_per_shaft_rev,)
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:

@@ -27,6 +27,7 @@ VERBS = (
     "backlash",
     "probe",
     "close_loop",
+    "campaign",
     "diagnose",
     "fit",
     "apply",

@@ -160,7 +160,8 @@ class _Maker:
             points += self.there_and_back(targets, 1, (column, level), first=index)
         load = column == "load_kg"
         what, unit = ("load", "kg") if load else (f"axis {column.removeprefix('pos_').removesuffix('_mm')}", "mm")
-        words = f"measure by turns with {what} at {usual:g} {unit} and at {other:g} {unit}"
+        as_it_was = f"as it was (write {usual:g} {unit} where it is not known)" if column in self.means.assumed else ""
+        words = f"measure by turns with {what} {as_it_was or f'at {usual:g} {unit}'} and at {other:g} {unit}"
         person, wait_min = "", 0.0
         if column not in self.means.by_itself:
             person = f"somebody has to bring {what} to {other:g} {unit}, back to {usual:g} {unit}, and there again"

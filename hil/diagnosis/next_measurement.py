@@ -29,7 +29,7 @@ LEAST = 0.02
 """Weight below which a cause no longer counts as a rival."""
 ENOUGH = 30.0
 """Discrimination Σ(f₁ - f₂)²/σ² beyond which a cause is as good as told from another; more of it is worth nothing."""
-WORTHLESS = 3.0
+WORTHLESS = 6.0
 """Discrimination below which a run does not tell a pair apart."""
 
 

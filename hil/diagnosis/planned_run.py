@@ -22,6 +22,7 @@ class Means:
 
     low_mm, high_mm: outermost targets; feed_mm_s: of positioning; reading_s: at rest for each row; overrun_mm: beyond a turn
     levels: column -> values it can be set to, the usual one first; by_itself: columns that no person has to set
+    assumed: columns whose usual level nobody wrote down, so that the one here only stands for it
     sensors: columns that are read already; mountable: sensors and changes of the set-up that a person can be asked for
     feeds_mm_s: at which positions can be captured in motion; none where the axis is read at rest only
     """
@@ -34,6 +35,7 @@ class Means:
     targets: int = 13
     levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     by_itself: frozenset[str] = frozenset()
+    assumed: frozenset[str] = frozenset()
     sensors: frozenset[str] = frozenset()
     mountable: frozenset[str] = frozenset({"thermometers", "air", "abbe_offset_mm", "setup"})
     feeds_mm_s: tuple[float, ...] = ()
@@ -48,7 +50,8 @@ class Means:
 class Point:
     """One row to be measured: reached in a direction, after a turn `overrun_mm` beyond it where the axis has to turn.
 
-    strokes_s, rest_s: fast strokes, or standing still, just before it; levels: column -> what it is set to
+    strokes_s, rest_s: fast strokes, or standing still, just before it; feed_mm_s: how fast it is approached, None as usual
+    dwell_s: standing still at it before the usual dwell; levels: column -> what it is set to
     """
 
     run: int
@@ -58,6 +61,8 @@ class Point:
     strokes_s: float = 0.0
     rest_s: float = 0.0
     levels: tuple[tuple[str, float], ...] = ()
+    feed_mm_s: float | None = None
+    dwell_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,9 +103,9 @@ def motion_columns(points: Sequence[Point], means: Means, *, start_s: float = 0.
             if way:
                 if way * heading < 0:
                     stroke, turned_at, heading = abs(here - turned_at), here, -heading
-                now += abs(way) / means.feed_mm_s
+                now += abs(way) / (point.feed_mm_s or means.feed_mm_s)
                 here = stop
-        now += means.reading_s
+        now += means.reading_s + point.dwell_s
         rows.append((point.run, point.direction, point.target_mm, now, abs(here - turned_at), stroke, point.strokes_s))
     names = ("run", "direction", "target_mm", "time_s", "since_reversal_mm", "stroke_mm", "strokes_s")
     columns = {

@@ -39,13 +39,16 @@ BASE_COLUMNS = (
 class Step:
     """One capture: arrive at a target in a direction.
 
-    overrun_mm: how far beyond the target the axis turns before it; None is the session's
+    overrun_mm: how far beyond the target the axis turns before it; feed_mm_s: how fast it comes; None is the session's
+    dwell_s: standing still before the session's own dwell
     """
 
     run: int
     direction: int
     target_mm: float
     overrun_mm: float | None = None
+    feed_mm_s: float | None = None
+    dwell_s: float = 0.0
 
 
 def bidirectional_steps(targets_mm: Sequence[float], runs: int) -> list[Step]:
@@ -95,7 +98,9 @@ def measure(
         listener(Event(name, done=done, total=len(steps)))
         for index, step in enumerate(steps[done:], start=done):
             _approach(session, step)
-            command = session.move_to(step.target_mm)
+            command = session.move_to(step.target_mm, step.feed_mm_s)
+            if step.dwell_s:
+                session.watch(step.dwell_s)
             reading = session.read_position()
             journal.append(_row(step, command, reading, session.known(), columns))
             listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps)))

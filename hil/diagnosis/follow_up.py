@@ -1,0 +1,174 @@
+"""A diagnosis with its rivals in full: those the records show, those that hide in them, and the measurement for each.
+
+What may go in: the way from a diagnosis to the next measurement and back. What the causes weigh is `hypotheses`, what a run is worth
+`next_measurement`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.diagnosis.next_measurement import Outlook, Prospect, outlook
+from hil.diagnosis.planned_run import Means, PlannedRun
+from hil.diagnosis.result import Diagnosis, Finding, RivalFound
+from hil.effects import ALL, Effect
+from hil.model import Model
+from hil.records import Records
+
+MOST_ROWS = 3000
+"""Rows beyond which runs are left out of the weighing: rivals differ in form, not in what many more rows would add."""
+MOST_FINDINGS = 3
+USUAL_LOAD_KG, USUAL_STEP_MM = 50.0, 100.0
+ALONE_MIN = "no measurement that this axis can make tells the two apart"
+
+
+@dataclass(frozen=True)
+class FollowUp:
+    """diagnosis: with all rivals and what separates them; finding, prospect: what is asked next and why, None when nothing is.
+
+    undecided: effects of the findings that still have rivals
+    """
+
+    diagnosis: Diagnosis
+    finding: Finding | None
+    prospect: Prospect | None
+    undecided: tuple[str, ...]
+
+    @property
+    def run(self) -> PlannedRun | None:
+        return None if self.prospect is None else self.prospect.run
+
+    def to_json(self) -> dict[str, Any]:
+        """The object of the contract, and the run that is asked for under `next_measurement` (null when none is)."""
+        return {**self.diagnosis.to_json(), "next_measurement": self._asked()}
+
+    def _asked(self) -> dict[str, Any] | None:
+        if self.prospect is None or self.finding is None:
+            return None
+        run = self.prospect.run
+        return {
+            "name": run.name,
+            "what": run.describe(),
+            "for": self.finding.effect,
+            "rows": len(run.points),
+            "minutes": round(run.minutes, 1),
+            "person": run.person or None,
+            "adds": list(run.adds),
+            "tells_apart": [
+                {"effects": list(pair), "discrimination": round(value, 1)}
+                for pair, value in self.prospect.pairs.items()
+            ],
+        }
+
+
+def follow_up(
+    diagnosis: Diagnosis,
+    records: Records,
+    declared: Model | None,
+    means: Means,
+    *,
+    effects: Sequence[Effect] = ALL,
+    persons: bool = True,
+    made: Sequence[str] = (),
+    seed: int = 0,
+) -> FollowUp:
+    """Weigh the rivals of each finding, and choose the next measurement for the first that has any.
+
+    declared, effects: as the diagnosis had them; persons: whether somebody can be asked; made: runs made already
+    """
+    if not diagnosis.findings:
+        return FollowUp(diagnosis, None, None, ())
+    sample = thinned(records)
+    findings: list[Finding] = []
+    asked: tuple[Finding, Prospect] | None = None
+    undecided: list[str] = []
+    for index, finding in enumerate(diagnosis.findings):
+        if index >= MOST_FINDINGS:
+            findings.append(finding)
+            continue
+        beside = [other.term for other in diagnosis.findings if other is not finding]
+        try:
+            look = outlook(
+                sample, declared, means, effects=effects, beside=beside, persons=persons, made=made, seed=seed
+            )
+        except InputError:  # too few rows to weigh anything
+            findings.append(finding)
+            continue
+        findings.append(_with_rivals(finding, look))
+        if findings[-1].rivals and not look.decided:
+            undecided.append(finding.effect)
+        if asked is None and look.best is not None:
+            asked = findings[-1], look.best
+    told = replace(diagnosis, findings=tuple(findings))
+    if asked is None:
+        return FollowUp(told, None, None, tuple(undecided))
+    return FollowUp(told, asked[0], asked[1], tuple(undecided))
+
+
+def _with_rivals(finding: Finding, look: Outlook) -> Finding:
+    """The finding with the weight of its effect and of every other cause that is left, and what would separate them."""
+    weights = {cause.id: cause.weight for cause in look.rivals}
+    if finding.effect not in weights:
+        return finding
+    known = {rival.effect: rival for rival in finding.rivals}
+    rivals = []
+    for name, weight in weights.items():
+        if name == finding.effect:
+            continue
+        best = look.best_for(finding.effect, name)
+        said = known[name].separate_by if name in known else _catalogue_says(finding, name)
+        rivals.append(RivalFound(name, weight, best.run.describe() if best is not None else said or ALONE_MIN))
+    rivals += [rival for name, rival in known.items() if name not in weights]
+    return replace(finding, confidence=min(finding.confidence, weights[finding.effect]), rivals=tuple(rivals))
+
+
+def _catalogue_says(finding: Finding, rival: str) -> str:
+    return next((known.separate_by for known in finding.term.effect.rivals if known.effect == rival), "")
+
+
+def thinned(records: Records) -> Records:
+    """Whole runs, evenly over the campaign, as many as are needed."""
+    if len(records) <= MOST_ROWS or len(records.runs) < 2:
+        return records if len(records) <= MOST_ROWS else records.where(np.arange(len(records)) < MOST_ROWS)
+    runs = records.runs
+    wanted = max(2, MOST_ROWS * len(runs) // len(records))
+    return records.of_runs({runs[int(i)] for i in np.linspace(0, len(runs) - 1, wanted)})
+
+
+def means_of_records(records: Records, pitches_mm: tuple[float, ...] = ()) -> Means:
+    """What can be said of an axis from its records alone: where it goes, how long a row takes, what was read and what was set."""
+    low, high = float(np.min(records.target_mm)), float(np.max(records.target_mm))
+    seconds = np.diff(records["time_s"]) if "time_s" in records else np.zeros(0)
+    seconds = seconds[np.isfinite(seconds) & (seconds > 0)]
+    per_row = float(np.median(seconds)) if len(seconds) else 6.0
+    feed = 50.0
+    way = float(np.median(np.abs(np.diff(records.target_mm))) if len(records) > 1 else 0.0)
+    levels: dict[str, tuple[float, ...]] = {}
+    assumed: set[str] = set()
+    others = [name for name in records.columns if name.startswith("pos_") and name.endswith("_mm")] or ["pos_y_mm"]
+    for name in ("load_kg", *others):
+        values = records[name][np.isfinite(records[name])] if name in records else np.zeros(0)
+        step = USUAL_LOAD_KG if name == "load_kg" else USUAL_STEP_MM
+        usual = float(values[0]) if len(values) else step
+        if not len(values):
+            assumed.add(name)
+        levels[name] = (usual, usual + step)
+    speeds = np.abs(records["velocity_mm_s"]) if "velocity_mm_s" in records else np.zeros(1)
+    fast = float(np.nanmax(speeds)) if np.any(np.isfinite(speeds)) else 0.0
+    return Means(
+        low,
+        high,
+        feed_mm_s=feed,
+        reading_s=max(per_row - way / feed, 1.0),
+        targets=int(min(len(np.unique(np.round(records.target_mm, 2))), 21)),
+        levels=levels,
+        assumed=frozenset(assumed),
+        sensors=frozenset(name for name, values in records.columns.items() if np.all(np.isfinite(values))),
+        feeds_mm_s=(fast, fast / 2, fast / 4) if fast > 0 else (),
+        pitches_mm=pitches_mm,
+    )

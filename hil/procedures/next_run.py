@@ -1,0 +1,61 @@
+"""Making the measurement that a diagnosis asks for, on the machine: what the axis can do, and a planned run as steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.diagnosis.planned_run import Means, PlannedRun, Point
+from hil.journal import Campaign
+from hil.procedures.conditions import AskedConditions
+from hil.procedures.events import Listener, silent
+from hil.procedures.explore import Run, explore
+from hil.procedures.measure import Step
+from hil.procedures.session import AxisSession
+from hil.records import Records
+
+SET_UP = frozenset({"abbe_offset_mm", "setup"})
+"""Changes of the optics that a person can be asked for while the axis is connected; new sensors cannot be read by then."""
+
+
+def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
+    """What an axis can do: its session's targets and times, its conditions, the sensors it reads."""
+    how, conditions = session.how, session.conditions
+    asked = isinstance(conditions, AskedConditions)
+    levels = {name: tuple(float(v) for v in values) for name, values in conditions.levels.items() if name not in SET_UP}
+    return Means(
+        min(how.targets_mm),
+        max(how.targets_mm),
+        feed_mm_s=how.velocity_mm_s,
+        reading_s=how.dwell_s + how.reading_s,
+        overrun_mm=how.overrun_mm,
+        targets=min(len(how.targets_mm), 21),
+        levels=levels,
+        by_itself=frozenset() if asked else frozenset(levels),
+        sensors=frozenset(session.known()),
+        mountable=SET_UP if asked else frozenset(),
+        pitches_mm=pitches_mm,
+    )
+
+
+def runs_of(points: Sequence[Point]) -> list[Run]:
+    """Planned rows as parts of a campaign: a new part wherever something is set, the axis is warmed, or it rests."""
+    runs: list[Run] = []
+    steps: list[Step] = []
+    first = points[0]
+    for point in points:
+        step = Step(
+            point.run, point.direction, point.target_mm, point.overrun_mm, point.feed_mm_s, dwell_s=point.dwell_s
+        )
+        if steps and (point.strokes_s or point.rest_s or point.levels != first.levels):
+            runs.append(Run(tuple(steps), first.strokes_s, first.rest_s, first.levels))
+            steps, first = [], point
+        steps.append(step)
+    runs.append(Run(tuple(steps), first.strokes_s, first.rest_s, first.levels))
+    return runs
+
+
+def measure_run(
+    session: AxisSession, campaign: Campaign, name: str, run: PlannedRun, listener: Listener = silent
+) -> Records:
+    """Measure a planned run with the compensation now in force."""
+    return explore(session, campaign, name, runs_of(run.points), listener)
