@@ -50,7 +50,7 @@ class BacklashConfig:
         return self.reference_mm[0] if direction < 0 else self.reference_mm[1]
 
     def start_mm(self, direction: int) -> float:
-        """Where the way to that reversal begins."""
+        """Where the way to that reversal begins, reached from the reversal itself."""
         return self.turning_mm(direction) + direction * self.run_in_mm
 
     def end_mm(self, direction: int) -> float:

@@ -25,6 +25,7 @@ class BacklashCompensation:
         self._accelerated: Callable[[], bool] = lambda: False
         self._direction = 0
         self._turn_counts: float | None = None  # the furthest place in the present direction
+        self._largest_counts = 0.0  # ever asked for: an amount that was taken away leaves at the same rate
         self.added_counts = 0.0
 
     def follow(self, amount: Callable[[], float], accelerated: Callable[[], bool]) -> None:
@@ -37,7 +38,8 @@ class BacklashCompensation:
         amount = self._amount()
         if moving and (amount or self.added_counts):
             wanted = amount if self._direction > 0 else 0.0
-            most = max(amount, abs(self.added_counts)) * dt_s / (QUICK_S if self._accelerated() else SLOW_S)
+            self._largest_counts = max(self._largest_counts, amount)
+            most = self._largest_counts * dt_s / (QUICK_S if self._accelerated() else SLOW_S)
             self.added_counts += max(-most, min(most, wanted - self.added_counts))
         self._mechanics.step((shown_counts + self.added_counts) / self._counts_per_rev, dt_s)
 

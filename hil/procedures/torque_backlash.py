@@ -106,6 +106,7 @@ class _Recording:
     """The rows of one reversal as they come."""
 
     direction: int
+    weight_percent: float = 0.0
     position_load_mm: list[float] = field(default_factory=list)
     torque_percent: list[list[float]] = field(default_factory=list)
     slides_percent: list[list[float]] = field(default_factory=list)
@@ -113,7 +114,7 @@ class _Recording:
     def trace(self) -> ReversalTrace:
         torques = np.array(self.torque_percent)
         slides = np.array(self.slides_percent).reshape(-1, torques.shape[1])
-        return ReversalTrace(self.direction, np.array(self.position_load_mm), torques, slides)
+        return ReversalTrace(self.direction, np.array(self.position_load_mm), torques, slides, self.weight_percent)
 
 
 @dataclass(frozen=True)
@@ -126,13 +127,16 @@ class _Measurement:
     listener: Listener
 
     def reversal(self, run: int, direction: int) -> ReversalTrace:
-        """One reversal: run in, turn back, and step until the table slides or the steps are used up."""
+        """One reversal: run in, turn back, and step until the table slides or the steps are used up.
+
+        The run-in goes to and fro: half of the torque that it leaves behind each way is the weight of a vertical axis.
+        """
         how, turning, step_mm = self.how, self.how.turning_mm(direction), self.how.step_um / 1000.0
         stage = f"run {run} of {how.runs}, {NAMES[direction]}"
         self.listener(Event(stage, "to the reference", 0, how.steps))
-        self.axis.move_to(how.start_mm(direction), how.travel_velocity_mm_s)
-        self.axis.move_to(turning, how.velocity_mm_s)
-        recording = _Recording(direction)
+        self.axis.move_to(turning, how.travel_velocity_mm_s)
+        left_behind = [self._step(place)[1] for place in (how.start_mm(direction), turning)]
+        recording = _Recording(direction, float(np.mean(left_behind)))
         try:
             for index in range(how.steps + 1):
                 position, torques = self._step(turning + direction * index * step_mm)

@@ -50,7 +50,7 @@ def torque_image(reversals: Sequence[Reversal], kind: str = "png") -> bytes:
 
 
 def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
-    """Torque over the motor's travel since the reversal, a panel for each; torque in the sense of the new direction, % of rated."""
+    """Torque less the weight over the motor's travel since the reversal, a panel for each, in the sense of the new direction."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 4.0, top_in=0.75)
         panels = figure.subplots(1, max(1, len(reversals)), sharey=True, squeeze=False)[0]
@@ -67,7 +67,7 @@ def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
 
 def _panel(ax: Axes, one: Reversal, theme: Theme) -> None:
     travel, color = one.trace.travel_um, theme.up if one.trace.direction > 0 else theme.down
-    single = one.trace.direction * one.trace.torque_percent[:, 0]
+    single = one.trace.direction * (one.trace.torque_percent[:, 0] - one.trace.weight_percent)
     ax.axhline(0, color=theme.muted, lw=1)
     ax.plot(travel, single, "o", color=theme.muted, ms=2.2, mew=0, label="first reading of each step")
     ax.plot(

@@ -202,7 +202,7 @@ def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp 
     variance = flank.curve.variance(meet) + _level_variance(trace, sliding, tail.slope(meet))
     chance_um = float(np.sqrt(variance)) / slope
     u_um = float(np.hypot(chance_um, HIDDEN_SHARE * meet))
-    near = (travel > 0.8 * meet) & (travel < 1.5 * meet)
+    near = (travel > 0.9 * meet) & (travel < 1.2 * meet + _BEYOND_STEPS)
     peak = int(np.argmax(np.where(near, torque, -np.inf)))
     coefficients = tuple(flank.curve.coefficients.tolist())
     return FittedWindUp(

@@ -19,13 +19,14 @@ class ReversalTrace:
 
     position_load_mm: shape (n,), by the motor's encoder; its first place is that of the reversal. torque_percent: shape (n, k), k
     readings at each place, % of rated, with the axis's sign. slides_percent: shape (m, k), the same after each of m longer ways in the
-    new direction, once the table slides; m may be 0.
+    new direction, once the table slides; m may be 0. weight_percent: what holds the table of a vertical axis, in the axis's sign.
     """
 
     direction: int
     position_load_mm: Floats
     torque_percent: Floats
     slides_percent: Floats = field(default_factory=lambda: np.empty((0, 1)))
+    weight_percent: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.position_load_mm)
@@ -43,13 +44,16 @@ class ReversalTrace:
 
     @property
     def rising_percent(self) -> Floats:
-        """Mean torque of each place in the new direction's sense, shape (n,): rises from below 0 to above."""
-        return np.asarray(self.direction * self.torque_percent.mean(axis=1), dtype=np.float64)
+        """Mean torque of each place, less the weight, in the new direction's sense, shape (n,): rises from below 0 to above."""
+        return self._rising(self.torque_percent)
 
     @property
     def slides_rising_percent(self) -> Floats:
-        """Mean torque after each slide in the new direction's sense, shape (m,)."""
-        return np.asarray(self.direction * self.slides_percent.mean(axis=1), dtype=np.float64)
+        """The same after each slide, shape (m,)."""
+        return self._rising(self.slides_percent)
+
+    def _rising(self, readings_percent: Floats) -> Floats:
+        return np.asarray(self.direction * (readings_percent.mean(axis=1) - self.weight_percent), dtype=np.float64)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, for a file."""
@@ -58,4 +62,5 @@ class ReversalTrace:
             "position_load_mm": self.position_load_mm.tolist(),
             "torque_percent": self.torque_percent.tolist(),
             "slides_percent": self.slides_percent.tolist(),
+            "weight_percent": self.weight_percent,
         }

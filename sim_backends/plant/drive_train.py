@@ -43,7 +43,7 @@ class Guide:
 @dataclass(frozen=True)
 class DriveTrain:
     """The two springs and what rubs. hardening_per_um: relative growth of the second spring's stiffness per µm of its deflection;
-    rated_n: force at the table that the motor's rated torque stands for."""
+    rated_n: force at the table that the motor's rated torque stands for; weight_n: what pulls the table of a vertical axis down."""
 
     coupling_n_per_um: float = 120.0
     nut_n_per_um: float = 39.51
@@ -54,6 +54,7 @@ class DriveTrain:
     screw_viscous_n_s_per_mm: float = 6.0
     guide: Guide = Guide()
     rated_n: float = 10_000.0
+    weight_n: float = 0.0
 
 
 class WindUp:
@@ -122,7 +123,7 @@ class WindUp:
         guide = self.train.guide
         force, stiffness = self._nut()
         bristle = guide.bristle_n_per_um
-        net = force - bristle * self._table_bristle_um
+        net = force - bristle * self._table_bristle_um - self.train.weight_n
         static_n = sliding_n * (1.0 + guide.static_excess * self._bond)
         bend = _bending(self._table_bristle_um * bristle / static_n, net)
         speed = net / (guide.viscous_n_s_per_mm / 1000.0 + h_s * (stiffness + bristle * bend))

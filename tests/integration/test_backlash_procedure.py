@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.backlash_axis import BenchBehind, lay_out, look_behind
-from support.torque_machines import PUBLISHED, PublishedMachine, bench_of, laser_lost_motion_um
+from support.torque_machines import PUBLISHED, PublishedMachine, bench_of, laser_lost_motion_um, plant_of
 
 from drivers.drive import Capability, DriveState, ServoDrive
 from drivers.errors import (
@@ -33,6 +33,7 @@ from hil.wind_up.result import fitted_lost_motion
 from hil.wind_up.trace import ReversalTrace
 from hil.wiring import connected_drive
 from sim_backends.bench import BenchParameters, known_bench
+from sim_backends.plant.drive_train import DriveTrain
 from sim_backends.virtual_drive import VirtualDrive
 
 
@@ -171,6 +172,19 @@ def test_a_small_backlash_with_finer_steps(tmp_path: Path, behind: BenchBehind) 
         play_um = parameters.plant.backlash.amount_um
         assert found is not None
         assert found.mean_um == pytest.approx(play_um, abs=1.0)
+
+
+@pytest.mark.parametrize("weight_n", [-1500.0, 1500.0])
+def test_a_vertical_axis_whose_torque_never_passes_zero(tmp_path: Path, behind: BenchBehind, weight_n: float) -> None:
+    """15 % of rated hold the table, 9 % is friction. The published rule looks at |T| and cannot know."""
+    train = replace(DriveTrain(), weight_n=weight_n)
+    laser_um = laser_lost_motion_um(train)
+    with rig_on(tmp_path, behind, BenchParameters(plant=plant_of(train))) as rig:
+        result = rig.measure()
+    found = fitted_lost_motion(result.reversals)
+    assert found is not None
+    assert abs(found.mean_um - laser_um) <= found.u95_um
+    assert [one.trace.weight_percent for one in result.reversals] == pytest.approx([weight_n / 100.0] * 2, abs=0.3)
 
 
 # -- every way out -----------------------------------------------------------------------------------------------------------
