@@ -10,8 +10,9 @@ What may go in: one module per concern. From the wire up:
     node          NMT, heartbeat, emergencies            scan        who is on the bus
     cia402        the power state machine as tables      power       walking it
     sampling      fresh values by SYNC                   motion      profile moves, set-point handshake, modes
-    drive         all of that as a ServoDrive            stream      cyclic set-points to several drives
-    touch_probe   positions latched by the drive         parameters  access by dictionary, store and restore
+    connection    what is set up while connected         settings    times, supervision, homing
+    drive         all of that as a ServoDrive            stream      cyclic set-points to several drives (stream_axis: one of them)
+    touch_probe   positions latched by the drive         parameters  access by dictionary, store and restore (named_parameters)
     units         what a drive says of its units         lss         nodes without an id
 
 The canopen package's SDO client and CiA-402 node are not used: their faults (tests/integration/test_canopen_library_faults.py) lie

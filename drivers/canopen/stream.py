@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CyclicStream", "Feedback", "StreamCounters", "StreamSettings", "SyncSource"]
 
+HEARTBEATS_WATCHED_S = 0.05
+"""How often a stream looks whether every drive's heartbeat comes, while its feedback does."""
 _RUN = Command.ENABLE_OPERATION.word
 
 
@@ -74,6 +76,7 @@ class CyclicStream:
         self._exchange = self._exchange_with_host_sync if by_host else self._exchange_with_foreign_sync
         self._sync_message = can.Message(arbitration_id=SYNC, data=b"", is_extended_id=False)
         self._period_ns = round(settings.period_s * NS_PER_S)
+        self._watch_every = max(1, round(HEARTBEATS_WATCHED_S / settings.period_s))
         self._feedback_s = settings.period_s * settings.feedback_share
         self._next_sync_ns = 0
         self._missed_in_a_row = 0
@@ -198,6 +201,9 @@ class CyclicStream:
             self.counters.cycles += 1
             if not self.link.wait(self._all_answered, self._feedback_s):
                 self._account_for_late()
+            if self.counters.cycles % self._watch_every == 0:
+                for axis in axes:
+                    axis.drive.monitor.check()
             feedback = []
             for axis in axes:
                 counts, status, late = axis.position_counts, axis.status, not axis.fresh
