@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -57,8 +57,19 @@ class RunOutMeasurement:
 def measure_and_store(
     session: ProbeSession, store: RunOutStore, now: Callable[[], datetime], listener: Listener = silent
 ) -> tuple[RunOutMeasurement, str | None]:
-    """M90, and what it found put into force; or, where that is refused, why. Either way it goes into the history."""
-    measured = measure_run_out(session, listener)
+    """M90, and what it found put into force; or, where that is refused, why. Either way it goes into the history.
+
+    So do the turns that were over when something broke the cycle off, with what it was.
+    """
+    over: list[FourFeeds] = []
+    try:
+        measured = measure_run_out(session, listener, over.append)
+    except BaseException as error:
+        if over:
+            said = " ".join(str(error).split())
+            verdict = f"broken off: {type(error).__name__}{': ' if said else ''}{said}"
+            store.append(now(), session.mode, tuple(over), _found(session.config, over), verdict)
+        raise
     refusal, when = measured.refusal(session.config), now()
     if refusal is None:
         store.save(measured.run_out, when)
@@ -67,11 +78,13 @@ def measure_and_store(
     return measured, refusal
 
 
-def measure_run_out(session: ProbeSession, listener: Listener = silent) -> RunOutMeasurement:
+def measure_run_out(
+    session: ProbeSession, listener: Listener = silent, keep: Callable[[FourFeeds], None] = lambda _turn: None
+) -> RunOutMeasurement:
     """M90: touch the block's face with the spindle at 0, 90, 180 and 270°, each time from the same start.
 
     The probe has to stand in front of the face, beside nothing else. Afterwards the machine is where it was found. What was measured
-    is returned whether or not it closes; `RunOutMeasurement.refusal` decides.
+    is returned whether or not it closes; `RunOutMeasurement.refusal` decides. keep is given each turn as soon as it is over.
     """
     config, block = session.config, session.config.block
     began_ns = session.clock.now_ns()
@@ -90,12 +103,18 @@ def measure_run_out(session: ProbeSession, listener: Listener = silent) -> RunOu
             contact_mm = session.touch("x", block.facing, block.search_mm, block.free_mm)
             feeds.append(block.facing * (contact_mm - block.start_mm))
         turns.append(FourFeeds(*feeds))
+        keep(turns[-1])
     listener(Event("run-out", "back to where it was found", total, total))
-    for name in ("x", "spindle", "y"):
+    for name in ("spindle", "x", "y"):  # at the start every angle is clear, elsewhere the angle it was found at
         if name in found_at:
             session.move(name, found_at[name])
-    result = run_out(mean_feeds(turns), block.distance_mm, facing=block.facing, pretravel_mm=config.probe.pretravel_mm)
-    return RunOutMeasurement(tuple(turns), result, session.mode, (session.clock.now_ns() - began_ns) / NS_PER_S)
+    seconds = (session.clock.now_ns() - began_ns) / NS_PER_S
+    return RunOutMeasurement(tuple(turns), _found(config, turns), session.mode, seconds)
+
+
+def _found(config: ProbeMachineConfig, turns: Sequence[FourFeeds]) -> RunOut:
+    block, pretravel_mm = config.block, config.probe.pretravel_mm
+    return run_out(mean_feeds(turns), block.distance_mm, facing=block.facing, pretravel_mm=pretravel_mm)
 
 
 @dataclass(frozen=True)

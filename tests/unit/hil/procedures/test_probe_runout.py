@@ -247,6 +247,23 @@ def test_an_interrupt_at_any_step_stops_and_restores(tmp_path: Path, error: Base
         assert left_as_found(bench)
 
 
+def test_turns_that_were_over_when_it_was_broken_off_are_in_the_history(tmp_path: Path) -> None:
+    config = load(tmp_path, block="turns = 3")
+    store = RunOutStore(tmp_path / "store", "mill")
+    bench = probe_bench(config, truth())
+
+    def interrupting(event: Event) -> None:
+        if event.done == 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), rig(config, bench) as (session, _):
+        measure_and_store(session, store, lambda: datetime(2026, 1, 1, tzinfo=UTC), interrupting)
+    (row,) = store.history()
+    assert row["verdict"] == "broken off: KeyboardInterrupt"
+    assert float(row["x_um"]) == pytest.approx(30.0, abs=0.1)
+    assert not store.path.exists()
+
+
 # -- corrections -----------------------------------------------------------------------------------------------------------
 KNOWN = RunOut(0.030, -0.012, 2.0)
 
