@@ -15,6 +15,7 @@ from drivers.errors import CapabilityError, DriveFaultError, InputError, LinkLos
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import TouchProbe
+from sim_backends.clock import SimClock
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
 from sim_backends.virtual_faces import VirtualParameters, VirtualStream, VirtualTouchProbe
@@ -34,6 +35,7 @@ class VirtualDriveSettings:
     missing: frozenset[Capability] = field(default_factory=frozenset)  # capabilities this one lacks, for tests
 
 
+_PATIENT_NS = 60_000_000_000  # the probe's inputs are as patient as the servo
 _CAPABILITIES = frozenset(Capability) - {Capability.STORE}
 
 
@@ -60,7 +62,9 @@ class VirtualDrive(ServoDrive):
         self._open = False
         self._running = False  # at a velocity
         self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
-        self.probe = ProbeLatch(servo)  # `tick` it with the time, as whoever attaches the servo does
+        self.probe = ProbeLatch(servo)
+        if isinstance(clock, SimClock):  # after the servo, which is attached before
+            clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _PATIENT_NS)
         self._parameters = VirtualParameters(self)
 
     # -- connection ------------------------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import SYNC, NmtCommand, NodeMonitor
 from drivers.canopen.objects import Entry
 from drivers.canopen.one_axis_stream import OneAxisStream
+from drivers.canopen.parameters import ON_COMMAND
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
@@ -103,7 +104,7 @@ class CanOpenDrive(ServoDrive):
         self._homed: bool | None = None
         self._homing = False
         self._fault_code: int | None = None
-        self._has_probe = False
+        self._has_probe = self._stores = False
         self._parameters: NamedParameters | None = None
         self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
 
@@ -132,6 +133,7 @@ class CanOpenDrive(ServoDrive):
             )
             self._homed = None
             self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
+            self._stores = bool(self.sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
             self._note_ramps()
             self.connection.set_up((*self.sampler.specs, self.rpdo))
             self.notes += self.connection.notes
@@ -274,6 +276,8 @@ class CanOpenDrive(ServoDrive):
             found.add(Capability.TORQUE_ACTUAL)
         if self._has_probe:
             found.add(Capability.TOUCH_PROBE)
+        if self._stores:
+            found.add(Capability.STORE)
         return frozenset(found)
 
     def _require_open(self) -> None:

@@ -72,7 +72,6 @@ def in_process(scaling: AxisScaling) -> Iterator[Rig]:
     clock, servo = _machine(scaling)
     settings = VirtualDriveSettings(homing_method=37, home_position_mm=0.0)
     drive = VirtualDrive(servo, scaling, LIMITS, clock, settings=settings)
-    clock.attach(lambda now_ns, _dt_s: drive.probe.tick(now_ns))
     yield Rig(drive, servo, clock, drive.probe)
 
 
