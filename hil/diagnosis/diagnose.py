@@ -20,6 +20,7 @@ from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.fit import joint_fit
 from hil.diagnosis.held_out import ONCE, HeldOut, earns_its_place, held_out
 from hil.diagnosis.judge import SURE
+from hil.diagnosis.leaning import leaning
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.select import structure_rms
 from hil.diagnosis.thin import AllRows
@@ -59,6 +60,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = gated(chosen, left_out)
     noise = chosen.last.noise
+    suspected = None if dropped or unexplained else leaning(problem, chosen)
+    extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     dof = max(len(campaign) - problem.free.bench.table.table_width, 4)
     floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
@@ -66,7 +69,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     return Diagnosis(
         noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
         declared=base,
-        extended=chosen.fit.extended,
+        extended=extended.extended,
         findings=_findings(chosen, campaign.columns),
         unexplained=unexplained,
         carriers=tuple(_carriers(chosen, campaign.survey)) if unexplained else (),
@@ -74,10 +77,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         before_um=left_out.before,
         after_um=left_out.after,
         setup_um=left_out.setup,
-        residual_um=rows.error_um - chosen.fit.whole.error_um(rows.columns),
+        residual_um=rows.error_um - extended.whole.error_um(rows.columns),
         held_out=left_out.how,
         recommended=after.rms_um < alone.rms_um,
-        notes=tuple(_notes(records, campaign, dropped, after, alone)),
+        notes=(
+            *_notes(records, campaign, dropped, after, alone),
+            *(_suspicion(term) for term in extended.found if suspected is not None),
+        ),
         seconds=time.perf_counter() - started,
     )
 
@@ -94,6 +100,13 @@ def _notes(
             f"not recommended: on rows that were not fitted the correction leaves {after.rms_um:.3g} µm RMS,"
             f" and no correction at all {alone.rms_um:.3g} µm"
         )
+
+
+def _suspicion(term: Term) -> str:
+    return (
+        f"{term.effect.id} is suspected: more likely than not, and better on runs left out, so the extended model holds it; noise may"
+        f" make as much, so it is no finding. {term.effect.explain(term)}"
+    )
 
 
 def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:

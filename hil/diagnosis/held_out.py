@@ -20,7 +20,7 @@ from hil.diagnosis.thin import AllRows
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-MOST_FOLDS = 5
+MOST_FOLDS = 10
 TRIMMED = 5
 ONCE = frozenset({"datum_step", "beam_drift"})
 """What happens once cannot be asked to help on a run left out."""

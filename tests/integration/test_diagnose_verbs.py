@@ -84,7 +84,7 @@ def test_diagnose_writes_the_agreed_json_and_a_model_that_apply_takes(tmp_path: 
     coefficient = finding["parameters"]["coefficient_ppm_per_k"]
     assert abs(coefficient["value"] - 11.5) < 4 * coefficient["std"] < 2.0
     assert result["after"]["rms_um"] < 0.25 * result["before"]["rms_um"]
-    assert result["held_out"] == {"how": "leave-runs-out in groups", "rows": 336}
+    assert result["held_out"] == {"how": "leave-one-run-out", "rows": 336}
 
     assert main(["apply", "--model", str(extended), str(fresh), "--out", str(out)]) == 0
     applied = read_csv(out)

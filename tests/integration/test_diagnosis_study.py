@@ -32,18 +32,20 @@ def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
 
 @pytest.mark.slow
 def test_the_proof_figures_on_many_machines() -> None:
-    """The whole study (`python tests/study/study.py --machines 520`) takes an hour; this is a tenth of it, with room for chance."""
-    outcomes: list[Outcome] = run_all(cases(52, seed=5), workers=2)
+    """A twentieth of the whole study (`python tests/study/study.py --machines 520`), with room for one or two more by chance."""
+    outcomes: list[Outcome] = run_all(cases(26, seed=5), workers=2)
     figures = summary(outcomes)
-    assert figures["strong: right first"] >= 0.96
-    assert figures["weak: right first"] >= 0.82
-    assert figures["weak: wrong first"] <= 0.04
-    assert figures["clean, normal: finding or unexplained"] <= 0.1
-    assert figures["outside: unexplained"] >= 0.75
-    assert figures["outside: confident name"] <= 0.06
-    assert figures["pair: both"] >= 0.85
+    assert figures["strong: right first"] >= 0.92
+    assert figures["weak: right first"] >= 0.8
+    assert figures["weak: wrong first"] <= 0.08
+    clean = [o for o in outcomes if o.case.kind == "clean"]
+    assert sum(bool(o.names) or o.unexplained for o in clean) <= 2
+    assert figures["outside: unexplained"] >= 0.8
+    assert figures["outside: confident name"] <= 0.08
+    assert figures["pair: both"] >= 0.76
     assert figures["fresh RMS over noise: median"] <= 1.1
     assert figures["fresh RMS over noise: 90 %"] <= 1.3
+    assert figures["true parameter inside its 95 % interval"] >= 0.8
 
 
 def instrument() -> set[str]:
