@@ -133,7 +133,7 @@ class CanOpenDrive(ServoDrive):
             )
             self._homed = None
             self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
-            self._stores = bool(self.sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
+            self._stores = self._stores_on_command()
             self._note_ramps()
             self.connection.set_up((*self.sampler.specs, self.rpdo))
             self.notes += self.connection.notes
@@ -174,6 +174,13 @@ class CanOpenDrive(ServoDrive):
             return self.sdo.read_text(entry)
         except AbortError:
             return ""
+
+    def _stores_on_command(self) -> bool:
+        """1010h:1; a drive that has it and does not let it be read leaves it open, and is not trusted with it."""
+        try:
+            return bool(self.sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
+        except AbortError:
+            return False
 
     def _note_ramps(self) -> None:
         """A quick stop that brakes less than a move does overshoots the move's target; said once, changed never."""

@@ -270,6 +270,7 @@ class ModbusDrive(ServoDrive):
         self._homing = False
         state = self._state()
         if state in FAULTS or not any(state in transition.sources for transition in self.map.disable):
+            self._end_run()
             return  # nothing is powered
         if state is DriveState.ENABLED:
             self.orders.give(self.map.halt)

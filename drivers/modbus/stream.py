@@ -26,7 +26,7 @@ class ModbusStream(PacedStream):
         drive, period_s = self._modbus, self.settings.period_s
         target = drive.registers[self._stream.target]
         wire_s = drive.sample_wire_s + drive.link.cost.write_s(target.table, target.span.count)
-        for least_s, whose in ((self._stream.least_period_s, "the drive, by its register map"), (wire_s, "the wire")):
+        for least_s, whose in ((self._stream.least_period_s, "the drive by its register map"), (wire_s, "the wire")):
             if period_s < least_s:
                 raise InputError(
                     f"drive {drive.name}: stream period is {1e3 * period_s:g} ms, {whose} needs {1e3 * least_s:.3g} ms"

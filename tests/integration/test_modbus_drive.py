@@ -29,6 +29,7 @@ from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_profile import Defect
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
@@ -327,6 +328,45 @@ def test_a_drive_that_starts_on_its_target_gets_it_last(tmp_path: Path) -> None:
 
 
 # -- homing ------------------------------------------------------------------------------------------------------------
+TARGET_VELOCITY = 0x210E
+
+
+def test_no_velocity_is_left_in_the_drive() -> None:
+    with rig(CIA402) as r:
+        assert isinstance(r.face, Cia402Registers)
+        r.face.dictionary.set_number(0x60FF, 0, 777_777)  # left there by whoever was here before
+        with r.drive as drive:
+            drive.enable()
+            r.server.seen.clear()
+            drive.start_velocity(20.0)
+            places = (b"\x21\x01", b"\x21\x0e")  # mode, target velocity
+            written = [pdu[1:3] for _, pdu in r.server.seen if pdu[0] in (6, 16) and pdu[1:3] in places]
+            assert written == [places[1], places[0], places[1]]
+            velocities = [int.from_bytes(pdu[6:], "big", signed=True) for pdu in writes_to(r.server, TARGET_VELOCITY)]
+            assert velocities == [0, 200_000]
+            r.clock.sleep_s(0.3)
+            drive.quick_stop()
+            r.clock.sleep_s(0.5)
+            drive.disable()
+            assert r.face.dictionary.number(0x60FF) == 0
+        assert (r.face.dictionary.number(0x60FF), r.face.dictionary.number(0x6061)) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "serial", "who"),
+    [(0.009, False, "the drive by its register map needs 10 ms"), (0.011, True, "the wire needs 1")],
+)
+def test_a_period_that_cannot_be_kept_is_refused_before_anything_is_written(
+    period_s: float, serial: bool, who: str
+) -> None:
+    with rig(CIA402, serial=serial) as r, r.drive as drive:
+        drive.enable()
+        r.server.seen.clear()
+        with pytest.raises(InputError, match=who), drive.stream(SetPointSettings(period_s)):
+            pytest.fail("entered")
+        assert not any(pdu[0] in (5, 6, 15, 16) for _, pdu in r.server.seen)
+
+
 def test_homing_attained_means_something_in_homing_mode_only() -> None:
     with rig(CIA402) as r, r.drive as drive:
         drive.enable()
