@@ -41,13 +41,14 @@ class SpindleConfig:
 class ProbeConfig:
     """The probe and how to touch with it.
 
-    mode: "latch" by the drive's touch-probe function, or "step" by pulses; input: of the drives, 1 or 2; tip_radius_mm: None where
-    nobody knows it; settle_s: rest after a pulse; overtravel_mm: how far beyond a contact the ball may get; register, bit: where a
-    Modbus drive shows the signal
+    mode: "latch" by the drive's touch-probe function, or "step" by pulses; input: of the drives, 1 or 2; normally_closed: the input
+    is active without contact; tip_radius_mm: None where nobody knows it; settle_s: rest after a pulse; overtravel_mm: how far beyond a
+    contact the ball may get; register, bit: where a Modbus drive shows the signal
     """
 
     mode: str
     input: int
+    normally_closed: bool
     tip_radius_mm: float | None
     pretravel_mm: float
     position_mm_s: float
@@ -223,6 +224,7 @@ def _probe(table: Table, x: DriveAxis, y: DriveAxis | None) -> ProbeConfig:
     config = ProbeConfig(
         mode=table.take("mode", reader.choice(*MODES), " or ".join(MODES), "latch"),
         input=number,
+        normally_closed=table.take("normally_closed", reader.flag, "true or false", False),
         tip_radius_mm=table.take("tip_radius_mm", reader.positive, "a number > 0 in mm", None),
         pretravel_mm=table.take("pretravel_mm", reader.not_negative, "a number >= 0 in mm", 0.0),
         position_mm_s=table.take("position_mm_s", reader.positive, "a number > 0 in mm/s", 10.0),

@@ -6,7 +6,7 @@ On the bench the same drives are simulated, with a probe, a block and a bore tha
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 
 from drivers.canopen import objects
@@ -74,60 +74,57 @@ def _hardware(config: ProbeMachineConfig, stack: ExitStack) -> dict[str, ServoDr
 
 
 # -- the probe's signal --------------------------------------------------------------------------------------------------
-class _CanOpenSignal:
-    """A bit of 60FDh."""
+class _Signal:
+    """A bit of a drive's inputs. read: the word that holds it."""
 
-    def __init__(self, drive: CanOpenDrive, bit: int) -> None:
-        self._drive = drive
+    def __init__(self, read: Callable[[], int], bit: int, *, normally_closed: bool) -> None:
+        self._read = read
         self._bit = bit
+        self._idle = int(normally_closed)
 
     def touching(self) -> bool:
-        try:
-            return bool(self._drive.sdo.read(objects.DIGITAL_INPUTS) >> self._bit & 1)
-        except AbortError as error:
-            raise CapabilityError(f"drive {self._drive.name} does not show its inputs: {error}") from error
-
-
-class _ModbusSignal:
-    """A bit of a register."""
-
-    def __init__(self, drive: ModbusDrive, register: str, bit: int) -> None:
-        self._drive = drive
-        self._register = register
-        self._bit = bit
-
-    def touching(self) -> bool:
-        parameters = self._drive.parameters
-        if self._register not in parameters.names:
-            raise CapabilityError(
-                f"drive {self._drive.name} does not show the probe's signal: its register map has no register"
-                f" {self._register}, expected [probe] register to name one; nothing was moved"
-            )
-        value = parameters.read(self._register)
-        if not isinstance(value, int):
-            raise CapabilityError(f"register {self._register} of drive {self._drive.name} is no whole number")
-        return bool(value >> self._bit & 1)
-
-
-class _VirtualSignal:
-    """An input of the in-process drive."""
-
-    def __init__(self, drive: VirtualDrive, number: int) -> None:
-        self._drive = drive
-        self._number = number
-
-    def touching(self) -> bool:
-        return bool(self._drive.probe.inputs >> self._number - 1 & 1)
+        return self._read() >> self._bit & 1 != self._idle
 
 
 def _signal(drive: ServoDrive, probe: ProbeConfig) -> ProbeSignal:
+    closed = probe.normally_closed
     if isinstance(drive, CanOpenDrive):
-        return _CanOpenSignal(drive, probe.bit)
+        return _Signal(_canopen_inputs(drive), probe.bit, normally_closed=closed)
     if isinstance(drive, ModbusDrive):
-        return _ModbusSignal(drive, probe.register, probe.bit)
+        return _Signal(_modbus_inputs(drive, probe.register), probe.bit, normally_closed=closed)
     if isinstance(drive, VirtualDrive):
-        return _VirtualSignal(drive, probe.input)
+        latch = drive.probe
+        return _Signal(lambda: latch.inputs, probe.input - 1, normally_closed=closed)
     raise CapabilityError(f"drive {drive.name} does not show the probe's signal")
+
+
+def _canopen_inputs(drive: CanOpenDrive) -> Callable[[], int]:
+    """60FDh."""
+
+    def read() -> int:
+        try:
+            return drive.sdo.read(objects.DIGITAL_INPUTS)
+        except AbortError as error:
+            raise CapabilityError(f"drive {drive.name} does not show its inputs: {error}") from error
+
+    return read
+
+
+def _modbus_inputs(drive: ModbusDrive, register: str) -> Callable[[], int]:
+    """A register that the map names."""
+
+    def read() -> int:
+        if register not in drive.parameters.names:
+            raise CapabilityError(
+                f"drive {drive.name} does not show the probe's signal: its register map has no register {register}, expected"
+                " [probe] register to name one; nothing was moved"
+            )
+        value = drive.parameters.read(register)
+        if not isinstance(value, int):
+            raise CapabilityError(f"register {register} of drive {drive.name} is no whole number")
+        return value
+
+    return read
 
 
 # -- the bench -----------------------------------------------------------------------------------------------------------
@@ -162,7 +159,7 @@ def probe_bench(
         )
         for name, axis in config.axes.items()
     }
-    return ProbeBench(axes, known, config.orientation.sense)
+    return ProbeBench(axes, known, config.orientation.sense, normally_closed=config.probe.normally_closed)
 
 
 def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) -> dict[str, ServoDrive]:
@@ -182,9 +179,7 @@ def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) 
 
 def _virtual(name: str, axis: DriveAxis, bench: ProbeBench, number: int) -> ServoDrive:
     settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2, home_position_mm=0.0)
-    servo = bench.servos[name]
-    drive = VirtualDrive(servo, axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
-    bench.clock.attach(lambda now_ns, _dt_s: drive.probe.tick(now_ns), bearable=servo.bearable)
+    drive = VirtualDrive(bench.servos[name], axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
     if name != "spindle":
         bench.wire(name, drive.probe, number)
     return drive

@@ -47,15 +47,24 @@ class AxisOfBench:
 class ProbeBench:
     """axes: those of "x", "y" and "spindle" that the machine has. Absolute encoders: every servo knows where it is.
 
-    spindle_sense: +1 where a rising position turns the spindle counter-clockwise, −1 where it turns it clockwise.
+    spindle_sense: +1 where a rising position turns the spindle counter-clockwise, −1 where it turns it clockwise; normally_closed: the
+    inputs are active without contact.
 
     Call `watch_probe` once, after everything that shows the servos on a wire is attached to the clock.
     """
 
-    def __init__(self, axes: Mapping[str, AxisOfBench], probe: ProbeParameters, spindle_sense: int = 1) -> None:
+    def __init__(
+        self,
+        axes: Mapping[str, AxisOfBench],
+        probe: ProbeParameters,
+        spindle_sense: int = 1,
+        *,
+        normally_closed: bool = False,
+    ) -> None:
         self.clock = SimClock()
         self.axes = dict(axes)
         self._sense = spindle_sense
+        self._idle = normally_closed
         self.probe = SimulatedProbe(probe)
         self.servos: dict[str, SimulatedServo] = {}
         self._units: list[tuple[ProbeLatch, int]] = []
@@ -72,13 +81,13 @@ class ProbeBench:
         return self.axes[name].scaling.load_mm(self.servos[name].position_actual_counts)
 
     def contact(self, name: str) -> Callable[[int], bool]:
-        """The contact as a function of one axis's motor counts, the others being where they are."""
+        """The input's level as a function of one axis's motor counts, the others being where they are."""
         scaling = self.axes[name].scaling
 
         def closed(position_counts: int) -> bool:
             places = {other: self.place(other) for other in ("x", "y", "spindle") if other != name}
             places[name] = scaling.load_mm(position_counts)
-            return self.probe.closed(places["x"], places["y"], self._sense * places["spindle"])
+            return self.probe.closed(places["x"], places["y"], self._sense * places["spindle"]) != self._idle
 
         return closed
 
@@ -93,7 +102,7 @@ class ProbeBench:
         self._follow(0, 0.0)
 
     def _follow(self, _now_ns: int, _dt_s: float) -> None:
-        level = self.probe.follow(self.place("x"), self.place("y"), self._sense * self.place("spindle"))
+        level = self.probe.follow(self.place("x"), self.place("y"), self._sense * self.place("spindle")) != self._idle
         for unit, number in self._units:
             if bool(unit.inputs >> number - 1 & 1) != level:
                 unit.set_input(number, level)

@@ -178,7 +178,7 @@ class ProbeSession(WatchedDrives):
     def _latched(self, name: str, start_mm: float, direction: int, search_mm: float) -> float:
         """The position that the drive latched."""
         drive, latch, probe = self.drives[name], self._latches[name], self.config.probe
-        latch.arm(probe.input, [Edge.POSITIVE])
+        latch.arm(probe.input, [Edge.NEGATIVE if probe.normally_closed else Edge.POSITIVE])
         end_mm = start_mm + direction * search_mm
         found: list[float] = []
         seen: list[float] = []

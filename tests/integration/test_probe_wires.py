@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import uuid
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support import probe_files
 
+from drivers.clock import WallClock
+from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
+from drivers.modbus.drive import ModbusDrive
+from hil.axis import load_drive_axis
 from hil.probe_machine import load_probe_machine
-from hil.probe_wiring import connected_probe, probe_bench
+from hil.probe_wiring import connected_probe, probe_bench, probe_session
 from hil.procedures.probe_runout import centre_bore, measure_run_out
 from hil.runout import CorrectionCode
+from hil.wiring import Links, hardware_drive
+from sim_backends.canopen_drive import served
 from sim_backends.plant.touch_probe import Bore, Face, Stylus
 from sim_backends.probe import ProbeParameters
 
@@ -46,6 +55,42 @@ def test_the_same_contacts_as_without_a_wire(tmp_path: Path, drive: str, mode: s
     error_um = [1000 * (a - b) for a, b in zip((over.run_out.x_mm, over.run_out.y_mm), STYLUS.offset_mm, strict=True)]
     assert max(map(abs, error_um)) <= 1.0
     assert over.run_out.tip_radius_mm == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_three_drives_on_one_bus_share_its_link(tmp_path: Path) -> None:
+    config = load_probe_machine(lay_out(tmp_path, probe_files.VIRTUAL, "latch"))
+    bench = probe_bench(config, TRUTH)
+    links, channel = Links(), uuid.uuid4().hex
+    drives: dict[str, ServoDrive] = {}
+    with ExitStack() as stack:
+        for node_id, (name, axis) in enumerate(config.axes.items(), start=1):
+            slave = stack.enter_context(served(bench.servos[name], bench.clock, channel=channel, node_id=node_id))
+            bench.wire(name, slave.profile.probe, 1)
+            on_bus = replace(axis.drive, backend="canopen", interface="virtual", channel=channel, node_id=node_id)
+            patient = replace(on_bus, sdo_timeout_s=10.0, sample_timeout_s=10.0, heartbeat_s=None)
+            drives[name] = hardware_drive(replace(axis, drive=patient), bench.clock, stack, links)
+        bench.watch_probe()
+        with probe_session(config, drives) as session:
+            found = measure_run_out(session).run_out
+    assert len(links.can) == 1
+    assert (found.x_mm, found.y_mm) == pytest.approx(STYLUS.offset_mm, abs=1e-3)
+
+
+def test_modbus_drives_of_one_line_share_it(tmp_path: Path) -> None:
+    links, drives = Links(), []
+    for unit in (1, 2):
+        path = probe_files.lay_out(tmp_path)
+        axis = path.with_name("X.toml")
+        where = f'backend = "modbus"\nregister_map = "vendor_style"\nurl = "tcp://127.0.0.1:502"\nunit = {unit}'
+        axis.write_text(axis.read_text().replace('backend = "bench"\nface = "virtual"', where))
+        with ExitStack() as stack:
+            drives.append(hardware_drive(load_drive_axis(axis), WallClock(), stack, links))
+    first, second = drives
+    assert isinstance(first, ModbusDrive)
+    assert isinstance(second, ModbusDrive)
+    assert first.link is second.link
+    assert (first.unit, second.unit) == (1, 2)
 
 
 @pytest.mark.slow

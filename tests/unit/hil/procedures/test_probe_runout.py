@@ -74,6 +74,20 @@ def test_run_out_and_radius_come_out_and_the_machine_is_where_it_was(tmp_path: P
     assert bench.probe.touches == 4
 
 
+@pytest.mark.parametrize("mode", ["latch", "step"])
+def test_a_probe_that_opens_its_contact(tmp_path: Path, mode: str) -> None:
+    config = load(tmp_path, start_mm=102.95, search_mm=0.3, probe="normally_closed = true")
+    bench = probe_bench(config, truth())
+    with rig(config, bench, mode=mode) as (session, drives):
+        assert drives["x"].probe.inputs & 1
+        found = measure_run_out(session).run_out
+    assert (found.x_mm, found.y_mm, found.tip_radius_mm) == pytest.approx((0.030, -0.012, 2.0), abs=0.6e-3)
+    mistaken = load(tmp_path)
+    bench = probe_bench(config, truth())
+    with probe_drives(config, bench) as drives, pytest.raises(StateError, match="signals before anything has moved"):
+        probe_session(mistaken, drives).__enter__()
+
+
 def test_stepping_feeds_one_pulse_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = load(tmp_path, start_mm=102.94, search_mm=0.3)
     targets: list[float] = []
