@@ -31,7 +31,7 @@ from hil.files import held
 from hil.procedures.conditions import Conditions
 from hil.procedures.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters, known_bench
-from sim_backends.canopen_drive import served
+from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.machine import modbus_face
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
@@ -153,9 +153,11 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
     if face == "virtual":
         return _virtual(axis, bench)
     if face == "canopen":
-        channel, objects = f"bench-{uuid.uuid4().hex}", bench.parameters.objects
-        stack.enter_context(served(bench.servo, clock, channel=channel, node_id=axis.drive.node_id, parameters=objects))
-        return canopen_drive(axis, clock, ("virtual", channel), stack, patience_s=BENCH_PATIENCE_S)
+        channel = f"bench-{uuid.uuid4().hex}"
+        bus = stack.enter_context(drives_in_turn(clock, channel))
+        bus.add(bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
+        links = Links({("virtual", channel): stack.enter_context(CanLink(bus.master(), clock))})
+        return canopen_drive(axis, clock, ("virtual", channel), stack, links=links)
     shape = "vendor" if axis.drive.register_map == "vendor_style" else "cia402"
     faces = {axis.drive.unit: modbus_face(bench, shape)}
     endpoint: Endpoint

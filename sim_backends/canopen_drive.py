@@ -406,7 +406,7 @@ class _Service:
 
     def _bearable(self, now_ns: int) -> int:
         """For SimClock: up to what is due next, and often enough to supervise the servo."""
-        due_ns = self.slave.due_ns()
+        due_ns = None if self._stopping.is_set() else self.slave.due_ns()
         return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
 
     def _on_simulated_time(self, now_ns: int, _dt_s: float) -> None:

@@ -1,0 +1,129 @@
+"""Drives on python-can's virtual bus without a thread: they take their turn when the master looks for a frame, or lets time pass.
+
+For simulated time, where nothing happens between two things that one thread does. The frames go through python-can's virtual bus all
+the same, so any other bus object on the channel sees them; what is spared is a switch of threads for each of them.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+
+import can
+from can.interfaces.virtual import VirtualBus
+
+from sim_backends.canopen_drive import CanOpenSlave, with_faults
+from sim_backends.canopen_faults import CanFault, FaultLayer
+from sim_backends.clock import SimClock
+from sim_backends.servo import Servo
+
+_SUPERVISION_NS = 20_000_000  # how long a drive's firmware may go without looking at the servo
+
+
+class MasterBus(VirtualBus):
+    """The master's end. A `recv` that finds nothing lets the drives handle what they were sent, then looks once more.
+
+    It never waits: without simulated time passing there is nothing else to come.
+    """
+
+    def __init__(self, channel: str, drives: list[_Drive]) -> None:
+        super().__init__(channel)
+        self._drives = drives
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        del timeout
+        self._check_if_open()
+        if self.queue.empty():
+            for drive in self._drives:
+                drive.take_turn()
+        try:
+            return self.queue.get_nowait(), False
+        except queue.Empty:
+            return None, False
+
+
+class _Drive:
+    """One drive with its own end of the bus."""
+
+    def __init__(
+        self,
+        clock: SimClock,
+        servo: Servo,
+        channel: str,
+        node_id: int,
+        parameters: Mapping[tuple[int, int], int] | None,
+        faults: Iterable[CanFault],
+    ) -> None:
+        self._clock = clock
+        self._bus = VirtualBus(channel)
+        self.slave: CanOpenSlave
+        self._layer: FaultLayer
+        self.slave, self._layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)
+        self._ended = False
+        self.slave.boot(clock.now_ns())
+        clock.attach(self._on_simulated_time, bearable=self._bearable)
+
+    def close(self) -> None:
+        self._ended = True
+        self._bus.shutdown()
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def take_turn(self) -> None:
+        """Handle every frame that has arrived."""
+        frames = self._bus.queue
+        while not frames.empty():
+            message = frames.get_nowait()
+            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
+
+    def _bearable(self, now_ns: int) -> int:
+        due_ns = None if self._ended else self.slave.due_ns()
+        return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
+
+    def _on_simulated_time(self, now_ns: int, _dt_s: float) -> None:
+        if not self._ended:
+            self.take_turn()
+            self._layer.tick(now_ns)
+
+
+class DrivesInTurn:
+    """A virtual bus with drives in simulated time. `master()` gives the bus to hand to a `CanLink`, which closes it."""
+
+    def __init__(self, clock: SimClock, channel: str) -> None:
+        self.clock = clock
+        self.channel = channel
+        self._drives: list[_Drive] = []
+
+    def add(
+        self,
+        servo: Servo,
+        node_id: int = 1,
+        *,
+        parameters: Mapping[tuple[int, int], int] | None = None,
+        faults: Iterable[CanFault] = (),
+    ) -> CanOpenSlave:
+        """Put a drive on the bus and boot it; the servo is attached to the clock by whoever made it, before."""
+        drive = _Drive(self.clock, servo, self.channel, node_id, parameters, faults)
+        self._drives.append(drive)
+        return drive.slave
+
+    def master(self) -> MasterBus:
+        return MasterBus(self.channel, self._drives)
+
+    def close(self) -> None:
+        """Take the drives off the bus."""
+        for drive in self._drives:
+            drive.close()
+
+
+@contextmanager
+def drives_in_turn(clock: SimClock, channel: str) -> Iterator[DrivesInTurn]:
+    """A bus whose drives are gone when the block ends."""
+    bus = DrivesInTurn(clock, channel)
+    try:
+        yield bus
+    finally:
+        bus.close()
