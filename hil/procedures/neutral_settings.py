@@ -57,7 +57,7 @@ class BacklashSettings:
     def amount_of(self, lost_motion_um: float) -> float:
         """The amount as the drive keeps it, to what it can hold."""
         step = self.amount.resolution
-        return round(lost_motion_um / self.amount_um / step) * step
+        return round(round(lost_motion_um / self.amount_um / step) * step, 9)
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ _LOW, _HIGH = (0.0, 0.2, 0.35, 0.5), 0.88
 _BEYOND_SHARE, _BEYOND_STEPS = 0.12, 5  # what is left out beyond the meeting point: peak and drop
 _FEWEST_FLANK, _FEWEST_CURVED, _FEWEST_SLIDING, _FEWEST_SLIDES = 4, 9, 10, 4  # places
 _STEEP = 0.12  # of the flank's slope: what still rises so much is not sliding
-_STEP_PERCENT = 0.1  # 6077h counts in 0.1 % of rated
-_CERTAIN = 0.01  # a parabola must be better than the line with less than this chance of luck
+_ROUNDING_VARIANCE = 0.1**2 / 12.0  # 6077h counts in 0.1 % of rated
+_CERTAIN = 0.01  # further coefficients must explain more with less than this chance of luck
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class FittedWindUp:
 
 @dataclass(frozen=True)
 class _Polynomial:
-    """A polynomial through places of a flank, with covariance scaled by what it leaves."""
+    """A polynomial through places of a flank; covariance of its coefficients by what it leaves, widened for few places."""
 
     centre: float
     coefficients: Floats
@@ -129,9 +129,14 @@ def _level_variance(trace: ReversalTrace, sliding: Mask, drift: float) -> float:
     else:
         values = trace.rising_percent[sliding]
         trend = drift * float(np.ptp(trace.travel_um[sliding])) / 4.0
-    rounding = _STEP_PERCENT / np.sqrt(12.0 * trace.torque_percent.shape[1])
-    student = float(stdtrit(len(values) - 1, 0.975) / ndtri(0.975))
-    return float((student**2 * values.var(ddof=1) + rounding**2) / len(values) + trend**2 / 3.0)
+    seen = float(values.var(ddof=1))
+    averaged = len(values) if seen > _ROUNDING_VARIANCE else 1  # without noise every reading is rounded the same way
+    return _student(len(values) - 1) ** 2 * seen / len(values) + _ROUNDING_VARIANCE / averaged + trend**2 / 3.0
+
+
+def _student(freedom: int) -> float:
+    """How much wider 95 % is for a spread known from so few."""
+    return float(stdtrit(freedom, 0.975) / ndtri(0.975))
 
 
 def _first_guess(travel: Floats, torque: Floats) -> float | None:
@@ -190,7 +195,9 @@ def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:
     coefficients: Floats = np.asarray(np.linalg.lstsq(rows, y, rcond=None)[0], dtype=np.float64)
     rss = float(np.sum((y - rows @ coefficients) ** 2))
     freedom = max(1, len(x) - degree - 1)
-    return _Polynomial(centre, coefficients, np.linalg.inv(rows.T @ rows) * rss / freedom, rss, freedom)
+    residual = max(_student(freedom) ** 2 * rss / freedom, _ROUNDING_VARIANCE)
+    covariance = np.asarray(np.linalg.inv(rows.T @ rows) * residual, dtype=np.float64)
+    return _Polynomial(centre, coefficients, covariance, rss, freedom)
 
 
 def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp | None:

@@ -30,7 +30,7 @@ def test_it_finds_where_flank_and_level_meet_and_not_the_peak(lost_um: float, di
     fit = fit_wind_up(made(lost_um, direction=direction))
     assert fit is not None
     assert fit.lost_motion_um == pytest.approx(lost_um, abs=3.0 * fit.chance_um)
-    assert fit.chance_um < 0.15
+    assert fit.chance_um < 0.2, "noise, and the rounding of 6077h, which it cannot know to be absent here"
     assert fit.peak_um > lost_um
     assert fit.level_percent == pytest.approx(LEVEL, abs=0.05)
     assert fit.u_um == pytest.approx(np.hypot(fit.chance_um, HIDDEN_SHARE * fit.lost_motion_um))
