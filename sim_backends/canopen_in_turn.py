@@ -50,6 +50,7 @@ class _Drive:
         self,
         clock: SimClock,
         servo: Servo,
+        *,
         channel: str,
         node_id: int,
         parameters: Mapping[tuple[int, int], int] | None,
@@ -106,7 +107,7 @@ class DrivesInTurn:
         faults: Iterable[CanFault] = (),
     ) -> CanOpenSlave:
         """Put a drive on the bus and boot it; the servo is attached to the clock by whoever made it, before."""
-        drive = _Drive(self.clock, servo, self.channel, node_id, parameters, faults)
+        drive = _Drive(self.clock, servo, channel=self.channel, node_id=node_id, parameters=parameters, faults=faults)
         self._drives.append(drive)
         return drive.slave
 
