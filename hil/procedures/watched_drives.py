@@ -15,6 +15,7 @@ from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     BridgeError,
+    DriveFaultError,
     FollowingErrorError,
     LimitError,
     LinkLostError,
@@ -25,6 +26,8 @@ from drivers.errors import (
 
 POLL_S = 0.005
 STALE_S = 0.5
+
+_FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 Look = Callable[[DriveSample], None]
 """What else is looked at with every sample of the axis that moves; raises to stop the machine."""
@@ -120,6 +123,11 @@ class WatchedDrives:
                 age_s = sample.age_ns(self.clock.now_ns()) / NS_PER_S
                 if age_s > STALE_S:
                     raise LinkLostError(f"drive {drive.name}: no sample for {age_s:.2f} s")
+                if sample.state in _FAULTS:
+                    code = "" if sample.fault_code is None else f", error code {sample.fault_code:04X}h"
+                    raise DriveFaultError(
+                        f"drive {drive.name} went into a fault during {what}{code}", sample.fault_code
+                    )
                 if sample.state is not DriveState.ENABLED:
                     raise StateError(f"drive {drive.name}: {what} ended by itself, it is {sample.state.value}")
                 look(sample)

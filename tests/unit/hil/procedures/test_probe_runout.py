@@ -13,7 +13,7 @@ import pytest
 from support import probe_files
 
 from drivers.drive import Capability
-from drivers.errors import CapabilityError, InputError, LimitError, StateError
+from drivers.errors import CapabilityError, DriveFaultError, InputError, LimitError, StateError
 from hil.probe_machine import ProbeMachineConfig, load_probe_machine
 from hil.probe_wiring import connected_probe, probe_bench, probe_drives, probe_session
 from hil.procedures.events import Event
@@ -28,6 +28,7 @@ from sim_backends.probe_bench import ProbeBench
 from sim_backends.virtual_drive import VirtualDrive
 
 STYLUS = Stylus(2.0, (0.030, -0.012))
+FAULT = 0x3210
 
 
 def load(tmp_path: Path, **more: object) -> ProbeMachineConfig:
@@ -229,6 +230,28 @@ def test_a_drive_that_latches_nothing_is_said_before_moving_and_may_step(tmp_pat
         assert bench.clock.now_ns() == 0
         with probe_session(config, drives, mode="step") as session:
             assert measure_run_out(session).refusal(config) is None
+
+
+@pytest.mark.parametrize("mode", ["latch", "step"])
+def test_a_fault_while_touching_stops_the_others_too(tmp_path: Path, mode: str) -> None:
+    config = load(tmp_path)
+    bench = probe_bench(config, truth())
+    faults = iter([FAULT])
+
+    def failing(now_ns: int, _dt_s: float) -> None:
+        if bench.servos["x"].velocity_actual_counts_s and now_ns > 1_500_000_000:
+            for code in faults:
+                bench.servos["x"].raise_fault(code)
+
+    bench.clock.attach(failing)
+    with (
+        pytest.raises(DriveFaultError, match=r"drive X went into a fault during .*, error code 3210h"),
+        rig(config, bench, mode=mode) as (session, _),
+    ):
+        measure_run_out(session)
+    assert next(faults, None) is None
+    bench.clock.sleep_s(0.1)  # it brakes by itself
+    assert left_as_found(bench)
 
 
 def test_an_axis_that_is_not_homed_is_refused_or_homed(tmp_path: Path) -> None:
