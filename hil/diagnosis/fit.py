@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.evidence import Bench, Extra, Frame, Noise, Solution, fit_noise
+from hil.diagnosis.evidence import Bench, Extra, Frame, Noise, Solution
+from hil.diagnosis.noise_fit import fit_noise
 from hil.diagnosis.table import SplineShape, StaticPart
 from hil.effects import Action, Effect, Form, Term
 from hil.model import Model, PitchTable

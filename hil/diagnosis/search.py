@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.candidates import Candidates, score
-from hil.diagnosis.evidence import CORRELATIONS, Extra, Frame, Noise, fit_noise
+from hil.diagnosis.evidence import Extra, Frame, Noise
 from hil.diagnosis.fit import Choice, JointFit, Setting, grid_choices, joint_fit
+from hil.diagnosis.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.refine import refine, score_choices
 from hil.effects import Form
 

@@ -84,7 +84,7 @@ class Cyclic(Effect):
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
         if form.name != FUNDAMENTAL:
             return super().bases(form, thetas, columns)
-        angle = columns["target_mm"][:, None] * (2 * np.pi / np.array(thetas)[:, 0])
+        angle = 2 * np.pi * columns["target_mm"][:, None] / np.array(thetas)[:, 0]
         return np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(len(angle), -1)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:

@@ -10,8 +10,9 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.evidence import CORRELATIONS, Bench, Extra, Noise, fit_noise
+from hil.diagnosis.evidence import Bench, Extra, Noise
 from hil.diagnosis.fit import Setting, start_noise
+from hil.diagnosis.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.search import Searcher
 from hil.diagnosis.spline import TableBasis
 from hil.records import Records

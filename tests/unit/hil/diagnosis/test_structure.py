@@ -9,9 +9,10 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.evidence import Bench, Extra, Noise, fit_noise
+from hil.diagnosis.evidence import Bench, Extra, Noise
 from hil.diagnosis.fit import start_noise
 from hil.diagnosis.judge import Hit, Scout, clearest
+from hil.diagnosis.noise_fit import fit_noise
 from hil.diagnosis.structure import structures
 
 Array = np.ndarray
