@@ -8,8 +8,10 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 from drivers.canopen import objects
+from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.clock import WallClock
 from drivers.drive import ServoDrive
@@ -21,14 +23,17 @@ from hil.files import held
 from hil.probe_machine import ProbeConfig, ProbeMachineConfig
 from hil.procedures.probe_session import ProbeSession, ProbeSignal
 from hil.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
-from sim_backends.canopen_drive import served
+from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.modbus_registers import Face
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.probe import ProbeParameters, known_probe
 from sim_backends.probe_bench import AxisOfBench, ProbeBench
+from sim_backends.probe_latch import ProbeLatch
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+VIRTUAL_BUS = "virtual"  # python-can's name of the interface
 
 
 @contextmanager
@@ -163,26 +168,32 @@ def probe_bench(
 
 
 def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) -> dict[str, ServoDrive]:
-    """The bench's servos behind the wires that the axis files ask for."""
+    """The bench's servos behind the wires that the axis files ask for; those on CANopen on one bus."""
     drives: dict[str, ServoDrive] = {}
-    for name, axis in config.axes.items():
+    channel = f"bench-{uuid.uuid4().hex}"
+    bus = stack.enter_context(drives_in_turn(bench.clock, channel))
+    links = Links({(VIRTUAL_BUS, channel): stack.enter_context(CanLink(bus.master(), bench.clock))})
+    for number, (name, axis) in enumerate(config.axes.items(), start=1):
         face = axis.drive.face
+        latch: ProbeLatch | None
         if face == "virtual":
-            drives[name] = _virtual(name, axis, bench, config.probe.input)
+            drives[name], latch = _virtual(name, axis, bench)
         elif face == "canopen":
-            drives[name] = _on_can(name, axis, bench, config.probe.input, stack)
+            latch = bus.add(bench.servos[name], number, parameters=_objects(axis)).profile.probe
+            on_bus = replace(axis, drive=replace(axis.drive, node_id=number))
+            drives[name] = canopen_drive(on_bus, bench.clock, (VIRTUAL_BUS, channel), stack, links=links)
         else:
-            drives[name] = _on_modbus(name, axis, bench, config.probe.input, stack)
+            drives[name], latch = _on_modbus(name, axis, bench, stack)
+        if latch is not None and name != "spindle":
+            bench.wire(name, latch, config.probe.input)
     bench.watch_probe()
     return drives
 
 
-def _virtual(name: str, axis: DriveAxis, bench: ProbeBench, number: int) -> ServoDrive:
+def _virtual(name: str, axis: DriveAxis, bench: ProbeBench) -> tuple[ServoDrive, ProbeLatch]:
     settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2, home_position_mm=0.0)
     drive = VirtualDrive(bench.servos[name], axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
-    if name != "spindle":
-        bench.wire(name, drive.probe, number)
-    return drive
+    return drive, drive.probe
 
 
 def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:
@@ -193,25 +204,16 @@ def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:
     return {**units, (0x6085, 0): ramp, (0x6098, 0): 21, (0x6099, 1): 2 * counts, (0x6099, 2): counts // 10}
 
 
-def _on_can(name: str, axis: DriveAxis, bench: ProbeBench, number: int, stack: ExitStack) -> ServoDrive:
-    channel = f"bench-{uuid.uuid4().hex}"
-    slave = stack.enter_context(
-        served(bench.servos[name], bench.clock, channel=channel, node_id=axis.drive.node_id, parameters=_objects(axis))
-    )
-    if name != "spindle":
-        bench.wire(name, slave.profile.probe, number)
-    return canopen_drive(axis, bench.clock, ("virtual", channel), stack, patience_s=BENCH_PATIENCE_S)
-
-
-def _on_modbus(name: str, axis: DriveAxis, bench: ProbeBench, number: int, stack: ExitStack) -> ServoDrive:
+def _on_modbus(name: str, axis: DriveAxis, bench: ProbeBench, stack: ExitStack) -> tuple[ServoDrive, ProbeLatch | None]:
+    """None: a drive whose inputs are not to be seen from outside."""
     servo, unit = bench.servos[name], axis.drive.unit
     face: Face
-    if axis.drive.register_map == "vendor_style":  # its inputs are not to be seen from outside
+    latch: ProbeLatch | None = None
+    if axis.drive.register_map == "vendor_style":
         face = VendorRegisters(servo, counts_per_rev=axis.scaling.encoder_counts_per_motor_rev)
     else:
         face = registers = Cia402Registers(servo, parameters=_objects(axis))
-        if name != "spindle":
-            bench.wire(name, registers.profile.probe, number)
+        latch = registers.profile.probe
     endpoint: Endpoint
     if axis.drive.face == "modbus-tcp":
         _, port = stack.enter_context(tcp_server({unit: face}, bench.clock))
@@ -219,4 +221,4 @@ def _on_modbus(name: str, axis: DriveAxis, bench: ProbeBench, number: int, stack
     else:
         _, path = stack.enter_context(rtu_slave({unit: face}, bench.clock))
         endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
-    return modbus_drive(axis, bench.clock, endpoint, unit)
+    return modbus_drive(axis, bench.clock, endpoint, unit), latch
