@@ -10,8 +10,9 @@ from pathlib import Path
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.parameters import MOTION_TARGETS, NOT_PARAMETERS
 from drivers.drive import ServoDrive
-from drivers.errors import CapabilityError, InputError, ProtocolError
+from drivers.errors import CapabilityError, InputError, ProtocolError, StateError
 from drivers.modbus.parameters import ModbusParameters
+from drivers.modbus.register_map import Memory
 from drivers.parameters import DriveParameters
 from hil.axis import DriveAxis
 from hil.axis_backlash import BacklashConfig, object_key
@@ -20,6 +21,7 @@ from hil.procedures.neutral_settings import BacklashSettings, Setting
 
 NOTE, TABLE = "backlash-before.json", "backlash.json"
 _TABLE_RESOLUTION_UM = 0.1
+_WRITES = 3  # of one measurement at most: 0, back, and the new amount; what could be zeroed must be put back too
 
 
 @dataclass(frozen=True)
@@ -112,5 +114,13 @@ def _of_drive(drive: ServoDrive, name: str) -> Setting:
     parameters = drive.parameters
     if not parameters.describe(name).writable:
         raise CapabilityError(f"drive {drive.name}: {name} cannot be written")
-    scale = parameters.register(name).scale if isinstance(parameters, ModbusParameters) else 1.0
-    return NamedSetting(parameters, name, abs(scale) or 1.0)
+    if not isinstance(parameters, ModbusParameters):
+        return NamedSetting(parameters, name, 1.0)
+    register = parameters.register(name)
+    left = register.wear_budget - parameters.wear.writes(drive.name, name)
+    if register.memory is Memory.EEPROM and left < _WRITES:
+        raise StateError(
+            f"drive {drive.name}: {name} is kept in EEPROM and its budget has {max(0, left)} writes left, a measurement takes"
+            f" {_WRITES}; raise wear_budget in the register map if this is meant"
+        )
+    return NamedSetting(parameters, name, abs(register.scale) or 1.0)

@@ -3,7 +3,9 @@
 Nothing is defined here: what the verbs call is what a script calls.
 """
 
-from hil.axis import AxisConfig, load_axis
+from hil.axis import AxisConfig, DriveAxis, load_axis, load_drive_axis
+from hil.axis_backlash import BacklashConfig, default_backlash
+from hil.backlash_settings import backlash_settings
 from hil.compensation import Compensation
 from hil.diagnosis import Diagnosis, diagnose, fit_model
 from hil.iso230 import Iso230, iso230
@@ -16,6 +18,7 @@ from hil.procedures.close_loop import Loop, close_loop
 from hil.procedures.doctor import Check, doctor
 from hil.procedures.events import Event
 from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
+from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
 from hil.procedures.verify import Verification, verify
 from hil.procedures.warm_up import warm_up
 from hil.records import Records, read_csv, to_csv
@@ -24,10 +27,12 @@ from hil.runout_store import RunOutStore
 from hil.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
 from hil.store import SealedStore
 from hil.tables import Band, TableMode, TableSet
-from hil.wiring import Machine, connected
+from hil.wind_up.result import LostMotion, fitted_lost_motion
+from hil.wiring import Machine, connected, connected_drive
 
 __all__ = [
     "AxisConfig",
+    "BacklashConfig",
     "Band",
     "Calibration",
     "Campaign",
@@ -35,9 +40,11 @@ __all__ = [
     "Compensation",
     "CorrectionCode",
     "Diagnosis",
+    "DriveAxis",
     "Event",
     "Iso230",
     "Loop",
+    "LostMotion",
     "Machine",
     "ProbeMachineConfig",
     "Records",
@@ -46,22 +53,29 @@ __all__ = [
     "SealedStore",
     "TableMode",
     "TableSet",
+    "TorqueBacklash",
     "Verification",
+    "backlash_settings",
     "calibrate",
     "centre_bore",
     "close_loop",
     "connected",
+    "connected_drive",
     "connected_probe",
     "correct",
+    "default_backlash",
     "diagnose",
     "doctor",
     "fit_model",
+    "fitted_lost_motion",
     "iso230",
     "load_axis",
+    "load_drive_axis",
     "load_private_key",
     "load_probe_machine",
     "load_public_key",
     "measure_and_store",
+    "measure_backlash",
     "measure_run_out",
     "new_key",
     "probe_bench",

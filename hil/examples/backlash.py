@@ -2,23 +2,18 @@
 
 import sys
 
-from hil.axis import load_drive_axis
-from hil.axis_backlash import default_backlash
-from hil.backlash_settings import backlash_settings
-from hil.procedures.torque_backlash import measure_backlash
-from hil.wind_up.result import NAMES, fitted_lost_motion
-from hil.wiring import connected_drive
+import hil.commissioning as hil
 
 
 def main(path: str) -> int:
-    axis = load_drive_axis(path)
-    how = axis.backlash or default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
-    with connected_drive(axis) as drive:
-        result = measure_backlash(drive, how, backlash_settings(axis, how, drive))
+    axis = hil.load_drive_axis(path)
+    how = axis.backlash or hil.default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
+    with hil.connected_drive(axis) as drive:
+        result = hil.measure_backlash(drive, how, hil.backlash_settings(axis, how, drive))
     for one in result.reversals:
         fitted = "nothing" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
-        print(f"{NAMES[one.trace.direction]}: {fitted}; by the four-sample rule {one.published_um} µm")
-    found = fitted_lost_motion(result.reversals)
+        print(f"into {one.trace.direction:+d}: {fitted}; by the four-sample rule {one.published_um} µm")
+    found = hil.fitted_lost_motion(result.reversals)
     if found is None:
         return 1
     print(f"lost motion {found.mean_um:.1f} ± {found.u95_um:.1f} µm")

@@ -388,6 +388,30 @@ def test_the_same_over_modbus(tmp_path: Path, behind: BenchBehind) -> None:
     assert abs(after) < 1.2
 
 
+@pytest.mark.slow
+def test_over_a_serial_line_with_the_value_in_our_own_table(tmp_path: Path) -> None:
+    axis = load_drive_axis(lay_out(tmp_path, "modbus-rtu"))
+    assert axis.backlash is not None
+    with connected_drive(axis) as drive:
+        result = measure_backlash(drive, axis.backlash, backlash_settings(axis, axis.backlash, drive), write=True)
+    found = fitted_lost_motion(result.reversals)
+    assert found is not None
+    assert abs(found.mean_um - 53.0) <= found.u95_um
+    assert json.loads((axis.store.directory / "backlash.json").read_text())["backlash_um"] == result.written
+
+
+def test_a_register_that_could_be_zeroed_but_not_put_back_is_refused_first(tmp_path: Path) -> None:
+    """Its EEPROM bears two more writes."""
+    path = lay_out(tmp_path, "modbus-tcp")
+    path.write_text(path.read_text().replace('"backlash"', '"origin_offset"'))
+    axis = load_drive_axis(path)
+    axis.store.directory.mkdir()
+    (axis.store.directory / "eeprom-writes.json").write_text('{"X/origin_offset": 18}')
+    assert axis.backlash is not None
+    with connected_drive(axis) as drive, pytest.raises(StateError, match="has 2 writes left, a measurement takes 3"):
+        backlash_settings(axis, axis.backlash, drive)
+
+
 def test_a_bus_that_is_lost_on_the_way(tmp_path: Path, behind: BenchBehind) -> None:
     axis = load_drive_axis(lay_out(tmp_path, "canopen"))
     assert axis.backlash is not None

@@ -12,12 +12,14 @@ from sim_backends.bench import Bench, BenchParameters
 PARAMETERS = {
     "virtual": "",
     "canopen": 'parameter = "2201h"\nacceleration = "2202h"\nparameter_um = 0.01\n',
+    "modbus-rtu": "",
     "modbus-tcp": 'parameter = "backlash"\nacceleration = "backlash_quick"\nparameter_um = 0.01\n',
 }
 """What the axis file says of the drive's parameters; a count of the bench is 10 nm."""
 FACES = {
     "virtual": 'face = "virtual"\n',
     "canopen": 'face = "canopen"\n',
+    "modbus-rtu": 'face = "modbus-rtu"\nregister_map = "cia402_over_modbus"\n',
     "modbus-tcp": 'face = "modbus-tcp"\nregister_map = "vendor_style"\n',
 }
 
