@@ -75,9 +75,10 @@ class CanOpenSlave:
         self._send = send
         self.nmt_state = NmtState.BOOT_UP
         self.profile = DriveProfile(self.dictionary, servo, self.emergency)
-        servo.backlash.follow(
-            lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
-        )
+        if (0x2201, 0) in self.dictionary.items:
+            servo.backlash.follow(
+                lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
+            )
         self.pdos = PdoEngine(self.dictionary, self._transmit, lambda: self.emergency(PDO_LENGTH_ERROR))
         self.sdo = SdoServer(self.dictionary)
         self.store = ParameterStore(self.dictionary, flash if flash is not None else Flash(), lambda: not servo.powered)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from support.torque_machines import PUBLISHED, PublishedMachine, laser_lost_motion_um, plant_of, torque_curve
 
 from sim_backends.plant.axis import FeedAxis
@@ -83,3 +84,54 @@ def test_a_plant_without_one_is_as_it_was() -> None:
     rigid.step(1.0, 0.5)
     assert rigid.position_mm == pytest.approx(10.0, abs=1e-9)
     assert rigid.friction_permille == 0.0
+
+
+def by_the_papers_equations(train: DriveTrain, up_um: float, speed_um_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same machine as differential equations in the paper's form, by a stiff solver: torque over travel after a reversal.
+
+    xs, xt: screw and table; zs, zt: their bristles, z' = v − σ|v|z/g(v); b: the bond.
+    """
+    guide = train.guide
+    turn_s = up_um / speed_um_s
+
+    def motor_um(t: float) -> float:
+        return speed_um_s * t if t <= turn_s else up_um - speed_um_s * (t - turn_s)
+
+    def nut_n(stretch: float) -> float:
+        return train.nut_n_per_um * stretch * (1.0 + train.hardening_per_um * abs(stretch))
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        xs, xt, zs, zt, b = y
+        spring = nut_n(xs - xt)
+        vs = train.coupling_n_per_um * (motor_um(t) - xs) - spring - train.screw_bristle_n_per_um * zs
+        vs /= train.screw_viscous_n_s_per_mm / 1000.0
+        vt = (spring - guide.bristle_n_per_um * zt) / (guide.viscous_n_s_per_mm / 1000.0)
+        stribeck = np.exp(-((vt / (1000.0 * guide.stribeck_mm_s)) ** 2))
+        g = guide.sliding_n * (1.0 + guide.static_excess * b * stribeck)
+        zs_rate = vs - train.screw_bristle_n_per_um * abs(vs) * zs / train.screw_friction_n
+        zt_rate = vt - guide.bristle_n_per_um * abs(vt) * zt / g
+        return [vs, vt, zs_rate, zt_rate, -abs(vt - zt_rate) * b / guide.bond_um + (1.0 - b) / guide.heal_s]
+
+    travel = np.arange(0.0, 75.0, 0.5)
+    times = turn_s + travel / speed_um_s
+    out = solve_ivp(
+        rate, (0.0, times[-1] + 0.01), [0, 0, 0, 0, 1.0], "BDF", t_eval=times, rtol=1e-6, atol=1e-7, max_step=0.02
+    )
+    xs = out.y[0]
+    return travel, train.coupling_n_per_um * ((up_um - travel) - xs) * 1000.0 / train.rated_n
+
+
+def test_it_moves_as_the_papers_equations_say() -> None:
+    train, speed = DriveTrain(), 100.0
+    travel, expected = by_the_papers_equations(train, 100.0, speed)
+    wound = WindUp(train, 0.0)
+    step_um, dt_s = 0.5, 0.5 / speed
+    for index in range(1, 201):
+        wound.step(index * step_um / 1000.0, dt_s, 0.0)
+    found = [wound.torque_permille]
+    for um in travel[1:]:
+        wound.step((100.0 - um) / 1000.0, dt_s, 0.0)
+        found.append(wound.torque_permille)
+    level = abs(float(expected[-1]))
+    assert float(np.max(np.abs(np.array(found) - expected))) < 0.02 * level
+    assert travel[int(np.argmin(found))] == pytest.approx(travel[int(np.argmin(expected))], abs=1.0)
