@@ -77,6 +77,8 @@ def ask_all(todo: Iterable[Case], workers: int) -> Iterator[list[Answer]]:
     if workers <= 1:
         yield from map(ask, todo)
         return
+    here = str(Path(__file__).parent)
+    sys.path[:] = [place for place in sys.path if place != here]  # where it hides this package from the processes
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
         yield from pool.imap_unordered(ask, todo)
 
@@ -84,6 +86,11 @@ def ask_all(todo: Iterable[Case], workers: int) -> Iterator[list[Answer]]:
 def _share(answers: list[Answer], kinds: tuple[str, ...], true: Callable[[Answer], bool]) -> float:
     mine = [true(answer) for answer in answers if answer.case.kind in kinds]
     return sum(mine) / len(mine) if mine else float("nan")
+
+
+def _false(answer: Answer) -> bool:
+    """Something is said that is not so: an effect that is not there, or, of a clean machine, anything."""
+    return not set(answer.names) <= set(answer.case.effects) or (answer.something and not answer.case.effects)
 
 
 def figures(answers: list[Answer]) -> dict[str, float]:
@@ -100,6 +107,7 @@ def figures(answers: list[Answer]) -> dict[str, float]:
         "every effect named and nothing else": _share(
             answers, (*one, "pair"), lambda a: set(a.names) == set(a.case.effects)
         ),
+        "any machine: something named that is not there": _share(answers, KINDS, _false),
         "both of two effects": _share(answers, ("pair",), lambda a: set(a.case.effects) <= set(a.names)),
         "clean machine: false finding": _share(answers, ("clean",), lambda a: a.something),
         "fresh RMS / noise, median": float(np.median(known)),
