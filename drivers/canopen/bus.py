@@ -7,6 +7,7 @@ thread), several axes share one bus without locks between them, and a run in sim
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Self
@@ -18,6 +19,9 @@ from drivers.errors import LinkLostError, StateError
 
 FrameHandler = Callable[[int, bytes], None]
 """handler(time_ns, data): a frame of the subscribed identifier, with the clock's time when it was taken from the bus."""
+
+# python-can's thread for periodic frames logs a bus that is gone, with its traceback; whoever waits here is told by an error
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 _GONE = (can.CanError, OSError, ValueError)  # ValueError: python-can asks a socket that is closed for its number
 
@@ -148,10 +152,24 @@ class CanLink:
         message = can.Message(arbitration_id=0x700 + node_id, data=b"\x05", is_extended_id=False)
         try:
             self.bus.send(message)
-            task = self.bus.send_periodic(message, period_s)
         except _GONE as error:
             raise LinkLostError(f"heartbeat cannot be sent: {error}") from error
-        self._heartbeats[node_id] = (period_s, task)
+        self._heartbeats[node_id] = (period_s, self.send_periodically(message, period_s))
+
+    def send_periodically(self, message: can.Message, period_s: float) -> Any:
+        """Have the bus send it from now on, until `stop()` of what is returned; on SocketCAN the kernel does it, else a thread.
+
+        Such a thread ends without a word when the bus is gone; whoever works with the bus is told. Raises LinkLostError.
+        """
+        try:
+            task: Any = self.bus.send_periodic(message, period_s)
+        except _GONE as error:
+            raise LinkLostError(
+                f"CAN frame {message.arbitration_id:03X}h cannot be sent periodically: {error}"
+            ) from error
+        if isinstance(task, can.broadcastmanager.ThreadBasedCyclicSendTask):
+            task.on_error = lambda _error: False
+        return task
 
     def poll(self) -> None:
         """Dispatch everything that has arrived, without waiting."""

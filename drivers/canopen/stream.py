@@ -147,7 +147,7 @@ class CyclicStream:
         if self.settings.sync is SyncSource.BROADCAST_MANAGER:
             self.link.subscribe(SYNC, self._on_sync)
             message = can.Message(arbitration_id=SYNC, is_extended_id=False, data=b"")
-            self._sync_task = self.link.bus.send_periodic(message, self.settings.period_s)
+            self._sync_task = self.link.send_periodically(message, self.settings.period_s)
 
     def _end(self, *, stopped: bool) -> None:
         """Let the drives stop watching SYNC, then stop SYNC, then put everything else back."""
@@ -181,6 +181,11 @@ class CyclicStream:
             axis.drive.end_streaming()
         if not stopped:
             axis.drive.set_mode(Mode.PROFILE_POSITION)
+
+    @property
+    def next_sync_ns(self) -> int:
+        """When this process sends SYNC next, in the clock's time."""
+        return self._next_sync_ns
 
     # -- the cycle -------------------------------------------------------------------------------------------------------
     def cycle(self, values: Sequence[float]) -> list[Feedback]:

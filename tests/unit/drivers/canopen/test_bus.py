@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import uuid
 from collections.abc import Iterator
 
@@ -123,3 +125,37 @@ def test_back_after_the_bus_was_lost(channel: str) -> None:
         link.reopen()
         with drive:
             assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
+
+
+HEARTBEAT_OF_A_DEAD_BUS = """
+import time, can
+from drivers.canopen.bus import CanLink
+from drivers.clock import WallClock
+
+class Dying(can.BusABC):
+    channel_info, sent = "dying", 0
+    def __init__(self):
+        super().__init__(channel=None)
+    def send(self, msg, timeout=None):
+        self.sent += 1
+        if self.sent > 2:
+            raise can.CanOperationError("the adapter is gone")
+    def recv(self, timeout=None):
+        return None
+
+bus = Dying()
+link = CanLink(bus, WallClock())
+link.produce_heartbeat(127, 0.01)
+deadline = time.monotonic() + 20.0
+while bus.sent < 3 and time.monotonic() < deadline:
+    time.sleep(0.01)
+time.sleep(0.05)
+link.close()
+print(bus.sent)
+"""
+
+
+def test_a_heartbeat_on_a_dead_bus_ends_without_a_word_on_the_terminal() -> None:
+    """Its sender is a thread of python-can's; who works with the bus is told by an error, in one line."""
+    run = subprocess.run([sys.executable, "-c", HEARTBEAT_OF_A_DEAD_BUS], capture_output=True, text=True, check=True)
+    assert (run.stdout, run.stderr) == ("3\n", "")
