@@ -152,6 +152,8 @@ def _outcomes(todo: Sequence[Case], workers: int) -> Iterator[Outcome]:
     if workers <= 1:
         yield from map(run, todo)
         return
+    here = str(Path(__file__).parent)
+    sys.path[:] = [place for place in sys.path if place != here]  # it hides this package from processes
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
         yield from pool.imap_unordered(run, todo, chunksize=4)
 
