@@ -201,10 +201,10 @@ class Drawing:
         return best[1]
 
     def _wandering(self, unseen: Unseen, so_far: Floats, later: Columns, plan: Columns) -> Floats:
-        """The column goes on from where it was on average, and wanders as far as it did: by strokes where it is warmth."""
+        """The column goes on from where it was last, and wanders as far as it did: by strokes where it is warmth."""
         coefficients = np.linalg.lstsq(unseen.design, so_far, rcond=1e-9)[0]
         course = unseen.courses @ coefficients
-        level, size = float(np.mean(course)), float(np.std(course))
+        level, last, size = float(np.mean(course)), float(course[-1]), float(np.std(course))
         since = plan["time_s"] - plan["time_s"][0]
         wave = np.sin(2 * np.pi * since / WANDER_S)
         if unseen.column in plan or (unseen.column == THERMOMETER and np.any(plan["strokes_s"] > 0)):
@@ -214,9 +214,9 @@ class Drawing:
                 if unseen.column in plan
                 else self._warmth(since, plan["strokes_s"])
             )
-        ahead = np.column_stack([np.ones(len(wave)), wave])
+        ahead = np.column_stack([np.ones(len(wave)), wave - wave[0]])
         drawn = response(unseen.effect, unseen.form, unseen.column, later, ahead)
-        return np.asarray(drawn @ [level, size])
+        return np.asarray(drawn @ [last, size])
 
     # -- how well rivals could follow --------------------------------------------------------------------------------------
     def _misfits(self, campaign: Campaign, drawn: Floats, logged: Columns | None) -> Floats:
@@ -235,7 +235,14 @@ class Drawing:
                 extra = Extra(random[:, :0], random * np.sqrt(max(cause.choice.variance, 1.0)))
                 left = np.minimum(left, bench.frame(self.noise, drawn, extra).rss / frame.rss)
             out[:, j] = left * frame.rss
-        return out / self.noise_um**2
+        read = {name.split("_")[0] for name in logged or {}}
+        loose = [j for j, cause in enumerate(self.causes) if cause.choice is not None and cause.choice.form.shrunk]
+        for j, cause in enumerate(self.causes):
+            free = [u for u in imagined(campaign, [cause.effect]) if u.wanders and u.column.split("_")[0] not in read]
+            if loose and free:
+                out[:, j] = np.minimum(out[:, j], out[:, loose[0]])
+        out -= np.diag(out)[:, None]  # what a cause misses of its own course tells nothing
+        return np.asarray(np.maximum(out, 0.0) / self.noise_um**2)
 
     def _designs(self, campaign: Campaign, effect: Effect, logged: Columns) -> list[Floats]:
         """Every way in which an effect could be fitted to records and run."""

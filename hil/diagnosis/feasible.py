@@ -30,7 +30,8 @@ STEPS_PER_PERIOD = 11.3
 def feasible_runs(means: Means, *, first_run: int = 1, seed: int = 0) -> tuple[PlannedRun, ...]:
     """Everything this axis could measure next, its rows counted on from run `first_run`."""
     maker = _Maker(means, np.random.default_rng([seed, 17]), first_run)
-    runs = [maker.repeat(), maker.shifted(), maker.dense(), maker.reversals(), maker.returns(), maker.warm_and_cool()]
+    runs = [maker.repeat(), maker.shifted(), maker.fine(), maker.dense(), maker.reversals(), maker.returns()]
+    runs.append(maker.warm_and_cool())
     if means.feeds_mm_s:
         runs.append(maker.feeds())
     runs += [maker.levels(column, values) for column, values in means.levels.items() if len(values) > 1]
@@ -99,6 +100,11 @@ class _Maker:
         count = self.means.targets
         words = f"measure at {count} other targets, off the spacing of the first ones, there and back twice"
         return self.planned("shifted", words, self.there_and_back(self.scattered(count), 2))
+
+    def fine(self) -> PlannedRun:
+        count = 3 * self.means.targets
+        words = f"measure at {count} other targets all over the travel, there and back"
+        return self.planned("fine", words, self.there_and_back(self.scattered(count), 1))
 
     def dense(self) -> PlannedRun:
         """Fine steps that no usual pitch divides, over two of the longest periods, at three places."""

@@ -169,6 +169,6 @@ def means_of_records(records: Records, pitches_mm: tuple[float, ...] = ()) -> Me
         levels=levels,
         assumed=frozenset(assumed),
         sensors=frozenset(name for name, values in records.columns.items() if np.all(np.isfinite(values))),
-        feeds_mm_s=(fast, fast / 2, fast / 4) if fast > 0 else (),
+        feeds_mm_s=(fast, fast / 4, fast / 16) if fast > 0 else (),
         pitches_mm=pitches_mm,
     )

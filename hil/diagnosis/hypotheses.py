@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.choose import problem_of
-from hil.diagnosis.fit import Choice, start_noise
+from hil.diagnosis.evidence import Bench, Noise
+from hil.diagnosis.fit import START_ROUGHNESS, Choice, JointFit, start_noise
 from hil.diagnosis.search import GRID, Effort, Searcher, View
 from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import complete, time_column
@@ -38,6 +39,8 @@ ONCE = frozenset({"datum_step", "beam_drift"})
 """Causes that need not come back in another campaign."""
 WORST = -12.0
 """Log Bayes factor of a cause that one part of the records speaks against, at most: no form is exactly right there either."""
+STILL = 0.15
+"""Share of a course in time that must be left beside a table, or it was there all the time."""
 COURSES = (1, 2, 3, 4, 6)
 """Orders of the smooth courses that an unseen column is imagined to take."""
 
@@ -61,6 +64,11 @@ class Unseen:
     column: str
     design: Floats
     courses: Floats
+
+    @property
+    def wanders(self) -> bool:
+        """Whether it is an offset that follows something nobody reads: free to take any course in time."""
+        return self.column in IN_TIME and "target_mm" not in self.form.inputs
 
 
 @dataclass(frozen=True)
@@ -161,6 +169,8 @@ def _weigh_part(
     before, _ = searcher.profiled_evidence(rest, noise)
     found: dict[str, Hypothesis] = {}
     for ranked in searcher.rank(rest, noise):
+        if declared is not None and _stands_still(campaign, ranked.choice, searcher.fit([ranked.choice], noise)):
+            continue
         found[ranked.effect] = Hypothesis(ranked.choice.effect, 0.0, ranked.evidence - before, ranked.choice, None)
     view = View(searcher, rest)
     noises = [noise, noise.calm(), *(replace(noise, ar=a, rho=r, offset=o) for a, r, o in WIDE.grid)]
@@ -172,7 +182,25 @@ def _weigh_part(
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
+    for hypothesis in list(found.values()):  # what wanders unseen may wander like anything that wanders
+        loose = found.get("beam_drift")
+        wanders = hypothesis.unseen is not None and hypothesis.unseen.wanders
+        if loose is not None and wanders and hypothesis.gain < loose.gain - UNSEEN:
+            found[hypothesis.id] = replace(hypothesis, gain=loose.gain - UNSEEN)
     return list(found.values())
+
+
+def _stands_still(campaign: Campaign, choice: Choice, fit: JointFit) -> bool:
+    """Whether a cause that is said to come with time was there from the first row on, so that a table would hold it.
+
+    A drift that settles at once is a shape along the travel under another name.
+    """
+    if time_column(campaign.columns) not in choice.form.inputs or choice.form.shrunk or not fit.found:
+        return False
+    drawn = fit.found[0].error_um(campaign.columns)
+    noise = Noise(offset=1.0, even=START_ROUGHNESS, odd=START_ROUGHNESS)
+    frame = Bench(campaign).frame(noise, drawn - float(np.mean(drawn)))
+    return bool(float(frame.rss) < STILL**2 * float(np.sum(frame.y**2)))
 
 
 def _hidden(prepared: Floats, left: Floats) -> bool:

@@ -13,7 +13,7 @@ from hil.effects.survey import Survey
 
 ANGLES = ("pitch_urad", "yaw_urad")
 TILT, CHANGING = "tilt", "arm changing along the travel"
-SECOND_OFFSET = {"straight tilt, two offsets": 1, "tilt, two offsets": 3}
+SECOND_OFFSET = {"straight tilt, two offsets": 1, "tilt, two offsets": 3, "wavy tilt, two offsets": 5}
 """Forms without a level, for a measuring line moved by `abbe_offset_mm` from where it was (0): orders of the tilt's course."""
 ARMS_MM = (-400.0, -150.0, -60.0, 60.0, 150.0, 400.0)
 UM_PER_URAD_MM = 1e-3
@@ -45,7 +45,7 @@ class Abbe(Effect):
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         if form.name in SECOND_OFFSET:
             u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-            course = legendre.legvander(np.clip(u, -1.1, 1.1), SECOND_OFFSET[form.name])[:, 1:]
+            course = legendre.legvander(np.clip(u, -1.1, 1.1), SECOND_OFFSET[form.name])
             return np.asarray((theta[0] + columns["abbe_offset_mm"])[:, None] * course * UM_PER_URAD_MM)
         tilt = columns[form.inputs[0]] * UM_PER_URAD_MM
         if form.name == TILT:
@@ -57,7 +57,7 @@ class Abbe(Effect):
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if term.form.name in SECOND_OFFSET:
-            return {"arm_mm": term.nonlinear(0), "tilt_to_the_end_urad": term.coefficient(0)}
+            return {"arm_mm": term.nonlinear(0), "tilt_to_the_end_urad": term.coefficient(1)}
         found = {"arm_mm": term.coefficient(0)}
         if term.form.name == CHANGING:
             found["arm_change_mm"] = term.coefficient(1)

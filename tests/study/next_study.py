@@ -29,7 +29,7 @@ from hil.records import Records
 
 EFFECTS = (*AGAINST, *ALONG, *IN_TIME)
 ROUNDS = 4
-FEEDS_MM_S = (40.0, 10.0, 20.0)
+FEEDS_MM_S = (40.0, 10.0, 2.5)
 Columns = dict[str, np.ndarray]
 
 
