@@ -15,6 +15,7 @@ from hil.diagnosis.design import design, plan_minutes
 from hil.diagnosis.planned_run import Means, Point
 from hil.files import replace_file
 from hil.procedures.plans import to_plan
+from hil.user_effects import blaming, check_on
 
 EXAMPLE = """\
 example:
@@ -82,10 +83,13 @@ def run_check(args: argparse.Namespace) -> int:
     """Print the gaps. 0: none; 1: there are some. Raises InputError for bad records."""
     effects = read_effects(args.effects)
     pitches = (load_axis(args.axis).scaling.feed_mm_per_shaft_rev,) if args.axis else ()
-    try:
-        check = check_campaign(read_records(args.records, args.runs), pitches, effects)
-    except InputError as error:
-        raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+    with blaming(effects):
+        try:
+            records = read_records(args.records, args.runs)
+            check_on(effects, records.columns)
+            check = check_campaign(records, pitches, effects)
+        except InputError as error:
+            raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
     if args.json:
         write_json(args.json, check.to_json())
     print_check(check)

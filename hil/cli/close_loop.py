@@ -9,6 +9,7 @@ from typing import Any
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run
+from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
 from hil.cli.summary import error_figures, print_findings, print_stages
@@ -21,6 +22,7 @@ from hil.procedures.explore import Exploration
 from hil.procedures.measure import bidirectional_steps
 from hil.procedures.next_run import runs_of
 from hil.procedures.plans import read_plan
+from hil.user_effects import blaming
 from hil.wiring import connected
 
 EXAMPLE = """\
@@ -59,6 +61,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         choices=("ask", "none"),
         help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
     )
+    add_effects_option(parser)
     add_password_options(parser, key=True)
     parser.set_defaults(run=run)
 
@@ -66,6 +69,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """0: what is left is within the noise or explained; 1: not."""
     axis = load_axis(args.axis)
+    effects = read_effects(args.effects)
     plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
     if args.dry_run:
         steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
@@ -82,7 +86,11 @@ def run(args: argparse.Namespace) -> int:
     exploration = vars(how) if plan is None else {"plan": repr(plan)}
     purpose = {**axis.purpose("close-loop"), "exploration": exploration}
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
-    with connected(axis, conditions=_asked(axis)) as machine, terminal_progress() as listener:
+    with (
+        blaming(effects),
+        connected(axis, conditions=_asked(axis)) as machine,
+        terminal_progress() as listener,
+    ):
         machine.session.prepare()
         loop = close_loop(
             machine.session,
@@ -93,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
             how=how,
             consent=_consent(args.person),
             plan=plan,
+            effects=effects,
         )
     stages = loop_stages(loop)
     print_stages(stages)
@@ -120,9 +129,11 @@ def run(args: argparse.Namespace) -> int:
 def _asked(axis: AxisConfig) -> Conditions | None:
     """Loads and the like are brought about by whoever sits at the terminal."""
     levels = axis.conditions.levels
-    if not levels or axis.drive.backend == "bench":
+    if axis.drive.backend == "bench":
         return None
     if not sys.stdin.isatty():
+        if not levels:
+            return None
         raise InputError("[conditions] are asked for on a terminal, and there is none", path=axis.path)
 
     def ask(name: str, value: float) -> None:

@@ -18,6 +18,7 @@ from hil.diagnosis import Diagnosis, diagnose
 from hil.diagnosis.follow_up import FollowUp, follow_up
 from hil.diagnosis.hypotheses import joined
 from hil.diagnosis.planned_run import PlannedRun
+from hil.effects import ALL, Effect
 from hil.journal import Campaign
 from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.events import Event, Listener, silent
@@ -70,10 +71,12 @@ def close_loop(
     how: Exploration | None = None,
     consent: Consent | None = None,
     plan: Sequence[Run] | None = None,
+    effects: Sequence[Effect] = ALL,
 ) -> Loop:
     """Calibrate and turn the loop once, on a prepared session; leaves the extended compensation in force and stored."""
     calibration = calibrate(session, campaign, correction, lambda tables: store(Compensation(tables)), listener)
-    turn = turn_loop(session, campaign, calibration.tables, store, listener, how=how, consent=consent, plan=plan)
+    tables = calibration.tables
+    turn = turn_loop(session, campaign, tables, store, listener, how=how, consent=consent, plan=plan, effects=effects)
     return Loop(calibration, turn)
 
 
@@ -87,18 +90,19 @@ def turn_loop(
     how: Exploration | None = None,
     consent: Consent | None = None,
     plan: Sequence[Run] | None = None,
+    effects: Sequence[Effect] = ALL,
 ) -> Turn:
     """Explore, diagnose, extend, explore again, on a prepared session with a compensation in force.
 
     consent: asks for a person where a run needs one; without it only runs that the axis makes alone are made
-    plan: rows to explore with before and after, instead of those of `how`
+    plan: rows to explore with before and after, instead of those of `how`; effects: the catalogue, and what stands beside it
 
     What is fitted is the whole machine (measured - command), so that the new compensation replaces the old one. It is put into
     force only when the diagnosis recommends it: not where it would make runs it has not seen worse.
     """
     how = how or Exploration()
     before = explore(session, campaign, "before", plan or plan_runs(session, how, seed=1), listener)
-    diagnosis, further, follow = _decide(session, campaign, before, consent, listener)
+    diagnosis, further, follow = _decide(session, campaign, before, consent, listener, effects=effects)
     extended = session.compensation or Compensation(tables)
     if diagnosis.recommended:
         extended = compensation_of(diagnosis.extended, tables)
@@ -109,7 +113,13 @@ def turn_loop(
 
 
 def _decide(
-    session: AxisSession, campaign: Campaign, before: Records, consent: Consent | None, listener: Listener
+    session: AxisSession,
+    campaign: Campaign,
+    before: Records,
+    consent: Consent | None,
+    listener: Listener,
+    *,
+    effects: Sequence[Effect],
 ) -> tuple[Diagnosis, tuple[PlannedRun, ...], FollowUp]:
     """Diagnose; as long as causes are left that a run can tell apart, make the run and diagnose all rows together."""
     parts = [_issuable(session, before)]
@@ -118,14 +128,21 @@ def _decide(
     while True:
         listener(Event("diagnose"))
         rows = joined(parts)
-        diagnosis = diagnose(rows)
+        diagnosis = diagnose(rows, effects=effects)
         refused = [run.name for run in further]
-        follow = follow_up(diagnosis, rows, None, means, made=refused, seed=len(further))
+        follow = follow_up(diagnosis, rows, None, means, effects=effects, made=refused, seed=len(further))
         run = follow.run
         while run is not None and run.person and not (consent is not None and consent(run)):
             refused.append(run.name)
             alone = follow_up(
-                diagnosis, rows, None, means, persons=consent is not None, made=refused, seed=len(further)
+                diagnosis,
+                rows,
+                None,
+                means,
+                effects=effects,
+                persons=consent is not None,
+                made=refused,
+                seed=len(further),
             )
             run = alone.run
         if run is None or len(further) == MOST_RUNS:

@@ -104,6 +104,24 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(
     assert expected in captured.err
 
 
+def test_every_verb_that_uses_effects_takes_the_file_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis, records = bench_axis.lay_out(tmp_path), tmp_path / "records.csv"
+    records.write_text(RECORDS)
+    path = own(tmp_path, "EFFECTS = ()")
+    for verb in (
+        ["diagnose", str(records)],
+        ["fit", str(records), "--out", "x"],
+        ["apply", "--model", "x", str(records), "--out", "y"],
+        ["campaign", "check", str(records)],
+        ["close-loop", str(axis), "--dry-run"],
+    ):
+        assert main([*verb, "--effects", str(path)]) == 2
+        assert capsys.readouterr().err == f"hil: {path}: holds no effect; expected EFFECTS = (MyEffect(), …)\n"
+    assert main(["close-loop", str(axis), "--dry-run", "--effects", str(OWN)]) == 0
+
+
 def test_a_file_that_is_not_there_and_one_that_is_no_python_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone\.py: is no file"):
         effects_of_file(tmp_path / "gone.py")
