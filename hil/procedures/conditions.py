@@ -11,6 +11,9 @@ from typing import Protocol
 
 from drivers.errors import CapabilityError
 
+SET_UP = frozenset({"abbe_offset_mm", "setup"})
+"""Changes of the instrument's optics that a person can be asked for at any time; afterwards its zero is another one."""
+
 
 class Conditions(Protocol):
     """Columns beside the axis's own: which can be set to which levels, and what they read now."""
@@ -41,7 +44,10 @@ class NoConditions:
 
 
 class AskedConditions:
-    """Conditions that a person brings about: `ask(name, value)` returns once it is done."""
+    """Conditions that a person brings about: `ask(name, value)` returns once it is done.
+
+    levels: those of the axis file; a change of the set-up (`SET_UP`) can be asked for beside them
+    """
 
     def __init__(self, levels: Mapping[str, Sequence[float]], ask: Callable[[str, float], None]) -> None:
         self._levels = {name: tuple(values) for name, values in levels.items()}
@@ -53,7 +59,7 @@ class AskedConditions:
         return self._levels
 
     def set(self, name: str, value: float) -> None:
-        if name not in self._levels:
+        if name not in self._levels and name not in SET_UP:
             raise CapabilityError(f"condition {name} is not in the axis file's [conditions]")
         if self._now.get(name) != value:
             self._ask(name, value)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.journal import Campaign
+from hil.procedures.conditions import SET_UP
 from hil.procedures.events import Listener, silent
 from hil.procedures.measure import Step, measure
 from hil.procedures.session import AxisSession
@@ -101,6 +102,8 @@ def explore(
         if not campaign.has_rows(stage):
             for condition, level in run.conditions:
                 session.conditions.set(condition, level)
+            if any(condition in SET_UP for condition, _ in run.conditions):
+                session.take_datum()
             if run.strokes_s:
                 warm_up(session, run.strokes_s, listener=listener, stage=f"{stage} warming")
             if run.rest_s:

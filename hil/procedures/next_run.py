@@ -6,19 +6,19 @@ from collections.abc import Sequence
 
 from hil.diagnosis.planned_run import Means, PlannedRun, Point
 from hil.journal import Campaign
-from hil.procedures.conditions import AskedConditions
+from hil.procedures.conditions import SET_UP, AskedConditions
 from hil.procedures.events import Listener, silent
 from hil.procedures.explore import Run, explore
 from hil.procedures.measure import Step
 from hil.procedures.session import AxisSession
 from hil.records import Records
 
-SET_UP = frozenset({"abbe_offset_mm", "setup"})
-"""Changes of the optics that a person can be asked for while the axis is connected; new sensors cannot be read by then."""
-
 
 def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
-    """What an axis can do: its session's targets and times, its conditions, the sensors it reads."""
+    """What an axis can do: its session's targets and times, its conditions, the sensors it reads.
+
+    With a person at hand the optics can be set up anew; new sensors cannot be read while the axis is connected.
+    """
     how, conditions = session.how, session.conditions
     asked = isinstance(conditions, AskedConditions)
     levels = {name: tuple(float(v) for v in values) for name, values in conditions.levels.items() if name not in SET_UP}
