@@ -131,10 +131,10 @@ def _decide(
         diagnosis = diagnose(rows, effects=effects)
         refused = [run.name for run in further]
         follow = follow_up(diagnosis, rows, None, means, effects=effects, made=refused, seed=len(further))
-        run = follow.run
+        run = follow.run if len(further) < MOST_RUNS else None
         while run is not None and run.person and not (consent is not None and consent(run)):
             refused.append(run.name)
-            alone = follow_up(
+            run = follow_up(
                 diagnosis,
                 rows,
                 None,
@@ -143,9 +143,8 @@ def _decide(
                 persons=consent is not None,
                 made=refused,
                 seed=len(further),
-            )
-            run = alone.run
-        if run is None or len(further) == MOST_RUNS:
+            ).run
+        if run is None:
             return follow.diagnosis, tuple(further), follow
         further.append(run)
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
