@@ -43,6 +43,12 @@ def searched(error_um: Callable[[dict[str, Array]], Array], seed: int = 1) -> tu
     return searcher, search(searcher, start_noise(prepared), NullJudge(0))
 
 
+@pytest.fixture(scope="module")
+def lagging() -> tuple[Searcher, Selection]:
+    """A machine that lags, and nothing else."""
+    return searched(lambda c: 0.02 * c["direction"] * c["velocity_mm_s"])
+
+
 def names(selection: Selection) -> list[str]:
     return [choice.effect.id for choice in selection.choices]
 
@@ -63,16 +69,16 @@ def test_noise_is_left_alone() -> None:
     assert [names(searched(lambda c: 0.0 * c["run"], seed=seed)[1]) for seed in range(2)] == [[]] * 2
 
 
-def test_a_term_that_no_longer_brings_anything_is_dropped_and_only_that() -> None:
-    searcher, found = searched(lambda c: 0.02 * c["direction"] * c["velocity_mm_s"])
+def test_a_term_that_no_longer_brings_anything_is_dropped_and_only_that(lagging: tuple[Searcher, Selection]) -> None:
+    searcher, found = lagging
     idle = next(choice for choice in searcher.candidates.choices if choice.effect.id == "load_deflection")
     kept = drop(searcher, [*found.choices, idle], found.noise)
     assert kept == list(found.choices)
     assert drop(searcher, [idle, *found.choices], found.noise, fixed=1) == [idle, *found.choices]
 
 
-def test_gains_of_the_whole_campaign_decide_in_the_folds() -> None:
-    searcher, found = searched(lambda c: 0.02 * c["direction"] * c["velocity_mm_s"])
+def test_gains_of_the_whole_campaign_decide_in_the_folds(lagging: tuple[Searcher, Selection]) -> None:
+    searcher, found = lagging
     gain = found.stages[0].ranking[0].evidence - found.stages[0].before
     for critical, taken in ((gain - 1.0, ["velocity_lag"]), (gain + 1.0, [])):
         searcher.tame((), found.noise)
@@ -80,8 +86,10 @@ def test_gains_of_the_whole_campaign_decide_in_the_folds() -> None:
         assert names(search(searcher, found.stages[0].ranking[0].noise, judge)) == taken
 
 
-def test_the_gain_that_is_just_significant_is_where_its_chance_is_the_wanted_one() -> None:
-    searcher, found = searched(lambda c: 0.004 * c["direction"] * c["velocity_mm_s"])
+def test_the_gain_that_is_just_significant_is_where_its_chance_is_the_wanted_one(
+    lagging: tuple[Searcher, Selection],
+) -> None:
+    searcher, found = lagging
     judge = NullJudge(0)
     judge.probability(found.stages[0], searcher, (), found.noise)
     assert judge.null is not None
