@@ -47,6 +47,7 @@ class Rig:
     def foreign(self) -> BaseNode402:
         """The library's own CiA-402 node, set up as its documentation says."""
         network = canopen.Network()
+        network.NOTIFIER_CYCLE = 0.02  # how long its receiver takes to end
         network.connect(interface="virtual", channel=self.channel)
         self.stack.callback(network.disconnect)
         node = BaseNode402(NODE, str(EDS))
@@ -59,8 +60,8 @@ class Rig:
     def link(self) -> CanLink:
         return self.stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=self.channel))
 
-    def ours(self) -> CanOpenDrive:
-        settings = CanOpenSettings(heartbeat_s=None)
+    def ours(self, mode_timeout_s: float = 1.0) -> CanOpenDrive:
+        settings = CanOpenSettings(heartbeat_s=None, mode_timeout_s=mode_timeout_s)
         link = self.link()
         drive = CanOpenDrive(
             "X", AxisScaling(100_000, 10.0), LIMITS, link.clock, link=link, node_id=NODE, settings=settings
@@ -154,12 +155,13 @@ def test_the_librarys_setter_logs_a_mode_that_does_not_come_and_returns(caplog: 
 
 def test_ours_raises_for_a_mode_that_does_not_come() -> None:
     with _rig(DEAF_TO_MODES) as rig, pytest.raises(ProtocolError, match="mode 3 was written, 6061h"):
-        rig.ours().set_mode(Mode.PROFILE_VELOCITY)
+        rig.ours(mode_timeout_s=0.1).set_mode(Mode.PROFILE_VELOCITY)
 
 
 def test_the_library_believes_the_state_it_has_commanded_itself() -> None:
     """Nobody is on the bus, and its check for a state in which SDO works is passed all the same."""
     network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.02
     network.connect(interface="virtual", channel=uuid.uuid4().hex)
     try:
         node = BaseNode402(NODE, str(EDS))

@@ -227,22 +227,22 @@ def test_what_goes_wrong_stops_all_axes(
 
 
 def test_a_heartbeat_that_stops_while_feedback_goes_on_ends_the_stream(stack: ExitStack) -> None:
-    rig = _rig(stack, 2, faults={2: _late_faults(K.HEARTBEAT_STOPS)})
-    caught, stream = _stream_until_it_stops(rig, StreamSettings(0.002), seconds=3.0)
+    rig = _rig(stack, 1, faults={1: _late_faults(K.HEARTBEAT_STOPS)})
+    caught, stream = _stream_until_it_stops(rig, StreamSettings(0.005), seconds=3.0)
     assert isinstance(caught, LinkLostError)
-    assert re.search("axis 2: no heartbeat of node 2", str(caught))
+    assert re.search("axis 1: no heartbeat of node 1", str(caught))
     assert stream.counters.late_feedback == 0
     rig.assert_safe()
 
 
 def test_frames_that_come_twice_are_not_taken_for_the_next_cycles(stack: ExitStack) -> None:
     rig = _rig(stack, 1, faults={1: _late_faults(K.DUPLICATES)})
-    with CyclicStream(rig.drives, StreamSettings(0.001)) as stream:
-        for cycle in range(800):
-            (feedback,) = stream.cycle([0.01 * cycle])  # 10 mm/s: one cycle is 10 µm
+    with CyclicStream(rig.drives, StreamSettings(0.002)) as stream:
+        for cycle in range(350):
+            (feedback,) = stream.cycle([0.02 * cycle])  # 10 mm/s: one cycle is 20 µm
             present_mm = rig.bench.servo.position_actual_counts / 10_000
-            assert abs(present_mm - feedback.position_load_mm) < 0.006, cycle
-    assert present_mm > 7.5
+            assert abs(present_mm - feedback.position_load_mm) < 0.012, cycle
+    assert present_mm > 6.5
 
 
 @pytest.mark.parametrize("kind", [K.TPDO_LOST, K.TPDO_LATE])

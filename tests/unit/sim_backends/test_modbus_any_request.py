@@ -74,7 +74,7 @@ def _order(chance: random.Random, *, vendor: bool) -> bytes:
     return b"\x10" + address.to_bytes(2, "big") + words.to_bytes(2, "big") + bytes((size,)) + data
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_drive_under_power_bears_any_orders(seed: int) -> None:
     """A simulator that a master's nonsense kills is no use: nothing it is told may end it, whatever state it is in."""
     chance = random.Random(seed)
@@ -83,14 +83,14 @@ def test_a_drive_under_power_bears_any_orders(seed: int) -> None:
     face: Face = VendorRegisters(servo, counts_per_rev=60_000) if vendor else Cia402Registers(servo)
     status = b"\4\0\0\0\x0c" if vendor else b"\3\x20\0\0\x0c"
     now_ns, powered = 0, 0
-    for _ in range(600):
+    for _ in range(400):
         now_ns += chance.choice([1, 5, 20]) * 1_000_000
         servo.advance(now_ns, 0.005)
         face.tick(now_ns)
         answer(face, _order(chance, vendor=vendor))
         assert answer(face, status)[0] == status[0]
         powered += servo.powered
-    assert powered > 20
+    assert powered > 10
 
 
 def test_clients_that_come_and_go_rudely_are_borne() -> None:
