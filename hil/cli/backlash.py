@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         if args.restore:
             return _restore(settings)
         result, kept = _measure(axis, how, drive, settings, args.write)
-    facts = _facts(how, settings, result)
+    facts = _facts(settings, result)
     _print(result, facts, kept)
     if args.report:
         _write_report(args.report, axis, how, result, facts)
@@ -146,7 +146,7 @@ def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) 
     print(f"  the mean would {'take the place of the amount' if args.write else 'not be written'}")
 
 
-def _facts(how: BacklashConfig, settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
+def _facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
     """The parameters before and now."""
     before = result.found.values
     facts = {f"{name}, before": f"{value:g}" for name, value in before.items()}
@@ -157,7 +157,6 @@ def _facts(how: BacklashConfig, settings: BacklashSettings, result: TorqueBackla
         facts[f"{settings.amount.name}, written and read back"] = f"{result.written:g}"
     if result.found.from_note:
         facts["note"] = "an earlier measurement had not put these back; this one has"
-    del how
     return facts
 
 
@@ -188,9 +187,15 @@ def verdict(result: TorqueBacklash) -> str:
     if exceeded is None:
         return ""
     reach_um = float(exceeded.trace.travel_um[-1])
+    seen = exceeded.published_um
+    hint = (
+        ""
+        if seen is None
+        else f"; the four-sample rule has a peak at {seen:.1f} µm, finer steps may show a wind-up there"
+    )
     return (
         f"detection limit exceeded: {NAMES[exceeded.trace.direction]} shows no break-away within {reach_um:.0f} µm"
-        f" ({len(exceeded.trace.position_load_mm) - 1} steps); everything is as it was, nothing was written"
+        f" ({len(exceeded.trace.position_load_mm) - 1} steps); everything is as it was, nothing was written{hint}"
     )
 
 

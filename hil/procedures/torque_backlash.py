@@ -57,7 +57,10 @@ class TorqueBacklash:
 def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
     """What the drive cannot do, said before anything is written or moved. Raises CapabilityError, LimitError."""
     drive.require(Capability.PROFILE_POSITION, Capability.TORQUE_ACTUAL)
-    if drive.sample().torque_percent is None:
+    sample = drive.sample()
+    if how.home and not sample.homed:
+        drive.require(Capability.HOMING)
+    if sample.torque_percent is None:
         raise CapabilityError(f"drive {drive.name} does not tell its torque, and backlash is measured by torque")
     check_reach(drive, *(place(each) for each in DIRECTIONS for place in (how.start_mm, how.turning_mm, how.end_mm)))
 

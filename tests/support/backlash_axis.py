@@ -46,7 +46,7 @@ travel_velocity_mm_s = 100.0
 {backlash}
 """
 
-QUICK = "step_um = 2.0\nsettle_s = 0.03\nreadings = 2\n"
+QUICK = "step_um = 2.0\nsettle_s = 0.03\nreadings = 2\nvelocity_mm_s = 2.0\nrun_in_mm = 0.2\n"
 """For tests of anything but the accuracy."""
 
 
