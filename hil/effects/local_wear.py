@@ -10,6 +10,8 @@ import numpy as np
 from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
 from hil.effects.survey import Survey
 
+USUAL_SHARE, USUAL_SPREAD = 1 / 12, 0.7
+"""A zone is short against the travel: its width over half of that, and the standard deviation of the logarithm."""
 BUMP, REVERSAL, BOTH = "bump", "bump with direction", "bump in each direction"
 
 
@@ -30,7 +32,8 @@ class LocalWear(Effect):
         high = survey.centre_mm + survey.half_span_mm
         narrow = min(survey.spacing_mm / 2, survey.half_span_mm / 8)
         centre = NonLinear("centre_mm", low, high, logarithmic=False)
-        width = NonLinear("width_mm", narrow / 2, survey.half_span_mm / 2)
+        usual = (survey.half_span_mm * USUAL_SHARE, USUAL_SPREAD)
+        width = NonLinear("width_mm", narrow / 2, survey.half_span_mm / 4, usual=usual)
         starts = tuple(
             (float(c), float(w))
             for w in np.geomspace(narrow, survey.half_span_mm / 4, 5)

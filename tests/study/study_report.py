@@ -19,6 +19,7 @@ WANTED: dict[str, tuple[float, float]] = {
     "outside: unexplained": (0.90, 1.0),
     "outside: confident name": (0.0, 0.03),
     "pair: both": (0.85, 1.0),
+    "appeared: right first": (0.99, 1.0),
     "fresh RMS over noise: median": (0.0, 1.1),
     "fresh RMS over noise: 90 %": (0.0, 1.3),
 }
