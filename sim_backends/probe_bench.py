@@ -65,6 +65,7 @@ class ProbeBench:
         self.axes = dict(axes)
         self._sense = spindle_sense
         self._idle = normally_closed
+        self._seen_counts: list[int] = []
         self.probe = SimulatedProbe(probe)
         self.servos: dict[str, SimulatedServo] = {}
         self._units: list[tuple[ProbeLatch, int]] = []
@@ -102,7 +103,12 @@ class ProbeBench:
         self._follow(0, 0.0)
 
     def _follow(self, _now_ns: int, _dt_s: float) -> None:
-        level = self.probe.follow(self.place("x"), self.place("y"), self._sense * self.place("spindle")) != self._idle
+        counts = [servo.position_actual_counts for servo in self.servos.values()]
+        if counts == self._seen_counts:
+            return
+        self._seen_counts = counts
+        signals = self.probe.follow(self.place("x"), self.place("y"), self._sense * self.place("spindle"))
+        level = signals != self._idle
         for unit, number in self._units:
             if bool(unit.inputs >> number - 1 & 1) != level:
                 unit.set_input(number, level)
