@@ -118,6 +118,7 @@ class Searcher:
         self.raw = self.y = setting.error_um
         self.nuisance = Extra.none(len(self.y))
         self._frames: dict[Noise, Frame] = {}
+        self.barred: frozenset[str] = frozenset()  # effects that are not searched for the moment
 
     @property
     def always(self) -> Extra:
@@ -126,6 +127,11 @@ class Searcher:
 
     def add_nuisance(self, extra: Extra) -> None:
         self.nuisance = self.nuisance.plus(extra)
+        self._frames.clear()
+
+    def restore(self, y: Floats, nuisance: Extra) -> None:
+        """Back to errors and columns of no interest that were there before."""
+        self.y, self.nuisance = y, nuisance
         self._frames.clear()
 
     def fit(self, choices: Sequence[Choice], noise: Noise, *, uncertain: bool = True) -> JointFit:
@@ -206,6 +212,8 @@ class Searcher:
             gains = score(frame, self.candidates.stack(frame.whitened)).gain
             for key, index in enumerate(self.candidates.forms):
                 top = index[int(np.argmax(gains[index]))]
+                if self.candidates.choices[top].effect.id in self.barred:
+                    continue
                 value = view.base(trial) + float(gains[top])
                 if np.isfinite(value) and (key not in found or value > found[key].evidence):
                     found[key] = Ranked(self.candidates.choices[top], value, trial)
@@ -320,7 +328,28 @@ def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
 
 
 def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice] = ()) -> Selection:
-    """Forward choice with exchange, from some choices and the noise model with them."""
+    """Forward choice with exchange, from some choices and the noise model with them.
+
+    What is flexible enough to stand for several causes at once (a wander in time) is taken only where no several causes do better.
+    """
+    found = _forward(searcher, noise, judge, start)
+    flexible = {choice.effect.id for choice in found.choices[len(start) :] if choice.form.shrunk}
+    if not flexible or not searcher.effort.correlations:
+        return found
+    kept = searcher.y, searcher.nuisance
+    searcher.barred = frozenset(flexible)
+    other = _forward(searcher, noise, judge, start)
+    searcher.barred = frozenset()
+    several = len(other.choices) > len(found.choices)
+    worth, _ = searcher.profiled_evidence(found.choices, found.noise)
+    if several and searcher.profiled_evidence(other.choices, other.noise)[0] > worth:
+        more = _forward(searcher, other.noise, judge, other.choices)
+        return replace(more, stages=(*other.stages, *more.stages))
+    searcher.restore(*kept)
+    return found
+
+
+def _forward(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice]) -> Selection:
     chosen: list[Choice] = list(start)
     stages: list[Stage] = []
     while len(chosen) < MOST_TERMS + len(start):
