@@ -69,7 +69,9 @@ def test_five_runs_on_the_published_machines(
 
 
 @pytest.mark.slow
-def test_the_stated_uncertainty_covers_the_truth_on_machines_nobody_has_seen() -> None:
+def test_the_stated_uncertainty_covers_the_truth_on_machines_nobody_has_seen(
+    record_property: Callable[[str, object], None],
+) -> None:
     """20 to 90 µm, with and without a clearance, noise 0.5 to 1.5 in 0.1 % of rated: one run each way per seed."""
     covered, relative = [], []
     for machine_seed in range(SEEDS // SEEDS_PER_MACHINE):
@@ -82,6 +84,7 @@ def test_the_stated_uncertainty_covers_the_truth_on_machines_nobody_has_seen() -
             found = lost_motion_of([Reversal.of(1, noisy_trace(curves[d], noise, rng)) for d in (-1, 1)])
             covered.append(abs(found.mean_um - laser_um) <= found.u95_um)
             relative.append(found.u95_um / laser_um)
+    record_property("covered", f"{np.mean(covered):.3f} of {len(covered)}, U95 {100 * np.median(relative):.2f} %")
     assert len(covered) == SEEDS
     assert np.mean(covered) >= 0.9
     assert np.median(relative) < 0.02, "an uncertainty that covers everything says nothing"
