@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     with connected(axis) as machine, terminal_progress() as listener:
         machine.session.prepare()
         campaign = Campaign.numbered(axis.store.directory, axis.purpose("demo"), resume=False)
-        loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, how=HOW)
+        loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, how=HOW, most_further=0)
         machine_s = machine.clock.now_ns() / NS_PER_S
     from hil.cli.documents import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
 

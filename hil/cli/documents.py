@@ -61,8 +61,8 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
             identity(axis),
             _limits(axis.correction.band),
             in_force(turn.extended.tables),
-            diagnosis_with_plots(turn.diagnosis, turn.before),
-            NamedCampaign("diagnosed", turn.before.with_column("residual_um", turn.diagnosis.before_um)),
+            diagnosis_with_plots(turn.diagnosis, turn.diagnosed),
+            NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
             tuple(notes),
         )
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from hil.axis import CorrectionConfig
 from hil.compensation import Compensation
@@ -42,13 +43,16 @@ class Turn:
     """One turn of the loop.
 
     before: explored with the old compensation in force; after: explored anew with the extended one
-    further: runs that were made to tell causes apart; follow: the last diagnosis with the rivals left and what would separate them
+    diagnosed: the rows that the diagnosis is of, those before and those of the further runs
+    further: runs that were made to tell causes apart; follow: the last diagnosis with the rivals left and what would separate
+    them, None where rivals were not looked into
     """
 
     before: Records
     diagnosis: Diagnosis
     extended: Compensation
     after: Records
+    diagnosed: Records
     further: tuple[PlannedRun, ...] = ()
     follow: FollowUp | None = None
 
@@ -71,12 +75,24 @@ def close_loop(
     how: Exploration | None = None,
     consent: Consent | None = None,
     plan: Sequence[Run] | None = None,
+    most_further: int = MOST_RUNS,
     effects: Sequence[Effect] = ALL,
 ) -> Loop:
     """Calibrate and turn the loop once, on a prepared session; leaves the extended compensation in force and stored."""
     calibration = calibrate(session, campaign, correction, lambda tables: store(Compensation(tables)), listener)
     tables = calibration.tables
-    turn = turn_loop(session, campaign, tables, store, listener, how=how, consent=consent, plan=plan, effects=effects)
+    turn = turn_loop(
+        session,
+        campaign,
+        tables,
+        store,
+        listener,
+        how=how,
+        consent=consent,
+        plan=plan,
+        most_further=most_further,
+        effects=effects,
+    )
     return Loop(calibration, turn)
 
 
@@ -90,6 +106,7 @@ def turn_loop(
     how: Exploration | None = None,
     consent: Consent | None = None,
     plan: Sequence[Run] | None = None,
+    most_further: int = MOST_RUNS,
     effects: Sequence[Effect] = ALL,
 ) -> Turn:
     """Explore, diagnose, extend, explore again, on a prepared session with a compensation in force.
@@ -102,50 +119,48 @@ def turn_loop(
     """
     how = how or Exploration()
     before = explore(session, campaign, "before", plan or plan_runs(session, how, seed=1), listener)
-    diagnosis, further, follow = _decide(session, campaign, before, consent, listener, effects=effects)
+    asking = Asking(consent, most_further, tuple(effects))
+    diagnosis, rows, further, follow = _decide(session, campaign, before, asking, listener)
     extended = session.compensation or Compensation(tables)
     if diagnosis.recommended:
         extended = compensation_of(diagnosis.extended, tables)
         store(extended)
     session.compensation = extended
     after = explore(session, campaign, "after", plan or plan_runs(session, how, seed=2), listener)
-    return Turn(before, diagnosis, extended, after, further, follow)
+    return Turn(before, diagnosis, extended, after, rows, further, follow)
+
+
+@dataclass(frozen=True)
+class Asking:
+    """Who is asked for a run that needs a person, how many runs may be made, and which effects are looked for."""
+
+    consent: Consent | None
+    most: int
+    effects: tuple[Effect, ...]
 
 
 def _decide(
-    session: AxisSession,
-    campaign: Campaign,
-    before: Records,
-    consent: Consent | None,
-    listener: Listener,
-    *,
-    effects: Sequence[Effect],
-) -> tuple[Diagnosis, tuple[PlannedRun, ...], FollowUp]:
+    session: AxisSession, campaign: Campaign, before: Records, asking: Asking, listener: Listener
+) -> tuple[Diagnosis, Records, tuple[PlannedRun, ...], FollowUp | None]:
     """Diagnose; as long as causes are left that a run can tell apart, make the run and diagnose all rows together."""
     parts = [_issuable(session, before)]
     means = means_of(session)
     further: list[PlannedRun] = []
     while True:
         listener(Event("diagnose"))
-        rows = joined(parts)
-        diagnosis = diagnose(rows, effects=effects)
+        rows = joined(parts) if further else parts[0]
+        diagnosis = diagnose(rows, effects=asking.effects)
+        if asking.most == 0:
+            return diagnosis, rows, (), None
         refused = [run.name for run in further]
-        follow = follow_up(diagnosis, rows, None, means, effects=effects, made=refused, seed=len(further))
-        run = follow.run if len(further) < MOST_RUNS else None
-        while run is not None and run.person and not (consent is not None and consent(run)):
+        weighing = partial(follow_up, diagnosis, rows, None, means, effects=asking.effects, seed=len(further))
+        follow = weighing(made=refused)
+        run = follow.run if len(further) < asking.most else None
+        while run is not None and run.person and not (asking.consent is not None and asking.consent(run)):
             refused.append(run.name)
-            run = follow_up(
-                diagnosis,
-                rows,
-                None,
-                means,
-                effects=effects,
-                persons=consent is not None,
-                made=refused,
-                seed=len(further),
-            ).run
+            run = weighing(made=refused, persons=asking.consent is not None).run
         if run is None:
-            return follow.diagnosis, tuple(further), follow
+            return follow.diagnosis, rows, tuple(further), follow
         further.append(run)
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
