@@ -40,7 +40,7 @@ class ReversalTrace:
     def travel_um(self) -> Floats:
         """How far the motor has gone since the reversal, shape (n,), > 0 in the new direction."""
         travel = self.direction * (self.position_load_mm - self.position_load_mm[0]) * 1000.0
-        return np.asarray(travel, dtype=np.float64)
+        return np.asarray(travel + 0.0, dtype=np.float64)  # no −0
 
     @property
     def rising_percent(self) -> Floats:
