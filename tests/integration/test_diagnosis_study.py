@@ -33,9 +33,9 @@ def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
 @pytest.mark.slow
 def test_the_proof_figures_on_many_machines() -> None:
     """A twentieth of the whole study (`python tests/study/study.py --machines 520`), with room for one or two more by chance."""
-    outcomes: list[Outcome] = run_all(cases(26, seed=5), workers=2)
+    outcomes: list[Outcome] = run_all(cases(24, seed=5), workers=2)
     figures = summary(outcomes)
-    assert figures["strong: right first"] >= 0.92
+    assert figures["strong: right first"] >= 0.91
     assert figures["weak: right first"] >= 0.8
     assert figures["weak: wrong first"] <= 0.08
     clean = [o for o in outcomes if o.case.kind == "clean"]
@@ -43,6 +43,7 @@ def test_the_proof_figures_on_many_machines() -> None:
     assert figures["outside: unexplained"] >= 0.8
     assert figures["outside: confident name"] <= 0.08
     assert figures["pair: both"] >= 0.76
+    assert figures["appeared: right first"] >= 0.87
     assert figures["fresh RMS over noise: median"] <= 1.1
     assert figures["fresh RMS over noise: 90 %"] <= 1.3
     assert figures["true parameter inside its 95 % interval"] >= 0.8
