@@ -60,6 +60,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = gated(chosen, left_out)
     noise = chosen.last.noise
+    findings = _findings(chosen, campaign.columns)
+    doubtful = {
+        f.effect: f.rms_um
+        for f in findings
+        if any(r.effect == OUTSIDE and r.confidence > f.confidence for r in f.rivals)
+    }
+    unexplained = unexplained or bool(doubtful)
     suspected = None if dropped or unexplained else leaning(problem, chosen)
     extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
@@ -70,9 +77,9 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
         declared=base,
         extended=extended.extended,
-        findings=_findings(chosen, campaign.columns),
+        findings=findings,
         unexplained=unexplained,
-        carriers=tuple(_carriers(chosen, campaign.survey)) if unexplained else (),
+        carriers=tuple(_carriers(chosen, doubtful, campaign.survey)) if unexplained else (),
         blind=_blind(problem),
         before_um=left_out.before,
         after_um=left_out.after,
@@ -150,7 +157,8 @@ def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
             if stage.taken and stage.ranking and effect in (stage.about, stage.ranking[0].effect):
                 top = stage.ranking[0].evidence
                 odds = {r.effect: r.evidence - top for r in stage.ranking}
-                odds[OUTSIDE] = selected.foreign.get(effect, -math.inf)
+                if effect in selected.foreign:
+                    odds[OUTSIDE] = selected.foreign[effect].log_odds
                 raw = {name: math.exp(max(value / TEMPERATURE, -40.0)) for name, value in odds.items()}
                 total = sum(raw.values())
                 return {name: value / total for name, value in raw.items()}
@@ -179,11 +187,15 @@ def _separate_by(effect: Effect, rival: str) -> str:
     return "a campaign in which the columns the two read vary apart"
 
 
-def _carriers(chosen: Chosen, survey: Survey) -> Iterator[Carrier]:
+def _carriers(chosen: Chosen, doubtful: Mapping[str, float], survey: Survey) -> Iterator[Carrier]:
+    """doubtful: RMS in µm of the findings that a cause outside the catalogue explains better than their own effect."""
     for selected in chosen.selections:
         for hit in selected.hits:
             rms = structure_rms(selected.searcher, hit, selected.choices, selected.noise)
             yield Carrier(hit.structure.columns, rms, hit.probability)
+        for effect, stranger in selected.foreign.items():
+            if effect in doubtful:
+                yield Carrier(stranger.columns, doubtful[effect], math.exp(-max(stranger.gain, 0.0)))
     if chosen.last.memory is not None:
         found = chosen.last.memory
         yield Carrier((survey.time_column,), found.noise.ar * chosen.fit.white_um, math.exp(-found.log_odds))

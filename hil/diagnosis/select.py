@@ -22,8 +22,11 @@ from hil.diagnosis.structure import Catalogue
 Floats = NDArray[np.float64]
 
 MOST_STRUCTURES = 3
+MOST_SWAPS = 4
 KEEP = 6.0
 """Log Bayes factor a term must still bring beside an unexplained structure."""
+SLIGHT = 3.0
+"""Log Bayes factor a term must still bring beside terms that were taken after it."""
 REPLACE = 6.0
 """Log odds by which a structure of other columns must beat a term to take its place; for several terms their share of it."""
 SHAPE = 0.35
@@ -33,12 +36,21 @@ OUTGROWN = 0.7
 
 
 @dataclass(frozen=True)
+class Stranger:
+    """The best structure of other columns in the place of an effect: log odds against the effect, gain over nothing."""
+
+    columns: tuple[str, ...]
+    log_odds: float
+    gain: float
+
+
+@dataclass(frozen=True)
 class Selected:
     """What the records ask for.
 
     searcher: with the tamed errors, and the columns of no interest (unexplained structure, drift within the noise)
     hits: unexplained structures; shapes: small misfits of the terms' own forms
-    foreign: by effect, log odds of the best structure of other columns against the term
+    foreign: by effect, the best structure of other columns in its place
     memory: correlation from row to row beyond that of noise
     """
 
@@ -48,7 +60,7 @@ class Selected:
     stages: tuple[Stage, ...]
     hits: tuple[Hit, ...] = ()
     shapes: tuple[Hit, ...] = ()
-    foreign: dict[str, float] = field(default_factory=dict)
+    foreign: dict[str, Stranger] = field(default_factory=dict)
     memory: Memory | None = None
 
     def beyond(self, log_odds: float) -> set[str]:
@@ -71,9 +83,12 @@ def select(
     found = search(searcher, noise, judge, start)
     stages = list(found.stages)
     chosen, noise = list(found.choices), found.noise
+    if len(chosen) > len(start) + 1:
+        chosen = drop(searcher, chosen, noise, len(start), SLIGHT)
     hits: list[Hit] = []
     shapes: list[Hit] = []
-    foreign: dict[str, float] = {}
+    foreign: dict[str, Stranger] = {}
+    swaps = 0
     while scout is not None and len(hits) < MOST_STRUCTURES:
         hit = scout(searcher.frame(noise, searcher.extra(chosen)), searcher.bench)
         if hit is None:
@@ -86,6 +101,10 @@ def select(
                 stages.append(taken)
                 chosen.append(taken.ranking[0].choice)
                 noise = searcher.fit_noise(chosen, taken.ranking[0].noise)
+                chosen = drop(searcher, chosen, noise, len(start), SLIGHT) if len(chosen) > len(start) + 1 else chosen
+                swaps += 1
+                if swaps >= MOST_SWAPS:
+                    break
                 continue
             hit = taken
         elif _is_shape(searcher, hit, chosen, noise):
@@ -108,8 +127,10 @@ def select(
     return Selected(searcher, tuple(chosen), noise, tuple(stages), tuple(hits), tuple(shapes), foreign, left)
 
 
-def drop(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:
-    """Without the terms after the first `fixed` that no longer earn their place, the weakest first."""
+def drop(
+    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0, least: float = KEEP
+) -> list[Choice]:
+    """Without the terms after the first `fixed` that bring less than `least` now that the others are there, the weakest first."""
     current = list(chosen)
     while len(current) > fixed:
         whole, _ = searcher.profiled_evidence(current, noise)
@@ -118,7 +139,7 @@ def drop(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int 
             for i in range(fixed, len(current))
         ]
         weakest = int(np.argmin(worth))
-        if worth[weakest] >= KEEP:
+        if worth[weakest] >= least:
             break
         del current[fixed + weakest]
     return current
@@ -126,13 +147,13 @@ def drop(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int 
 
 def _foreign(
     searcher: Searcher, catalogue: Catalogue, chosen: Sequence[Choice], noise: Noise, fixed: int
-) -> tuple[dict[str, float], list[Choice], Hit | Stage | None]:
+) -> tuple[dict[str, Stranger], list[Choice], Hit | Stage | None]:
     """Whether a structure of other columns does better than some terms: all together, those of one effect, a single one.
 
-    Its log odds against each effect. Where it does better: the terms that stay, and the structure, or the stage at which an effect
+    The best one for each effect. Where it does better: the terms that stay, and the structure, or the stage at which an effect
     that is as good as the structure is taken.
     """
-    odds: dict[str, float] = {}
+    odds: dict[str, Stranger] = {}
     worth = searcher.profiled_evidence(chosen, noise)[0]
     for group in _groups(chosen, fixed):
         rest = [choice for i, choice in enumerate(chosen) if i not in group]
@@ -141,7 +162,7 @@ def _foreign(
         stranger = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
         if not np.any(stranger):
             continue
-        best = -np.inf
+        best: Stranger | None = None
         for trial in dict.fromkeys((noise, calm)):
             frame = searcher.frame(trial, searcher.extra(rest))
             gains = np.where(stranger, score(frame, catalogue.stack(frame.whitened)).gain, -np.inf)
@@ -152,11 +173,12 @@ def _foreign(
                 if ranking and ranking[0].evidence > max(total - REPLACE, worth):
                     return odds, rest, Stage(base, ranking, True)
                 return odds, rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0)
-            best = max(best, total)
+            if best is None or total - worth > best.log_odds:
+                best = Stranger(catalogue.structures[top].columns, total - worth, float(gains[top]))
         names = {chosen[i].effect.id for i in group}
-        if len(names) == 1:
+        if len(names) == 1 and best is not None:
             (name,) = names
-            odds[name] = max(odds.get(name, -np.inf), best - worth)
+            odds[name] = max(odds.get(name, best), best, key=lambda stranger: stranger.log_odds)
     return odds, list(chosen), None
 
 
