@@ -1,0 +1,89 @@
+"""The published form: the correction after a reversal as two tanh terms, to the letter of systems.md section C.
+
+Kept as the reference that `running` is judged by. P counts from the side on which the stroke starts, so it begins anew at each
+reversal, and between strokes that were not full it jumps: no form to run a machine with.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from drivers.errors import InputError
+
+
+@dataclass(frozen=True)
+class TwoTanh:
+    """The five parameters. On a rotary axis read degrees for mm and thousandths of a degree for µm.
+
+    amount_1_um, amount_2_um: Pc1, Pc2, ≥ 0; rise_1_mm, rise_2_mm: a1, a2, > 0; onset_2_mm: b2, ≥ 0, the travel at which the second
+    term begins. Raises InputError for anything else.
+    """
+
+    amount_1_um: float
+    amount_2_um: float
+    rise_1_mm: float
+    rise_2_mm: float
+    onset_2_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and field.name.startswith("rise")):
+                wanted = "> 0" if field.name.startswith("rise") else "≥ 0"
+                raise InputError(f"{field.name} is {value:g}, expected a finite number {wanted}")
+
+    @property
+    def amount_um(self) -> float:
+        """The whole lost motion, Pc1 + Pc2."""
+        return self.amount_1_um + self.amount_2_um
+
+    def risen_um(self, travel_mm: float) -> float:
+        """What has come back after this much travel since the reversal that ended a full stroke, 0 … `amount_um`."""
+        risen = self.amount_1_um * math.tanh(travel_mm / self.rise_1_mm)
+        if travel_mm > self.onset_2_mm:
+            risen += self.amount_2_um * math.tanh((travel_mm - self.onset_2_mm) / self.rise_2_mm)
+        return risen
+
+    @property
+    def steepest_um_per_mm(self) -> float:
+        """No travel changes `risen_um` by more than this much per mm."""
+        first = self.amount_1_um / self.rise_1_mm
+        # tanh is steepest where it begins, so the sum is where one of its terms does
+        late = math.exp(-self.onset_2_mm / self.rise_1_mm)
+        sech = 2.0 * late / (1.0 + late * late)
+        return max(first, first * sech * sech + self.amount_2_um / self.rise_2_mm)
+
+
+def published_um(form: TwoTanh, direction: int, travel_mm: float, stroke_mm: float, last_um: float) -> float:
+    """P, µm, in the axis's sign.
+
+    direction: of the motion after the reversal, +1 or -1; travel_mm: x', ≥ 0, since the reversal; stroke_mm: xbm, ≥ 0, travel of the
+    stroke before; last_um: Pbm, the last correction of that stroke, of which only the magnitude counts. The source leaves
+    |Pbm| = Pc2 open; here it belongs to the second branch.
+    Raises InputError for a direction that is neither, a travel below 0, or a stroke of 0 that would have to be scaled by.
+    """
+    if direction not in (1, -1):
+        raise InputError(f"direction is {direction}, expected +1 or -1")
+    if not (travel_mm >= 0.0 and stroke_mm >= 0.0 and math.isfinite(last_um)):
+        raise InputError(
+            f"travel {travel_mm} mm, stroke {stroke_mm} mm, last correction {last_um} µm: expected ≥ 0 and finite"
+        )
+    travel_mm = _scaled_mm(form, travel_mm, stroke_mm)
+    last = abs(last_um)
+    if last < form.amount_2_um:
+        amount = (form.amount_um - last) + last * math.tanh(travel_mm / form.rise_2_mm)
+    else:
+        amount = (last - form.amount_2_um) * math.tanh(travel_mm / form.rise_1_mm)
+        if travel_mm > form.onset_2_mm:
+            amount += form.amount_2_um * math.tanh((travel_mm - form.onset_2_mm) / form.rise_2_mm)
+    return direction * amount
+
+
+def _scaled_mm(form: TwoTanh, travel_mm: float, stroke_mm: float) -> float:
+    """x't: the travel, stretched after a stroke too short for the second term to begin."""
+    if form.onset_2_mm == 0.0 or form.onset_2_mm <= stroke_mm:
+        return travel_mm
+    if stroke_mm == 0.0:
+        raise InputError("the stroke before the reversal is 0 mm: there was no reversal")
+    return travel_mm * (form.onset_2_mm / stroke_mm)
