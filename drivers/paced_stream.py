@@ -32,6 +32,10 @@ class PacedStream(SetPointStream):
         self._running = False
 
     @property
+    def reached_ns(self) -> int:
+        return self._due_ns
+
+    @property
     def missed_cycles(self) -> int:
         return self._missed
 

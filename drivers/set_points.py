@@ -50,5 +50,10 @@ class SetPointStream(ABC):
 
     @property
     @abstractmethod
+    def reached_ns(self) -> int:
+        """The clock's time at which the last set-point is to be reached: one period after it came into force."""
+
+    @property
+    @abstractmethod
     def missed_cycles(self) -> int:
         """Periods that went by without a new set-point."""

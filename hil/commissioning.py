@@ -17,6 +17,7 @@ from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.close_loop import Loop, close_loop
 from hil.procedures.doctor import Check, doctor
 from hil.procedures.events import Event
+from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
 from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
 from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
 from hil.procedures.verify import Verification, verify
@@ -42,6 +43,7 @@ __all__ = [
     "Diagnosis",
     "DriveAxis",
     "Event",
+    "InMotion",
     "Iso230",
     "Loop",
     "LostMotion",
@@ -76,8 +78,10 @@ __all__ = [
     "load_public_key",
     "measure_and_store",
     "measure_backlash",
+    "measure_in_motion",
     "measure_run_out",
     "new_key",
+    "plan_passes",
     "probe_bench",
     "read_csv",
     "read_manual_tables",

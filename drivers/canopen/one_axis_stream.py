@@ -37,5 +37,9 @@ class OneAxisStream(SetPointStream):
         return feedback.position_load_mm
 
     @property
+    def reached_ns(self) -> int:
+        return self._stream.next_sync_ns
+
+    @property
     def missed_cycles(self) -> int:
         return self._stream.counters.missed_cycles

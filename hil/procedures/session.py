@@ -8,7 +8,7 @@ the axis is put back as it was found: disabled unless it was enabled before.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
@@ -30,6 +30,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
+from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
 from hil.procedures.conditions import Conditions, NoConditions
@@ -84,6 +85,7 @@ class AxisSession:
         self._datum_mm: float | None = None
         self._commanded_mm = math.nan  # the last command, known whenever the history is
         self._latest: Reading | None = None
+        self._samples = 0  # of the instrument, those that were lost too
         self._was_enabled = False
         self._entered = False
         self._stopped_for: BaseException | None = None
@@ -170,8 +172,24 @@ class AxisSession:
         for reading in readings:
             if reading.status is not ReadingStatus.GOOD:
                 raise MeasurementLostError(f"instrument {self.instrument.name}: {reading.status.value}")
+            self._samples += 1 + reading.lost_before
         if readings:
             self._latest = readings[-1]
+
+    def readings(self) -> list[tuple[int, Reading]]:
+        """What the instrument has sent, each with its number in the session, for while a stream looks after the drive.
+
+        The axis stops on a bad or an old reading.
+        """
+        with self._stopping_on_error():
+            number, numbered = self._samples, []
+            readings = self.instrument.poll()
+            self._take(readings)
+            self._check_instrument_fresh()
+            for reading in readings:
+                number += 1 + reading.lost_before
+                numbered.append((number, reading))
+            return numbered
 
     def await_instrument(self) -> None:
         """Before anything moves: wait for the instrument's first reading, which may take longer than those after it."""
@@ -220,6 +238,10 @@ class AxisSession:
         now_ns = self.clock.now_ns()
         if sample.age_ns(now_ns) > self._stale_ns:
             raise LinkLostError(f"drive {self.drive.name}: no sample for {sample.age_ns(now_ns) / NS_PER_S:.2f} s")
+        self._check_instrument_fresh()
+
+    def _check_instrument_fresh(self) -> None:
+        now_ns = self.clock.now_ns()
         newest_ns = self._start_ns if self._latest is None else max(self._latest.time_ns, self._start_ns)
         if now_ns - newest_ns > self._stale_ns:
             raise MeasurementLostError(
@@ -323,10 +345,13 @@ class AxisSession:
         return command
 
     def _command(self, target_mm: float) -> Command:
+        return self._command_of(target_mm, self.known())
+
+    def _command_of(self, target_mm: float, known: Mapping[str, float]) -> Command:
         history = self._known_history()
         if self.compensation is None:
             return Command(target_mm, target_mm, 0.0, history.moved_to(target_mm))
-        return self.compensation.command(target_mm, history, self.known())
+        return self.compensation.command(target_mm, history, known)
 
     def _known_history(self) -> MotionHistory:
         if self.history is None:
@@ -359,6 +384,40 @@ class AxisSession:
                     f"drive {self.drive.name} says it arrived, but is at {sample.position_load_mm:.4f} mm,"
                     f" expected {command_mm:.4f} mm"
                 )
+
+    def stream_along(
+        self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]
+    ) -> None:
+        """Follow a path, one set-point per period, each with the correction in force; `at` is called after each.
+
+        path_mm: targets and the velocities (mm/s) there, from where the axis stands.
+        """
+        known = self.known()
+        with self._stopping_on_error(), self.drive.stream(settings) as stream:
+            for target_mm, velocity_mm_s in path_mm:
+                self.drive.limits.check_target(target_mm)
+                known["velocity_mm_s"] = velocity_mm_s
+                known["time_s"] = self.elapsed_s() + self.time_offset_s
+                command = self._command_of(target_mm, known)
+                stream.cycle(command.command_mm)
+                self.history, self._commanded_mm = command.history, command.command_mm
+                at(stream)
+
+    @property
+    def commanded_mm(self) -> float:
+        """The last command, NaN while the axis's history is unknown."""
+        return math.nan if self.history is None else self._commanded_mm
+
+    @property
+    def stroke_or_long_mm(self) -> float:
+        """Length of the stroke before the last reversal."""
+        return self._known_history().stroke_or_long_mm
+
+    def load_position_mm(self, reading: Reading) -> float:
+        """A good reading in the frame of the load. Raises StateError before `prepare()`."""
+        if self._datum_mm is None or reading.position_mm is None:
+            raise StateError("a position needs a good reading, and prepare() first: the instrument has no datum")
+        return reading.position_mm - self._datum_mm
 
     # -- reading -----------------------------------------------------------------------------------------------------
     def read_position(self) -> PositionReading:

@@ -1,0 +1,119 @@
+"""Passes in motion over the CANopen slave and the laser's terminal: samples dated, a hidden lag found, corrected in the stream."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import bench_axis
+
+from hil.axis import load_axis
+from hil.compensation import Compensation
+from hil.diagnosis import diagnose
+from hil.journal import Campaign
+from hil.procedures.calibrate import calibrate
+from hil.procedures.extend import compensation_of, model_of
+from hil.procedures.in_motion import InMotion, Pass, measure_in_motion, plan_passes, ramped_path
+from hil.procedures.sample_times import SampleTimes
+from hil.records import Records
+from hil.wiring import Machine, bench_parameters, connected
+from sim_backends.bench import BenchParameters
+
+HIDDEN_UM = 20.0  # trailing at 100 mm/s
+HOW = InMotion((20.0, 60.0, 110.0), runs=3, stretch_mm=60.0, period_s=0.004)
+
+
+def machine_of(tmp_path: Path) -> tuple[Path, BenchParameters]:
+    path = bench_axis.lay_out(tmp_path, machine="geometric", sections=15, runs=2)
+    path.write_text(path.read_text().replace("last_mm = 260.0", "last_mm = 480.0"))
+    axis = load_axis(path)
+    parameters = bench_parameters(axis)
+    return path, replace(parameters, laser=replace(parameters.laser, noise_um=0.1))
+
+
+def test_samples_are_dated_to_microseconds(tmp_path: Path) -> None:
+    path, bench = machine_of(tmp_path)
+    with connected(load_axis(path), bench) as machine:
+        machine.session.await_instrument()
+        times = SampleTimes(machine.session)
+        machine.clock.sleep_s(0.01234567)
+        arrivals = [times.find_arrival()]
+        machine.session.watch(3.21)
+        arrivals.append(times.find_arrival())
+        for arrival in arrivals:
+            assert arrival.doubt_ns <= 2000
+            # the simulated laser takes a sample every 20 ms of its own time, which began with the clock's
+            assert arrival.time_ns % 20_000_000 <= 2000
+        assert times.taken_ns(arrivals[0].index + 7) == pytest.approx(arrivals[0].time_ns + 7 * 20_000_000, abs=2000)
+
+
+@pytest.mark.slow
+def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path: Path) -> None:
+    path, bench = machine_of(tmp_path)
+    axis = load_axis(path)
+    with connected(axis, bench) as machine:
+        assert machine.bench is not None
+        machine.session.prepare()
+        campaign = Campaign(tmp_path / "motion", {}, resume=False)
+        calibration = calibrate(machine.session, campaign, axis.correction, lambda tables: None)
+        machine.session.compensation = Compensation(calibration.tables)
+        known = measured(machine, campaign, "known", 1)
+        extend(machine, known)
+        quiet = measured(machine, campaign, "quiet", 2)
+        machine.bench.switch_on("velocity_lag", HIDDEN_UM)
+        before = measured(machine, campaign, "before", 3)
+        assert extend(machine, before) == ["velocity_lag"]
+        after = measured(machine, campaign, "after", 4)
+    hidden = math.sqrt(rms_um(before) ** 2 - rms_um(quiet) ** 2)
+    left = math.sqrt(max(0.0, rms_um(after) ** 2 - rms_um(quiet) ** 2))
+    print(
+        f"in motion: {rms_um(known):.2f} µm RMS as the servo trails, {rms_um(quiet):.2f} once that is in the model,"
+        f" {rms_um(before):.2f} with the hidden lag, {rms_um(after):.2f} after it was found"
+    )
+    assert hidden > 5.0
+    assert left <= 0.1 * hidden
+    assert abs(lag_at_table_um(after)) <= 0.1 * HIDDEN_UM
+
+
+def measured(machine: Machine, campaign: Campaign, name: str, seed: int) -> Records:
+    return measure_in_motion(machine.session, campaign, name, plan_passes(machine.session, HOW, seed), how=HOW)
+
+
+def issuable(records: Records) -> Records:
+    unknown = ("motor_mm", "torque_percent")
+    return Records.of({name: values for name, values in records.columns.items() if name not in unknown})
+
+
+def extend(machine: Machine, records: Records) -> list[str]:
+    """Diagnose what the compensation in force leaves, and put what is found beside it; the effects found."""
+    compensation = machine.session.compensation
+    assert compensation is not None
+    diagnosis = diagnose(issuable(records), model_of(compensation))
+    machine.session.compensation = compensation_of(diagnosis.extended, compensation.tables)
+    return [finding.effect for finding in diagnosis.findings]
+
+
+def rms_um(records: Records) -> float:
+    return float(np.sqrt(np.mean(records.error_um**2)))
+
+
+def lag_at_table_um(records: Records) -> float:
+    """Slope of the error over the signed velocity, in µm at 100 mm/s."""
+    return 100.0 * float(np.polyfit(records["velocity_mm_s"] * records.direction, records.error_um, 1)[0])
+
+
+def test_a_path_keeps_feed_acceleration_and_length() -> None:
+    for this in plan(HOW):
+        path = ramped_path(this, HOW.acceleration_mm_s2, HOW.period_s)
+        steps = np.diff(np.concatenate([[this.from_mm], path[:, 0]])) * this.direction / HOW.period_s
+        assert path[-1, 0] == pytest.approx(this.to_mm, abs=1e-9)
+        assert np.all(steps >= -1e-9)
+        assert steps.max() <= this.feed_mm_s * (1 + 1e-9)
+        assert np.abs(np.diff(steps)).max() / HOW.period_s <= HOW.acceleration_mm_s2 * (1 + 1e-6)
+
+
+def plan(how: InMotion) -> list[Pass]:
+    return [Pass(1, feed, a, a + sign * 150.0) for feed in how.feeds_mm_s for a, sign in ((10.0, 1), (180.0, -1))]
