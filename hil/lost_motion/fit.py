@@ -118,9 +118,13 @@ class Contender:
     held_out_rms_um: float
 
 
-def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0) -> Fitted:
-    """The shape that is closest to all rows of the reversals, with no rise shorter than given. Raises InputError without any."""
-    return _fit(shape, *_rows(reversals)[:2], shortest_mm)
+def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True) -> Fitted:
+    """The shape that is closest to all rows of the reversals, with no rise shorter than given. Raises InputError without any.
+
+    table: whether a slope is fitted beside it; False where a table that was measured with this motion is in force already.
+    """
+    travel_mm, risen_um, _ = _rows(reversals)
+    return _fit(shape, travel_mm, risen_um, shortest_mm, table)
 
 
 def compete(
@@ -160,13 +164,14 @@ def _rows(reversals: Sequence[MeasuredReversal]) -> tuple[Floats, Floats, NDArra
     return np.concatenate([t for t, _ in rises]), np.concatenate([r for _, r in rises]), stroke
 
 
-def _fit(shape: Shape, travel_mm: Floats, risen_um: Floats, shortest_mm: float) -> Fitted:
+def _fit(shape: Shape, travel_mm: Floats, risen_um: Floats, shortest_mm: float, table: bool = True) -> Fitted:
     every = max(1, len(travel_mm) // FIT_ROWS)
     s, y = travel_mm[::every], risen_um[::every]
     span = float(s.max())
+    slope = s if table else np.zeros_like(s)
 
     def solved(lengths: Sequence[float]) -> tuple[Floats, Floats]:
-        matrix = np.column_stack([shape.columns(s, lengths), s, -s])  # the slope of the table may have either sign
+        matrix = np.column_stack([shape.columns(s, lengths), slope, -slope])  # the slope may have either sign
         amounts, _ = nnls(matrix, y)
         return amounts, np.asarray(matrix @ amounts - y, dtype=np.float64)
 

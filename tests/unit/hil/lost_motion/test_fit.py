@@ -83,6 +83,15 @@ def test_a_held_out_stroke_is_not_seen() -> None:
     assert contender.held_out_rms_um > 1.8 * contender.rms_um
 
 
+def test_with_a_table_in_force_no_slope_is_looked_for() -> None:
+    level = fit(TWO_TANH, [measured(two_tanh_um, 1, 1, slope=0.0)], table=False)
+    assert level.table_um_per_mm == 0.0
+    assert level.form.amount_um == pytest.approx(12.0, abs=0.05)
+    tilted = [measured(two_tanh_um, 1, 1, slope=0.1)]
+    assert fit(TWO_TANH, tilted, table=False).form.amount_um > 12.4  # what the slope is there to keep out
+    assert fit(TWO_TANH, tilted).form.amount_um == pytest.approx(12.0, abs=0.15)
+
+
 def test_after_a_short_stroke_only_rows_within_it_count() -> None:
     """Beyond it the axis is back on the branch before, which in the running form has nothing left to give."""
     form = TwoTanh(8.0, 0.0, 2.0, 2.0)
