@@ -28,7 +28,7 @@ from hil.lost_motion.running import after_full_stroke, moved_to
 DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
 
-TRAVEL_MM = np.linspace(0.0, 12.0, 240)
+TRAVEL_MM = np.linspace(0.0, 12.0, 200)
 
 
 def two_tanh_um(s: Floats) -> Floats:
