@@ -9,6 +9,7 @@ from __future__ import annotations
 import queue
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 
 import can
 from can.interfaces.virtual import VirtualBus
@@ -21,7 +22,21 @@ from sim_backends.servo import Servo
 _SUPERVISION_NS = 20_000_000  # how long a drive's firmware may go without looking at the servo
 
 
-class MasterBus(VirtualBus):
+class _Bus(VirtualBus):
+    """An end of the virtual bus. A frame is copied once, for all who listen, and flatly: its data are bytes of its own."""
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._check_if_open()
+        copied = copy(msg)
+        copied.data = bytearray(msg.data)
+        copied.is_rx = True
+        copied.channel = self.channel_id
+        for listener in self.channel:
+            if listener is not self.queue:
+                listener.put(copied, timeout=timeout)
+
+
+class MasterBus(_Bus):
     """The master's end. A `recv` that finds nothing lets the drives handle what they were sent, then looks once more.
 
     It never waits: without simulated time passing there is nothing else to come.
@@ -57,7 +72,7 @@ class _Drive:
         faults: Iterable[CanFault],
     ) -> None:
         self._clock = clock
-        self._bus = VirtualBus(channel)
+        self._bus = _Bus(channel)
         self.slave: CanOpenSlave
         self._layer: FaultLayer
         self.slave, self._layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)

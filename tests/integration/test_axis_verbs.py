@@ -167,7 +167,7 @@ def test_a_band_that_cannot_be_held_ends_with_both_figures(
     assert not (tmp_path / "X-campaign/tables.sealed").exists()
 
 
-@pytest.mark.parametrize("script", ["commission", "close_the_loop"])
+@pytest.mark.parametrize("script", ["commission", pytest.param("close_the_loop", marks=pytest.mark.slow)])
 def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
     done = subprocess.run(
         [sys.executable, "-m", f"hil.examples.{script}", str(axis)],
@@ -180,6 +180,7 @@ def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
     assert " µm" in done.stdout
 
 
+@pytest.mark.slow  # CI also runs the demo as its user does
 def test_demo_finds_what_was_hidden_and_measures_the_gain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, result = tmp_path / "demo", tmp_path / "demo.json"
     assert main(["demo", "--out", str(out), "--json", str(result)]) == 0
