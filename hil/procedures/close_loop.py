@@ -36,6 +36,8 @@ Consent = Callable[[PlannedRun], bool]
 
 MOST_RUNS = 2
 """Further measurements asked for in one turn."""
+SURE = 0.95
+"""A name of such a confidence stands; below it the set of rivals does."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ def _decide(
         refused = [run.name for run in further]
         weighing = partial(follow_up, diagnosis, rows, None, means, effects=asking.effects, seed=len(further))
         follow = weighing(made=refused)
-        run = follow.run if len(further) < asking.most else None
+        run = follow.run if len(further) < asking.most and _in_doubt(diagnosis) else None
         while run is not None and run.person and not (asking.consent is not None and asking.consent(run)):
             refused.append(run.name)
             run = weighing(made=refused, persons=asking.consent is not None).run
@@ -165,6 +167,14 @@ def _decide(
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
         parts.append(_issuable(session, measured))
+
+
+def _in_doubt(diagnosis: Diagnosis) -> bool:
+    """Whether what makes most of the error could be something else.
+
+    A small companion in doubt is not worth a run: rows of another kind weigh on everything that is fitted to all of them together.
+    """
+    return bool(diagnosis.findings) and diagnosis.findings[0].confidence < SURE
 
 
 def _issuable(session: AxisSession, records: Records) -> Records:
