@@ -121,7 +121,9 @@ class SimWire:
         frame = node.outgoing.popleft()
         senders = {node}
         for other in self._nodes:
-            if other is not node and other.outgoing and other.outgoing[0] == frame:  # the same bits at the same time are one
+            if (
+                other is not node and other.outgoing and other.outgoing[0] == frame
+            ):  # the same bits at the same time are one
                 other.outgoing.popleft()
                 senders.add(other)
         start_ns = max(self._free_ns, self._event_ns)

@@ -40,7 +40,9 @@ SIZES_UM = {
     "local_wear": 10.0,
     "pitch_shape": 8.0,
 }
-IN_MOTION_ONLY = {"velocity_lag"}  # nothing of it is there at rest: test_in_motion.py measures, and removes, it in passes
+IN_MOTION_ONLY = {
+    "velocity_lag"
+}  # nothing of it is there at rest: test_in_motion.py measures, and removes, it in passes
 
 
 def test_no_effect_that_can_be_compensated_is_left_out() -> None:

@@ -78,8 +78,6 @@ def lay_out(
     (directory / "S.toml").write_text(AXIS.format(name="S", **turning, drive=spindle_drive or drive))
     path = directory / "mill.toml"
     path.write_text(
-        MACHINE.format(
-            start_mm=start_mm, search_mm=search_mm, spindle=spindle, probe=probe, block=block, more=more
-        )
+        MACHINE.format(start_mm=start_mm, search_mm=search_mm, spindle=spindle, probe=probe, block=block, more=more)
     )
     return path
