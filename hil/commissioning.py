@@ -10,6 +10,8 @@ from hil.compensation import Compensation
 from hil.diagnosis import Diagnosis, diagnose, fit_model
 from hil.iso230 import Iso230, iso230
 from hil.journal import Campaign
+from hil.lost_motion.fit import MeasuredReversal
+from hil.lost_motion.fit import compete as compete_lost_motion
 from hil.manual import read_manual_tables, read_straightness
 from hil.probe_machine import ProbeMachineConfig, load_probe_machine
 from hil.probe_wiring import connected_probe, probe_bench
@@ -18,6 +20,7 @@ from hil.procedures.close_loop import Loop, close_loop
 from hil.procedures.doctor import Check, doctor
 from hil.procedures.events import Event
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.procedures.measure import Step, measure
 from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
 from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
 from hil.procedures.verify import Verification, verify
@@ -48,11 +51,13 @@ __all__ = [
     "Loop",
     "LostMotion",
     "Machine",
+    "MeasuredReversal",
     "ProbeMachineConfig",
     "Records",
     "RunOut",
     "RunOutStore",
     "SealedStore",
+    "Step",
     "TableMode",
     "TableSet",
     "TorqueBacklash",
@@ -61,6 +66,7 @@ __all__ = [
     "calibrate",
     "centre_bore",
     "close_loop",
+    "compete_lost_motion",
     "connected",
     "connected_drive",
     "connected_probe",
@@ -76,6 +82,7 @@ __all__ = [
     "load_private_key",
     "load_probe_machine",
     "load_public_key",
+    "measure",
     "measure_and_store",
     "measure_backlash",
     "measure_in_motion",

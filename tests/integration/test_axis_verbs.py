@@ -167,7 +167,9 @@ def test_a_band_that_cannot_be_held_ends_with_both_figures(
     assert not (tmp_path / "X-campaign/tables.sealed").exists()
 
 
-@pytest.mark.parametrize("script", ["commission", pytest.param("close_the_loop", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "script", ["commission", "lost_motion", pytest.param("close_the_loop", marks=pytest.mark.slow)]
+)
 def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
     done = subprocess.run(
         [sys.executable, "-m", f"hil.examples.{script}", str(axis)],
