@@ -176,10 +176,9 @@ def canopen_drive(
     bus: tuple[str, str],
     stack: ExitStack,
     *,
-    patience_s: float = 0.0,
     links: Links | None = None,
 ) -> CanOpenDrive:
-    """bus: python-can's interface and channel; patience_s: real time that an answer may take at least."""
+    """bus: python-can's interface and channel."""
     config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus
     bitrate = None if interface == "virtual" else config.bitrate
     shared = Links() if links is None else links
@@ -188,8 +187,8 @@ def canopen_drive(
             CanLink.open(clock, interface=interface, channel=channel, bitrate=bitrate)
         )
     settings = CanOpenSettings(
-        sdo_timeout_s=max(config.sdo_timeout_s, patience_s),
-        sample_timeout_s=max(config.sample_timeout_s, patience_s),
+        sdo_timeout_s=config.sdo_timeout_s,
+        sample_timeout_s=config.sample_timeout_s,
         heartbeat_s=config.heartbeat_s,
         guard_s=config.guard_s,
         homing=HomingSettings(homing.method, homing.speed_switch_mm_s, homing.speed_zero_mm_s, homing.home_position_mm),

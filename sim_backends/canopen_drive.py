@@ -34,7 +34,7 @@ PDO_LENGTH_ERROR = 0x8210
 HEARTBEAT_ERROR = 0x8130
 SYNC_ERROR = 0x8700
 MISSING_SYNCS = 5
-_SUPERVISION_NS = 20_000_000  # how long the drive's firmware may go without looking at the servo
+SUPERVISION_NS = 20_000_000  # how long the drive's firmware may go without looking at the servo
 
 Send = Callable[[int, bytes], None]
 
@@ -331,6 +331,38 @@ def served(
         bus.shutdown()
 
 
+class Station:
+    """A drive at its end of a python-can bus: frames to it and from it, and when it wants to be asked in simulated time."""
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        clock: Clock,
+        servo: Servo,
+        node_id: int,
+        *,
+        parameters: Mapping[tuple[int, int], int] | None,
+        faults: Iterable[CanFault],
+    ) -> None:
+        self.bus = bus
+        self.clock = clock
+        self.slave, self.layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)
+        self.slave.boot(clock.now_ns())
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        self.bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def deliver(self, message: can.Message) -> None:
+        """Hand a frame to the drive; other kinds of frame are not for it."""
+        if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+            self.layer.on_frame(message.arbitration_id, bytes(message.data), self.clock.now_ns())
+
+    def bearable(self, now_ns: int) -> int:
+        """For SimClock: up to what is due next, and often enough to supervise the servo."""
+        due_ns = self.slave.due_ns()
+        return SUPERVISION_NS if due_ns is None else min(SUPERVISION_NS, due_ns - now_ns)
+
+
 class _Service:
     """The thread behind `served`, and the lock that makes receive-and-handle one step."""
 
@@ -345,6 +377,8 @@ class _Service:
         faults: Iterable[CanFault],
         step_s: float,
     ) -> None:
+        self._station = Station(bus, clock, servo, node_id, parameters=parameters, faults=faults)
+        self.slave = self._station.slave
         self._bus = bus
         self._clock = clock
         self._servo = servo
@@ -353,8 +387,6 @@ class _Service:
         self._lock = threading.RLock()
         self._stopping = threading.Event()
         self._error: BaseException | None = None
-        self.slave, self._layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)
-        self.slave.boot(clock.now_ns())
         if isinstance(clock, SimClock):
             clock.attach(self._on_simulated_time, bearable=self._bearable)
         self._thread = threading.Thread(target=self._run, name=f"canopen drive {node_id}", daemon=True)
@@ -367,15 +399,11 @@ class _Service:
         if self._error is not None:
             raise self._error
 
-    def _send(self, cob_id: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
-
     def _handle(self, timeout_s: float) -> bool:
         message = self._bus.recv(timeout_s)
         if message is None:
             return False
-        if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-            self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
+        self._station.deliver(message)
         return True
 
     def _run(self) -> None:
@@ -403,12 +431,10 @@ class _Service:
             now_ns = self._clock.now_ns()
             self._servo.advance(now_ns, (now_ns - self._advanced_ns) / NS_PER_S)
             self._advanced_ns = now_ns
-            self._layer.tick(now_ns)
+            self._station.layer.tick(now_ns)
 
     def _bearable(self, now_ns: int) -> int:
-        """For SimClock: up to what is due next, and often enough to supervise the servo."""
-        due_ns = None if self._stopping.is_set() else self.slave.due_ns()
-        return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
+        return SUPERVISION_NS if self._stopping.is_set() else self._station.bearable(now_ns)
 
     def _on_simulated_time(self, now_ns: int, _dt_s: float) -> None:
         if self._stopping.is_set():
@@ -416,7 +442,7 @@ class _Service:
         with self._lock:
             while self._handle(0.0):
                 pass
-            self._layer.tick(now_ns)
+            self._station.layer.tick(now_ns)
 
 
 def _readable(bus: can.BusABC, timeout_s: float) -> bool:

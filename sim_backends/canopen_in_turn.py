@@ -14,12 +14,10 @@ from copy import copy
 import can
 from can.interfaces.virtual import VirtualBus
 
-from sim_backends.canopen_drive import CanOpenSlave, with_faults
-from sim_backends.canopen_faults import CanFault, FaultLayer
+from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave, Station
+from sim_backends.canopen_faults import CanFault
 from sim_backends.clock import SimClock
 from sim_backends.servo import Servo
-
-_SUPERVISION_NS = 20_000_000  # how long a drive's firmware may go without looking at the servo
 
 
 class _Bus(VirtualBus):
@@ -61,48 +59,29 @@ class MasterBus(_Bus):
 class _Drive:
     """One drive with its own end of the bus."""
 
-    def __init__(
-        self,
-        clock: SimClock,
-        servo: Servo,
-        *,
-        channel: str,
-        node_id: int,
-        parameters: Mapping[tuple[int, int], int] | None,
-        faults: Iterable[CanFault],
-    ) -> None:
-        self._clock = clock
-        self._bus = _Bus(channel)
-        self.slave: CanOpenSlave
-        self._layer: FaultLayer
-        self.slave, self._layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)
+    def __init__(self, station: Station, bus: _Bus, clock: SimClock) -> None:
+        self._station = station
+        self._bus = bus
         self._ended = False
-        self.slave.boot(clock.now_ns())
         clock.attach(self._on_simulated_time, bearable=self._bearable)
 
     def close(self) -> None:
         self._ended = True
         self._bus.shutdown()
 
-    def _send(self, cob_id: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
-
     def take_turn(self) -> None:
         """Handle every frame that has arrived."""
         frames = self._bus.queue
         while not frames.empty():
-            message = frames.get_nowait()
-            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-                self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
+            self._station.deliver(frames.get_nowait())
 
     def _bearable(self, now_ns: int) -> int:
-        due_ns = None if self._ended else self.slave.due_ns()
-        return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
+        return SUPERVISION_NS if self._ended else self._station.bearable(now_ns)
 
     def _on_simulated_time(self, now_ns: int, _dt_s: float) -> None:
         if not self._ended:
             self.take_turn()
-            self._layer.tick(now_ns)
+            self._station.layer.tick(now_ns)
 
 
 class DrivesInTurn:
@@ -122,9 +101,10 @@ class DrivesInTurn:
         faults: Iterable[CanFault] = (),
     ) -> CanOpenSlave:
         """Put a drive on the bus and boot it; the servo is attached to the clock by whoever made it, before."""
-        drive = _Drive(self.clock, servo, channel=self.channel, node_id=node_id, parameters=parameters, faults=faults)
-        self._drives.append(drive)
-        return drive.slave
+        bus = _Bus(self.channel)
+        station = Station(bus, self.clock, servo, node_id, parameters=parameters, faults=faults)
+        self._drives.append(_Drive(station, bus, self.clock))
+        return station.slave
 
     def master(self) -> MasterBus:
         return MasterBus(self.channel, self._drives)

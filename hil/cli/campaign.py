@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
@@ -14,6 +15,7 @@ from hil.diagnosis.check_campaign import CampaignCheck, check_campaign
 from hil.diagnosis.design import design, plan_minutes
 from hil.diagnosis.planned_run import Means, Point
 from hil.files import replace_file
+from hil.procedures.next_run import means_of_measurement
 from hil.procedures.plans import to_plan
 from hil.user_effects import blaming, check_on
 
@@ -98,15 +100,9 @@ def run_check(args: argparse.Namespace) -> int:
 
 def means_of_axis(axis: AxisConfig) -> Means:
     """What an axis file says of what the axis can do."""
-    how = axis.measurement
     bench = axis.drive.backend == "bench"
-    return Means(
-        min(how.targets_mm),
-        max(how.targets_mm),
-        feed_mm_s=how.velocity_mm_s,
-        reading_s=how.dwell_s + how.reading_s,
-        overrun_mm=how.overrun_mm,
-        targets=min(len(how.targets_mm), 21),
+    return replace(
+        means_of_measurement(axis.measurement),
         levels=axis.conditions.levels,
         by_itself=frozenset(axis.conditions.levels) if bench else frozenset(),
         pitches_mm=(axis.scaling.feed_mm_per_shaft_rev,),

@@ -73,9 +73,7 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     drive.add_argument("--channel", default="vcan0", help="default vcan0")
     drive.add_argument("--bitrate", type=int, help="bit/s, for interfaces that set it")
     drive.add_argument("--node", type=int, default=1, help="node id, 1 to 127 (default 1)")
-    drive.add_argument("--laser", action="store_true", help="the machine's laser too, on a pty")
-    drive.add_argument("--axis-file", metavar="FILE", help="write an axis file for this machine (needs --laser)")
-    _add_outside(drive)
+    _add_surroundings(drive)
     _add_machine(drive)
     drive.set_defaults(run=_run_drive)
 
@@ -94,9 +92,7 @@ def _add_modbus(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     where.add_argument("--pty", action="store_true", help="a serial line (RTU) on a new pty")
     modbus.add_argument("--unit", type=int, default=1, help="unit id (default 1)")
     modbus.add_argument("--shape", choices=MODBUS_SHAPES, default="cia402", help="which register set (default cia402)")
-    modbus.add_argument("--laser", action="store_true", help="the machine's laser too, on a pty")
-    modbus.add_argument("--axis-file", metavar="FILE", help="write an axis file for this machine (needs --laser)")
-    _add_outside(modbus)
+    _add_surroundings(modbus)
     _add_machine(modbus)
     modbus.set_defaults(run=_run_modbus)
 
@@ -114,7 +110,10 @@ def _add_laser(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     laser.set_defaults(run=_run_laser)
 
 
-def _add_outside(parser: argparse.ArgumentParser) -> None:
+def _add_surroundings(parser: argparse.ArgumentParser) -> None:
+    """What a drive on a wire can be given: its laser, an axis file, other hosts."""
+    parser.add_argument("--laser", action="store_true", help="the machine's laser too, on a pty")
+    parser.add_argument("--axis-file", metavar="FILE", help="write an axis file for this machine (needs --laser)")
     parser.add_argument(
         "--allow-outside",
         action="store_true",

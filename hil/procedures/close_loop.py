@@ -24,10 +24,10 @@ from hil.journal import Campaign
 from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.explore import Exploration, Run, explore, plan_runs
-from hil.procedures.extend import compensation_of
+from hil.procedures.extend import compensation_of, issuable
 from hil.procedures.next_run import means_of, measure_run
 from hil.procedures.session import AxisSession
-from hil.records import REQUIRED, Records
+from hil.records import Records
 from hil.tables import TableSet
 
 Store = Callable[[Compensation], None]
@@ -145,7 +145,7 @@ def _decide(
     session: AxisSession, campaign: Campaign, before: Records, asking: Asking, listener: Listener
 ) -> tuple[Diagnosis, Records, tuple[PlannedRun, ...], FollowUp | None]:
     """Diagnose; as long as causes are left that a run can tell apart, make the run and diagnose all rows together."""
-    parts = [_issuable(session, before)]
+    parts = [issuable(session, before)]
     means = means_of(session)
     further: list[PlannedRun] = []
     while True:
@@ -166,7 +166,7 @@ def _decide(
         further.append(run)
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
-        parts.append(_issuable(session, measured))
+        parts.append(issuable(session, measured))
 
 
 def _in_doubt(diagnosis: Diagnosis) -> bool:
@@ -175,12 +175,3 @@ def _in_doubt(diagnosis: Diagnosis) -> bool:
     A small companion in doubt is not worth a run: rows of another kind weigh on everything that is fitted to all of them together.
     """
     return bool(diagnosis.findings) and diagnosis.findings[0].confidence < SURE
-
-
-def _issuable(session: AxisSession, records: Records) -> Records:
-    """The records without what is only known after a motion (motor position and torque at the capture).
-
-    An effect that reads such a column could be fitted, and never be put into force.
-    """
-    known = {*session.known(), *REQUIRED, "command_mm", "since_reversal_mm", "stroke_mm"}
-    return Records.of({name: values for name, values in records.columns.items() if name in known})

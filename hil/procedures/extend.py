@@ -1,4 +1,4 @@
-"""From a diagnosis back to the machine: the extended model as what is put into force."""
+"""Between a diagnosis and the machine: what may be fitted, and the extended model as what is put into force."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from hil.compensation import Compensation
 from hil.effects.base import Term
 from hil.model import Model, PitchTable
+from hil.procedures.session import AxisSession
+from hil.records import REQUIRED, Floats, Records
 from hil.tables import DirectionalTable, SingleTable, TableSet
 
 
@@ -18,8 +20,7 @@ def compensation_of(model: Model, like: TableSet) -> Compensation:
     The straightness table of `like` is part of the same command, so its share is taken out of the pitch table.
     """
     nodes = np.array(model.table.positions_mm)
-    own = like.straightness is not None and not like.straightness_axis
-    share = like.straightness.at(nodes) if own and like.straightness is not None else np.zeros(len(nodes))
+    share = _straightness_share_um(like, nodes)
     pitch = DirectionalTable(
         nodes, -np.array(model.table.forward_um) - share, -np.array(model.table.backward_um) - share
     )
@@ -34,7 +35,22 @@ def model_of(compensation: Compensation) -> Model:
     """
     tables = compensation.tables
     nodes = tables.pitch.position_mm
-    own = tables.straightness is not None and not tables.straightness_axis
-    share = tables.straightness.at(nodes) if own and tables.straightness is not None else np.zeros(len(nodes))
+    share = _straightness_share_um(tables, nodes)
     table = PitchTable.of(nodes, -(tables.pitch.plus_um + share), -(tables.pitch.minus_um + share))
     return Model(table, tuple(term for term in compensation.terms if isinstance(term, Term)))
+
+
+def _straightness_share_um(tables: TableSet, nodes_mm: Floats) -> Floats:
+    """What the straightness table adds to the axis's own command at the nodes; nothing where it corrects another axis."""
+    if tables.straightness is None or tables.straightness_axis:
+        return np.zeros(len(nodes_mm))
+    return tables.straightness.at(nodes_mm)
+
+
+def issuable(session: AxisSession, records: Records) -> Records:
+    """The records without what is only known after a motion (motor position and torque at the capture).
+
+    An effect that reads such a column could be fitted, and never be put into force.
+    """
+    known = {*session.known(), *REQUIRED, "command_mm", "since_reversal_mm", "stroke_mm"}
+    return Records.of({name: values for name, values in records.columns.items() if name in known})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+from hil.axis import MeasurementConfig
 from hil.diagnosis.planned_run import Means, PlannedRun, Point
 from hil.journal import Campaign
 from hil.procedures.conditions import SET_UP, AskedConditions
@@ -14,6 +16,18 @@ from hil.procedures.session import AxisSession
 from hil.records import Records
 
 
+def means_of_measurement(how: MeasurementConfig) -> Means:
+    """What the targets and times of an axis file allow; conditions, sensors and persons are for whoever knows of them."""
+    return Means(
+        min(how.targets_mm),
+        max(how.targets_mm),
+        feed_mm_s=how.velocity_mm_s,
+        reading_s=how.dwell_s + how.reading_s,
+        overrun_mm=how.overrun_mm,
+        targets=min(len(how.targets_mm), 21),
+    )
+
+
 def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
     """What an axis can do: its session's targets and times, its conditions, the sensors it reads.
 
@@ -22,13 +36,8 @@ def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
     how, conditions = session.how, session.conditions
     asked = isinstance(conditions, AskedConditions)
     levels = {name: tuple(float(v) for v in values) for name, values in conditions.levels.items() if name not in SET_UP}
-    return Means(
-        min(how.targets_mm),
-        max(how.targets_mm),
-        feed_mm_s=how.velocity_mm_s,
-        reading_s=how.dwell_s + how.reading_s,
-        overrun_mm=how.overrun_mm,
-        targets=min(len(how.targets_mm), 21),
+    return replace(
+        means_of_measurement(how),
         levels=levels,
         by_itself=frozenset() if asked else frozenset(levels),
         sensors=frozenset(session.known()),

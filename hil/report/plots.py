@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from hil.iso230 import Iso230
 from hil.records import Floats, Records
 from hil.report.data import NamedCampaign, history, plain
-from hil.report.svg import RC, Theme, new_figure
+from hil.report.svg import RC, Theme, label_axes, new_figure
 
 MANY_POINTS = 4000
 """Above this many points a cloud is embedded as a picture, so that the page stays light."""
@@ -257,16 +257,9 @@ def _zero(ax: Axes, theme: Theme) -> None:
 
 
 def _label(ax: Axes, theme: Theme, x: str, y: str) -> None:
-    ax.set_xlabel(x, color=theme.ink)
-    ax.set_ylabel(y, color=theme.ink)
-    ax.grid(True, color=theme.grid)
-    ax.set_axisbelow(True)
-    ax.set_facecolor("none")
-    ax.tick_params(colors=theme.muted, length=3)
+    label_axes(ax, theme, x, y)
     ax.margins(x=0.02)
     ax.xaxis.set_major_locator(MaxNLocator(9, steps=[1, 2, 2.5, 5, 10]))
-    for spine in ax.spines.values():
-        spine.set_color(theme.muted)
 
 
 def _unique(ax: Axes) -> tuple[list[Any], list[Any]]:

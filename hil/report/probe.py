@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from hil.report import markup
 from hil.report.page import header, page, tile
-from hil.report.svg import PAGE, RC, Theme, inline_svg, new_figure
+from hil.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.runout import ANGLES_DEG, Centring, FourFeeds, RunOut, mean_feeds
 
 TIMES_SHOWN = 200
@@ -92,22 +91,11 @@ def ball_plot(found: RunOut, theme: Theme) -> Figure:
         ax.set_xlim(-1.35 * reach, 1.35 * reach)
         ax.set_ylim(-1.35 * reach, 1.35 * reach)
         ax.set_aspect("equal")
-        _label(ax, theme, "x, µm", "y, µm")
+        label_axes(ax, theme, "x, µm", "y, µm")
         handles, names = ax.get_legend_handles_labels()
         unique = dict(zip(names, handles, strict=True))
         figure.legend(unique.values(), unique.keys(), loc="upper left", ncols=3, labelcolor=theme.ink)
         return figure
-
-
-def _label(ax: Axes, theme: Theme, x: str, y: str) -> None:
-    ax.set_xlabel(x, color=theme.ink)
-    ax.set_ylabel(y, color=theme.ink)
-    ax.grid(True, color=theme.grid)
-    ax.set_axisbelow(True)
-    ax.set_facecolor("none")
-    ax.tick_params(colors=theme.muted, length=3)
-    for spine in ax.spines.values():
-        spine.set_color(theme.muted)
 
 
 def contact_plot(turns: Sequence[FourFeeds], theme: Theme) -> Figure:
@@ -126,7 +114,7 @@ def contact_plot(turns: Sequence[FourFeeds], theme: Theme) -> Figure:
         for number, turn in enumerate(turns):
             feeds = 1000 * (np.array([turn.n_0_mm, turn.n_90_mm, turn.n_180_mm, turn.n_270_mm]) - middle)
             ax.plot(ANGLES_DEG, feeds, "o^sDvP"[number % 6], color=theme.up, ms=5.5, mew=0, label=f"turn {number + 1}")
-        _label(ax, theme, "Spindle angle, °", "Feed to contact\nless the mean, µm")
+        label_axes(ax, theme, "Spindle angle, °", "Feed to contact\nless the mean, µm")
         ax.set_xticks([0, 90, 180, 270, 360])
         figure.legend(loc="upper left", ncols=5, labelcolor=theme.ink)
         return figure
@@ -183,8 +171,8 @@ def history_plot(rows: Sequence[Mapping[str, str]], theme: Theme) -> Figure:
             ax.plot(number[stored], values[stored], "o-", color=color, ms=4, lw=1, label=label)
             if np.any(~stored):
                 ax.plot(number[~stored], values[~stored], "x", color=color, ms=7, mew=1.6, label=f"{label}, refused")
-        _label(upper, theme, "", "Run-out at 0°, µm")
-        _label(lower, theme, "Measurement", "Radius, mm")
+        label_axes(upper, theme, "", "Run-out at 0°, µm")
+        label_axes(lower, theme, "Measurement", "Radius, mm")
         lower.ticklabel_format(axis="y", useOffset=False)
         handles, names = upper.get_legend_handles_labels()
         figure.legend(handles, names, loc="upper left", ncols=4, labelcolor=theme.ink)

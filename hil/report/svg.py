@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -104,6 +105,18 @@ def new_figure(
         hspace=0.08,
     )
     return figure
+
+
+def label_axes(ax: Axes, theme: Theme, x: str, y: str) -> None:
+    """Names of both axes, grid and frame in the colours of the theme."""
+    ax.set_xlabel(x, color=theme.ink)
+    ax.set_ylabel(y, color=theme.ink)
+    ax.grid(True, color=theme.grid)
+    ax.set_axisbelow(True)
+    ax.set_facecolor("none")
+    ax.tick_params(colors=theme.muted, length=3)
+    for spine in ax.spines.values():
+        spine.set_color(theme.muted)
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:

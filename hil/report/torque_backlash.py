@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from hil.report import markup
 from hil.report.page import header, page, tile
-from hil.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, new_figure
+from hil.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
 from hil.wind_up.result import NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
 
 
@@ -56,7 +56,9 @@ def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
         panels = figure.subplots(1, max(1, len(reversals)), sharey=True, squeeze=False)[0]
         for ax, one in zip(panels, reversals, strict=False):
             _panel(ax, one, theme)
-            _label(ax, theme, "Motor travel since the reversal, µm", "Torque, % of rated" if ax is panels[0] else "")
+            label_axes(
+                ax, theme, "Motor travel since the reversal, µm", "Torque, % of rated" if ax is panels[0] else ""
+            )
         unique: dict[str, Artist] = {}
         for ax in panels:
             for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
@@ -95,17 +97,6 @@ def _panel(ax: Axes, one: Reversal, theme: Theme) -> None:
 
 def _found(one: Reversal) -> str:
     return "no wind-up that ends in sliding" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
-
-
-def _label(ax: Axes, theme: Theme, x: str, y: str) -> None:
-    ax.set_xlabel(x, color=theme.ink)
-    ax.set_ylabel(y, color=theme.ink)
-    ax.grid(True, color=theme.grid)
-    ax.set_axisbelow(True)
-    ax.set_facecolor("none")
-    ax.tick_params(colors=theme.muted, length=3)
-    for spine in ax.spines.values():
-        spine.set_color(theme.muted)
 
 
 def _tiles(report: BacklashReport) -> str:

@@ -15,7 +15,7 @@ from hil.compensation import Compensation
 from hil.diagnosis import diagnose
 from hil.journal import Campaign
 from hil.procedures.calibrate import calibrate
-from hil.procedures.extend import compensation_of, model_of
+from hil.procedures.extend import compensation_of, issuable, model_of
 from hil.procedures.in_motion import InMotion, Pass, measure_in_motion, plan_passes, ramped_path
 from hil.procedures.sample_times import SampleTimes
 from hil.records import Records
@@ -82,16 +82,11 @@ def measured(machine: Machine, campaign: Campaign, name: str, seed: int) -> Reco
     return measure_in_motion(machine.session, campaign, name, plan_passes(machine.session, HOW, seed), how=HOW)
 
 
-def issuable(records: Records) -> Records:
-    unknown = ("motor_mm", "torque_percent")
-    return Records.of({name: values for name, values in records.columns.items() if name not in unknown})
-
-
 def extend(machine: Machine, records: Records) -> list[str]:
     """Diagnose what the compensation in force leaves, and put what is found beside it; the effects found."""
     compensation = machine.session.compensation
     assert compensation is not None
-    diagnosis = diagnose(issuable(records), model_of(compensation))
+    diagnosis = diagnose(issuable(machine.session, records), model_of(compensation))
     machine.session.compensation = compensation_of(diagnosis.extended, compensation.tables)
     return [finding.effect for finding in diagnosis.findings]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.bench_axis import AXIS
 
 import hil.wiring
 from sim_backends.bench import Bench, BenchParameters
@@ -23,18 +24,9 @@ FACES = {
     "modbus-tcp": 'face = "modbus-tcp"\nregister_map = "vendor_style"\n',
 }
 
-TEXT = """
-[axis]
-name = "X"
-travel_min_mm = -2.0
-travel_max_mm = 502.0
-max_velocity_mm_s = 200.0
-max_acceleration_mm_s2 = 1000.0
-
-[scaling]
-encoder_counts_per_motor_rev = 1_000_000
-feed_mm_per_shaft_rev = 10.0
-
+TEXT = (
+    AXIS
+    + """
 [drive]
 backend = "bench"
 machine = "worn"
@@ -45,6 +37,7 @@ reference_minus_mm = 5.0
 travel_velocity_mm_s = 100.0
 {backlash}
 """
+)
 
 QUICK = "step_um = 2.0\nsettle_s = 0.03\nreadings = 2\nvelocity_mm_s = 2.0\nrun_in_mm = 0.2\n"
 """For tests of anything but the accuracy."""

@@ -8,7 +8,7 @@ from hil.sealed import Cost, new_key, save_private_key, save_public_key
 
 PASSWORDS = {"HIL_PASSWORD": "reading", "HIL_KEY_PASSWORD": "builder"}
 
-TEXT = """
+AXIS = """
 [axis]
 name = "X"
 travel_min_mm = -2.0
@@ -19,7 +19,12 @@ max_acceleration_mm_s2 = 1000.0
 [scaling]
 encoder_counts_per_motor_rev = 1_000_000
 feed_mm_per_shaft_rev = 10.0
+"""
+"""The bench's axis and its scaling, without a drive."""
 
+TEXT = (
+    AXIS
+    + """
 [drive]
 backend = "bench"
 machine = "{machine}"
@@ -40,6 +45,7 @@ reading_s = 0.3
 [correction]
 {correction}
 """
+)
 
 
 def lay_out(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable
 from fractions import Fraction
 from importlib.resources import files
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.corpus import check_complete, check_refused, expectations
 
 from drivers.errors import InputError
 from hil.axis import HomingConfig, iso_targets, load_axis
@@ -20,7 +20,7 @@ from hil.axis_connections import FixedAirConfig
 from hil.tables import Band, TableMode
 
 CORPUS = Path(__file__).parent / "corpus" / "axis"
-EXPECTED = tomllib.loads((CORPUS / "expected.toml").read_text(encoding="utf-8"))
+EXPECTED = expectations(CORPUS)
 EXAMPLE = Path(str(files("hil.examples") / "axis.toml"))
 
 
@@ -37,22 +37,12 @@ def axis_text(**changed: str) -> str:
 
 
 def test_every_file_of_the_corpus_is_expected_and_every_expectation_has_its_file() -> None:
-    assert {path.name for path in CORPUS.iterdir()} == {"expected.toml", *EXPECTED}
-    assert len(EXPECTED) >= 30
+    check_complete(CORPUS, EXPECTED)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_malformed_file_is_refused_in_one_line_that_names_the_place(name: str) -> None:
-    path = CORPUS / name
-    with pytest.raises(InputError) as caught:
-        load_axis(path)
-    message, line = str(caught.value), EXPECTED[name]["line"]
-    place = f"{path}:{line}: " if line else f"{path}: "
-    assert message.startswith(place)
-    assert len(message.splitlines()) == 1
-    assert len(message) - len(place) < 240
-    for word in EXPECTED[name]["words"]:
-        assert word in message
+    check_refused(load_axis, CORPUS / name, EXPECTED[name], longest=240)
 
 
 def test_a_directory_or_nothing_instead_of_a_file_is_named(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import string
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,12 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.corpus import check_complete, check_refused, expectations
 
 from drivers.errors import InputError
 from hil.records import LARGEST, OPTIONAL, REQUIRED, Records, concatenate, format_row, parse_csv, read_csv, to_csv
 
 CORPUS = Path(__file__).parent / "corpus" / "records"
-EXPECTED = tomllib.loads((CORPUS / "expected.toml").read_text(encoding="utf-8"))
+EXPECTED = expectations(CORPUS)
 HEADER = "run,direction,target_mm,measured_mm\n"
 
 believable = st.floats(-LARGEST, LARGEST)
@@ -82,22 +82,12 @@ def test_format_row_is_one_line(rows: Records) -> None:
 
 
 def test_every_file_of_the_corpus_is_expected_and_every_expectation_has_its_file() -> None:
-    assert {path.name for path in CORPUS.iterdir()} == {"expected.toml", *EXPECTED}
-    assert len(EXPECTED) >= 30
+    check_complete(CORPUS, EXPECTED)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_malformed_file_is_refused_in_one_line_that_names_the_place(name: str) -> None:
-    path = CORPUS / name
-    with pytest.raises(InputError) as caught:
-        read_csv(path)
-    message, line = str(caught.value), EXPECTED[name]["line"]
-    place = f"{path}:{line}: " if line else f"{path}: "
-    assert message.startswith(place)
-    assert len(message.splitlines()) == 1
-    assert len(message) - len(place) < 200
-    for word in EXPECTED[name]["words"]:
-        assert word in message
+    check_refused(read_csv, CORPUS / name, EXPECTED[name], longest=200)
 
 
 def test_a_directory_or_nothing_instead_of_a_file_is_named(tmp_path: Path) -> None:
