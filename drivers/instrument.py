@@ -27,6 +27,8 @@ class Reading:
 
     position_mm is in the instrument's own frame (its zero, its direction) and None unless the status is GOOD;
     sequence counts the instrument's samples, and lost_before how many are missing just before this one.
+    time_ns: when it was here; since_ns: it was taken no earlier than then (the look or the request before it), None where time_ns
+    is exact. How long bytes wait in a serial port nobody looks at, no instrument tells, so both travel with the value.
     """
 
     time_ns: int
@@ -34,6 +36,16 @@ class Reading:
     position_mm: float | None
     sequence: int
     lost_before: int = 0
+    since_ns: int | None = None
+
+    @property
+    def earliest_ns(self) -> int:
+        """The earliest moment at which it can have been taken."""
+        return self.time_ns if self.since_ns is None else self.since_ns
+
+    def age_ns(self, now_ns: int) -> int:
+        """How old the value is at most."""
+        return now_ns - self.earliest_ns
 
 
 @dataclass(frozen=True)
@@ -51,6 +63,8 @@ class DistanceInstrument(ABC):
     """A laser interferometer, length gauge or scale that reads the load's position."""
 
     name: str
+    answers_when_asked = False
+    """Each look brings one reading at most, asked for by the look before: it wants to be looked at often."""
 
     @abstractmethod
     def open(self) -> None:
@@ -64,8 +78,11 @@ class DistanceInstrument(ABC):
     def poll(self) -> Sequence[Reading]:
         """All readings that arrived since the last call, oldest first; empty when none did. Never waits.
 
-        Raises LinkLostError when the port is gone.
+        Raises LinkLostError when the port is gone. Looking again may find it plugged in again.
         """
+
+    def acknowledge_loss(self) -> None:  # noqa: B027 - most instruments have nothing to forget
+        """After a lost signal, give positions again; their zero may be a new one."""
 
     @abstractmethod
     def environment(self) -> Environment:

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import LinkLostError
+
+RETRY_S = 0.5
+"""How often a port that went away is looked for."""
+
 
 class ByteLink(Protocol):
     """A wire that is only ever looked at."""
@@ -16,3 +22,66 @@ class ByteLink(Protocol):
 
     def read_waiting(self) -> bytes:
         """What has arrived, possibly nothing. Raises LinkLostError when the wire is gone."""
+
+
+class AskedLink(ByteLink, Protocol):
+    """One that takes requests too."""
+
+    def write(self, data: bytes) -> None:
+        """Raises LinkLostError when the wire is gone."""
+
+
+class PatientLink:
+    """A wire that may be unplugged and plugged in again: every look says that it is gone until it is there again.
+
+    Who reads it learns of the gap from the LinkLostError; what was unfinished then, and a zero that a restart took, is theirs to know.
+    """
+
+    def __init__(self, link: AskedLink, clock: Clock) -> None:
+        self._link = link
+        self._clock = clock
+        self._lost: LinkLostError | None = None
+        self._retry_ns = 0
+        self.reconnections = 0
+
+    def open(self) -> None:
+        self._link.open()
+        self._lost = None
+
+    def close(self) -> None:
+        self._link.close()
+        self._lost = None
+
+    def read_waiting(self) -> bytes:
+        if self._lost is not None:
+            self._look_for_it(self._lost)
+        try:
+            return self._link.read_waiting()
+        except LinkLostError as error:
+            raise self._gone(error) from error
+
+    def write(self, data: bytes) -> None:
+        if self._lost is not None:
+            raise self._lost
+        try:
+            self._link.write(data)
+        except LinkLostError as error:
+            raise self._gone(error) from error
+
+    def _gone(self, error: LinkLostError) -> LinkLostError:
+        self._link.close()
+        self._lost = LinkLostError(str(error))
+        self._retry_ns = self._clock.now_ns() + round(RETRY_S * NS_PER_S)
+        return self._lost
+
+    def _look_for_it(self, lost: LinkLostError) -> None:
+        now_ns = self._clock.now_ns()
+        if now_ns < self._retry_ns:
+            raise lost
+        self._retry_ns = now_ns + round(RETRY_S * NS_PER_S)
+        try:
+            self._link.open()
+        except LinkLostError:
+            raise lost from None
+        self._lost = None
+        self.reconnections += 1

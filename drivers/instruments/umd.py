@@ -18,10 +18,12 @@ from collections.abc import Iterable
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
+from drivers.instruments.lines import BadLine, LineSplitter
+
 MAX_LINE_BYTES = 400  # 16 numbers of 64 bits with their signs and blanks are 351
 _INT64 = 1 << 63
 _SEQUENCE_SPAN = 1 << 32
-_CLEAN = b"0123456789- \n"
+_CLEAN = b"0123456789- "
 
 
 class SlowCode(IntEnum):
@@ -111,13 +113,6 @@ class UmdSample(NamedTuple):
         return AxisSample(self.ref, *values) if start >= 0 and len(values) == 4 else None
 
 
-class BadLine(NamedTuple):
-    """Bytes that are no sample: `raw` without the line end, cut to MAX_LINE_BYTES; `reason` for a person."""
-
-    raw: bytes
-    reason: str
-
-
 UmdEvent = UmdSample | BadLine
 
 
@@ -137,52 +132,30 @@ def lost_between(previous: int, sequence: int) -> int | None:
 
 
 class UmdDecoder:
-    """Incremental parser. Lines may arrive in pieces and end in CR, LF or both; empty ones mean nothing.
-
-    Joining a running stream one usually starts in mid-line, where a cut first number would look like a small one: the bytes before
-    the first line end are reported as a BadLine unless `from_line_start`.
-    """
+    """Incremental parser; lines in pieces, line ends and joining in mid-line are `LineSplitter`'s."""
 
     def __init__(self, *, from_line_start: bool = False) -> None:
-        self._rest = b""
-        self._overlong = False  # dropping bytes until the next line end
-        self._aligned = from_line_start
+        self._lines = LineSplitter(MAX_LINE_BYTES, from_line_start=from_line_start)
 
     @property
     def pending_bytes(self) -> int:
         """Bytes of the unfinished line kept for later, at most MAX_LINE_BYTES."""
-        return len(self._rest)
+        return self._lines.pending_bytes
 
     def feed(self, data: bytes) -> list[UmdEvent]:
         """Events that are complete with these bytes, in order."""
-        data = self._rest + data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-        lines = data.split(b"\n")
-        self._rest = lines.pop()
-        events: list[UmdEvent] = []
-        if lines and not (self._aligned and not self._overlong):
-            self._drop_first(lines, events)
-        if data.translate(None, _CLEAN):
-            for line in lines:
+        before, whole, after = self._lines.feed(data)
+        events: list[UmdEvent] = [*before]
+        if any(line.translate(None, _CLEAN) for line in whole):
+            for line in whole:
                 if foreign := line.translate(None, _CLEAN):
                     events.append(BadLine(line[:MAX_LINE_BYTES], f"holds {foreign[:8]!r}, expected decimal integers"))
                 else:
                     _parse_lines((line,), events)
         else:
-            _parse_lines(lines, events)
-        if len(self._rest) > MAX_LINE_BYTES:
-            if not self._overlong:
-                events.append(BadLine(self._rest[:MAX_LINE_BYTES], f"line longer than {MAX_LINE_BYTES} bytes"))
-            self._overlong = True
-            self._rest = b""
+            _parse_lines(whole, events)
+        events += after
         return events
-
-    def _drop_first(self, lines: list[bytes], events: list[UmdEvent]) -> None:
-        """The end of a line whose beginning was never heard, or was reported as overlong."""
-        first = lines.pop(0)
-        if first and not self._overlong:
-            events.append(BadLine(first[:MAX_LINE_BYTES], "joined in mid-line"))
-        self._aligned = True
-        self._overlong = False
 
 
 def _parse_lines(lines: Iterable[bytes], events: list[UmdEvent]) -> None:

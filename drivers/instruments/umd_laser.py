@@ -1,7 +1,7 @@
 """A µMD laser interferometer as a `DistanceInstrument`: port + protocol + clock + wavelength in air.
 
 The display sends raw counts; the wavelength, the air's index, the direction and the dead path are this side's business. It counts
-increments, so once the beam was lost the zero is gone: with `latch_loss` no position is given any more until
+increments, so once the beam was lost, or the port was away, the zero is gone: with `latch_loss` no position is given any more until
 `acknowledge_loss()`, whatever the signal does.
 """
 
@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from drivers.clock import Clock
-from drivers.errors import InputError
+from drivers.errors import InputError, LinkLostError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 from drivers.instruments.air import HELIUM_NEON_VACUUM_NM, refractive_index
+from drivers.instruments.lines import BadLine
 from drivers.instruments.link import ByteLink
-from drivers.instruments.umd import SLOW_SCALE, BadLine, SampleState, SlowCode, UmdDecoder, UmdSample, lost_between
+from drivers.instruments.umd import SLOW_SCALE, SampleState, SlowCode, UmdDecoder, UmdSample, lost_between
 
 NM_PER_MM = 1e6
 
@@ -97,6 +98,7 @@ class UmdLaser(DistanceInstrument):
         self._link = link
         self._clock = clock
         self._decoder = UmdDecoder()
+        self._looked_ns = clock.now_ns()
         self._slow: dict[int, float] = {}
         self._slow_ns = 0
         self._sequence: int | None = None
@@ -111,7 +113,11 @@ class UmdLaser(DistanceInstrument):
 
     def open(self) -> None:
         self._link.open()
+        self._start_anew()
+
+    def _start_anew(self) -> None:
         self._decoder = UmdDecoder()
+        self._looked_ns = self._clock.now_ns()
 
     def close(self) -> None:
         self._link.close()
@@ -119,21 +125,28 @@ class UmdLaser(DistanceInstrument):
     # -- readings ----------------------------------------------------------------------------------------------------
     def poll(self) -> list[Reading]:
         readings: list[Reading] = []
-        data = self._link.read_waiting()
+        now_ns = self._clock.now_ns()
+        try:
+            data = self._link.read_waiting()
+        except LinkLostError:
+            self._start_anew()
+            if self.settings.latch_loss:
+                self._latched = ReadingStatus.HEAD_ERROR
+            raise
+        since_ns, self._looked_ns = self._looked_ns, now_ns
         if not data:
             return readings
-        now_ns = self._clock.now_ns()
         for event in self._decoder.feed(data):
             if isinstance(event, BadLine):
                 self.bad_lines += 1
                 self.last_bad_line = event
             else:
-                reading = self._reading(event, now_ns)
+                reading = self._reading(event, now_ns, since_ns)
                 if reading is not None:
                     readings.append(reading)
         return readings
 
-    def _reading(self, sample: UmdSample, now_ns: int) -> Reading | None:
+    def _reading(self, sample: UmdSample, now_ns: int, since_ns: int) -> Reading | None:
         if sample.slow_code in SLOW_SCALE:
             self._hear(sample.slow_code, sample.slow_data, now_ns)
         lost = 0
@@ -152,14 +165,14 @@ class UmdLaser(DistanceInstrument):
         elif status is not ReadingStatus.GOOD and self.settings.latch_loss:
             self._latched = status
         if status is not ReadingStatus.GOOD or axis is None:
-            return Reading(now_ns, status, None, sample.sequence, lost)
+            return Reading(now_ns, status, None, sample.sequence, lost, since_ns)
         if self._unit_mm is None:
             return None
         settings = self.settings
         phase = axis.units - axis.displacement
         units = axis.displacement + settings.phase_sign * phase
         position_mm = settings.direction * (units * self._unit_mm - self._dead_path_shift_mm)
-        return Reading(now_ns, status, position_mm, sample.sequence, lost)
+        return Reading(now_ns, status, position_mm, sample.sequence, lost, since_ns)
 
     @property
     def loss_latched(self) -> ReadingStatus | None:

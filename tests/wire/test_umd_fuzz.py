@@ -3,7 +3,8 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.instruments.umd import MAX_LINE_BYTES, BadLine, UmdDecoder, UmdSample
+from drivers.instruments.lines import BadLine
+from drivers.instruments.umd import MAX_LINE_BYTES, UmdDecoder, UmdSample
 
 int32 = st.integers(-(2**31), 2**31 - 1)
 counts = st.integers(0, 2**31 - 1)

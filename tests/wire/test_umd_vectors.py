@@ -2,10 +2,10 @@
 
 import pytest
 
+from drivers.instruments.lines import BadLine
 from drivers.instruments.umd import (
     MAX_LINE_BYTES,
     SLOW_SCALE,
-    BadLine,
     SampleState,
     UmdDecoder,
     UmdSample,

@@ -1,0 +1,102 @@
+"""Any instrument that writes its value as text, a line each, sans I/O: the line is described by a pattern.
+
+A pattern is a regular expression over the whole line with a group `value` and, where the line says it, a group `unit` (mm, um, µm,
+in, inch, "). It should pin down the width of the number, or `decimals` be given: of a line that lost its end, `+0000.12` would be as
+good a number as `+0000.123`. Shipped: "mitutoyo" (01A+0000.123 CR, 9600 8N1, digital counters and USB tools) and "number".
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from drivers.errors import InputError
+from drivers.instruments.lines import LineSplitter
+from drivers.instruments.values import BadLine, Fault, Value, ValueEvent
+
+LONGEST_BYTES = 200
+
+PATTERNS: dict[str, str] = {
+    "mitutoyo": r"0\dA(?P<value>[+-](?=[\d.]{8}$)\d+\.\d+)",
+    "number": r"\s*(?P<value>[+-]?\s*\d+(\.\d+)?)\s*(?P<unit>mm|um|µm|in|inch|\")?\s*",
+}
+MM: dict[str, float] = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "in": 25.4, "inch": 25.4, '"': 25.4}
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,2})?")
+
+
+@dataclass(frozen=True)
+class AsciiSettings:
+    """pattern: the name of a shipped one, or a regular expression; fault: one for lines that say 'no value', "" for none.
+
+    unit: of the value where the line does not say; decimals: digits after the point that a value must have, None for any;
+    request: what asks for a value, b"" for an instrument that sends by itself.
+    """
+
+    pattern: str = "number"
+    fault: str = ""
+    unit: str = "mm"
+    decimals: int | None = None
+    request: bytes = b""
+
+    def __post_init__(self) -> None:
+        if self.unit not in MM:
+            raise InputError(f"unit is {self.unit!r}, expected one of {', '.join(MM)}")
+        if "value" not in _compiled("pattern", PATTERNS.get(self.pattern, self.pattern)).groupindex:
+            raise InputError(f"pattern {self.pattern!r} has no group (?P<value>…)")
+        _compiled("fault", self.fault)
+
+
+class AsciiDecoder:
+    """Lines by a pattern. One that does not match is a BadLine, never a guess."""
+
+    def __init__(self, settings: AsciiSettings) -> None:
+        self.settings = settings
+        self._pattern = _compiled("pattern", PATTERNS.get(settings.pattern, settings.pattern))
+        self._fault = _compiled("fault", settings.fault) if settings.fault else None
+        self.restart()
+
+    @property
+    def request(self) -> bytes:
+        """What asks for one value; empty for an instrument that sends by itself."""
+        return self.settings.request
+
+    def restart(self) -> None:
+        """Forget an unfinished line; of a stream that is joined in mid-line, the first is not believed."""
+        self._lines = LineSplitter(LONGEST_BYTES, from_line_start=bool(self.settings.request))
+
+    def feed(self, data: bytes) -> list[ValueEvent]:
+        """Events that are complete with these bytes, in order."""
+        before, whole, after = self._lines.feed(data)
+        return [*before, *(self._event(line) for line in whole if line), *after]
+
+    def _event(self, line: bytes) -> ValueEvent:
+        raw = line[:LONGEST_BYTES]
+        try:
+            text = raw.decode("utf-8")
+        except UnicodeDecodeError:  # a µ of eight bits, or noise, which no pattern matches
+            text = raw.decode("latin-1")
+        if self._fault is not None and self._fault.fullmatch(text):
+            return Fault(f"the instrument says {text.strip()!r}")
+        match = self._pattern.fullmatch(text)
+        return BadLine(raw, "does not match the pattern") if match is None else self._value(raw, match)
+
+    def _value(self, raw: bytes, match: re.Match[str]) -> ValueEvent:
+        number = re.sub(r"\s", "", match["value"] or "")
+        if not number.isascii() or not _NUMBER.fullmatch(number):
+            return BadLine(raw, "holds no number where the value stands")
+        wanted = self.settings.decimals
+        if wanted is not None and len(number.partition(".")[2]) != wanted:
+            return BadLine(raw, f"has another number of decimals than {wanted}")
+        unit = match.groupdict().get("unit") or self.settings.unit
+        if unit not in MM:
+            return BadLine(raw, f"has the unit {unit[:8]!r}, expected one of {', '.join(MM)}")
+        value_mm = float(number) * MM[unit]
+        return Value(value_mm) if math.isfinite(value_mm) else BadLine(raw, "holds a number out of range")
+
+
+def _compiled(what: str, pattern: str) -> re.Pattern[str]:
+    try:
+        return re.compile(pattern)
+    except (re.error, RecursionError, OverflowError) as error:
+        raise InputError(f"{what} {pattern!r} is no regular expression: {error}") from error

@@ -1,0 +1,115 @@
+"""A display or gauge on a serial line as a `DistanceInstrument`: port + protocol + clock + direction.
+
+One that has to be asked is asked once at a time: the next request goes out when a look finds the answer to the last one, or none
+within ANSWER_S and the line quiet. A reading is no older than its request; of an instrument that sends by itself, no older than the
+look before it. After a fault, or a port that was away, the zero may be another one: positions stay latched until `acknowledge_loss()`.
+"""
+
+from __future__ import annotations
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import InputError, LinkLostError
+from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
+from drivers.instruments.link import AskedLink
+from drivers.instruments.values import BadLine, Fault, Value, ValueProtocol
+
+ANSWER_S = 0.5
+"""How long a display is given for its answer."""
+
+
+class Gauge(DistanceInstrument):
+    """The instrument. direction: +1 or −1, motion of the load for rising values. `poll` returns at once; there is no thread."""
+
+    def __init__(
+        self, link: AskedLink, clock: Clock, protocol: ValueProtocol, *, direction: int = 1, name: str = "gauge"
+    ) -> None:
+        if direction not in (1, -1):
+            raise InputError(f"{name} direction is {direction}, expected 1 or -1")
+        self.name = name
+        self.answers_when_asked = bool(protocol.request)
+        self._link = link
+        self._clock = clock
+        self._protocol = protocol
+        self._direction = direction
+        self._sequence = 0
+        self._latched = False
+        self._looked_ns = clock.now_ns()
+        self._asked_ns: int | None = None
+        self._quiet = False  # what others left on the line has been taken off
+        self.bad_lines = 0
+        self.last_bad_line: BadLine | None = None
+        self.last_fault = ""
+
+    def open(self) -> None:
+        self._link.open()
+        self._start_anew()
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _start_anew(self) -> None:
+        self._protocol.restart()
+        self._asked_ns, self._quiet = None, False
+        self._looked_ns = self._clock.now_ns()
+
+    def poll(self) -> list[Reading]:
+        now_ns = self._clock.now_ns()
+        try:
+            readings = self._look(now_ns)
+        except LinkLostError:
+            self._start_anew()
+            self._latched = True
+            raise
+        self._looked_ns = now_ns
+        return readings
+
+    def _look(self, now_ns: int) -> list[Reading]:
+        data = self._link.read_waiting()
+        if not self.answers_when_asked:
+            return self._readings(data, now_ns, self._looked_ns)
+        readings: list[Reading] = []
+        if self._asked_ns is None:  # nothing is expected: what comes was not asked for
+            self._quiet = not data
+        else:
+            readings = self._readings(data, now_ns, self._asked_ns)
+            if readings:
+                self._asked_ns = None
+            elif now_ns - self._asked_ns > ANSWER_S * NS_PER_S:
+                self._asked_ns, self._quiet = None, False
+        if self._asked_ns is None and self._quiet:
+            self._protocol.restart()
+            self._link.write(self._protocol.request)
+            self._asked_ns = now_ns
+        return readings
+
+    def _readings(self, data: bytes, now_ns: int, since_ns: int) -> list[Reading]:
+        readings = []
+        for event in self._protocol.feed(data) if data else ():
+            if isinstance(event, BadLine):
+                self.bad_lines += 1
+                self.last_bad_line = event
+            else:
+                readings.append(self._reading(event, now_ns, since_ns))
+        return readings
+
+    def _reading(self, event: Value | Fault, now_ns: int, since_ns: int) -> Reading:
+        self._sequence += 1
+        if isinstance(event, Fault):
+            self.last_fault = event.reason
+            self._latched = True
+        if self._latched or isinstance(event, Fault):
+            return Reading(now_ns, ReadingStatus.HEAD_ERROR, None, self._sequence, since_ns=since_ns)
+        position_mm = self._direction * event.position_mm
+        return Reading(now_ns, ReadingStatus.GOOD, position_mm, self._sequence, since_ns=since_ns)
+
+    def acknowledge_loss(self) -> None:
+        self._latched = False
+
+    def environment(self) -> Environment:
+        """None of these measures the air."""
+        return Environment(self._looked_ns)
+
+    @property
+    def sample_rate_hz(self) -> float | None:
+        """Not stated by any of these."""
+        return None

@@ -1,0 +1,152 @@
+"""A recorded file played as an instrument, with its timing: what a real one said once, for trying everything else without it.
+
+`Recording` is the file's columns (CSV, `#` comments, header row; plain or .gz), `ReplayInstrument` plays one of them by a clock.
+Readings carry the time they were recorded at, brought forward to when playing began; after the last one there are no more.
+"""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+from pathlib import Path
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import InputError
+from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
+
+_AIR = ("air_temp_c", "air_pressure_hpa", "air_humidity_percent")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Columns of one length by name; `time_s` among them, ascending."""
+
+    columns: Mapping[str, Sequence[float]]
+
+    def __post_init__(self) -> None:
+        times = self.columns.get("time_s")
+        if not times:
+            raise InputError(f"recording has columns {', '.join(self.columns)}, expected time_s among them, and rows")
+        if not all(isfinite(time) for time in times):
+            raise InputError("time_s holds something that is no time")
+        late = next((row for row in range(1, len(times)) if times[row] < times[row - 1]), None)
+        if late is not None:
+            raise InputError(f"row {late + 1} was recorded before row {late}, expected ascending time_s")
+
+    @classmethod
+    def read(cls, path: str | Path) -> Recording:
+        """A file. Raises InputError naming it, and the line."""
+        try:
+            data = Path(path).read_bytes()
+            text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode("utf-8")
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror or error}", path=path) from error
+        except (EOFError, zlib.error, UnicodeDecodeError) as error:
+            raise InputError(f"is neither text nor packed text: {error}", path=path) from error
+        try:
+            return cls(_columns(text))
+        except InputError as error:
+            raise InputError(error.what, path=path, line=error.line) from error
+
+    def column(self, name: str) -> Sequence[float]:
+        """Raises InputError for one that is not there."""
+        if name not in self.columns:
+            raise InputError(f"recording has no column {name}; it has {', '.join(self.columns)}")
+        return self.columns[name]
+
+    @property
+    def duration_s(self) -> float:
+        times = self.columns["time_s"]
+        return times[-1] - times[0]
+
+
+def _columns(text: str) -> dict[str, list[float]]:
+    columns: dict[str, list[float]] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        if not columns:
+            columns = {name: [] for name in cells}
+            continue
+        if len(cells) != len(columns):
+            raise InputError(f"row has {len(cells)} columns, expected {len(columns)}", line=number)
+        for name, cell in zip(columns, cells, strict=True):
+            try:
+                columns[name].append(float(cell) if cell else nan)
+            except ValueError:
+                raise InputError(f"{name} is {cell[:40]!r}, expected a number", line=number) from None
+    return columns
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """column: the one that is the position; direction: +1 or −1, motion of the load for rising values; speed: of playing."""
+
+    column: str = "laser_mm"
+    direction: int = 1
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.direction not in (1, -1):
+            raise InputError(f"replay direction is {self.direction}, expected 1 or -1")
+        if not 0.0 < self.speed <= 1e6:
+            raise InputError(f"replay speed is {self.speed:g}, expected more than 0")
+
+
+class ReplayInstrument(DistanceInstrument):
+    """Plays from `open()` on. A row whose value is empty is a reading without a signal."""
+
+    def __init__(
+        self, recording: Recording, clock: Clock, settings: ReplaySettings | None = None, *, name: str = "replay"
+    ) -> None:
+        self.name = name
+        self.settings = settings or ReplaySettings()
+        self._values = recording.column(self.settings.column)
+        first_s = recording.column("time_s")[0]
+        self._due_ns = [round((time - first_s) / self.settings.speed * NS_PER_S) for time in recording.column("time_s")]
+        self._recording = recording
+        self._clock = clock
+        self._start_ns = clock.now_ns()
+        self._next = 0
+
+    def open(self) -> None:
+        self._start_ns, self._next = self._clock.now_ns(), 0
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def poll(self) -> list[Reading]:
+        end = bisect_right(self._due_ns, self._clock.now_ns() - self._start_ns)
+        readings = [self._reading(row) for row in range(self._next, end)]
+        self._next = max(self._next, end)
+        return readings
+
+    def _reading(self, row: int) -> Reading:
+        time_ns, value = self._start_ns + self._due_ns[row], self._values[row]
+        if not isfinite(value):
+            return Reading(time_ns, ReadingStatus.BEAM_LOST, None, row)
+        return Reading(time_ns, ReadingStatus.GOOD, self.settings.direction * value, row)
+
+    @property
+    def over(self) -> bool:
+        """Whether the last row has been played."""
+        return self._next == len(self._due_ns)
+
+    def environment(self) -> Environment:
+        """Of the last row played; what the recording does not hold is unknown."""
+        row = max(0, self._next - 1)
+        now = {name: column[row] for name, column in self._recording.columns.items() if isfinite(column[row])}
+        air_temp_c, pressure_hpa, humidity_percent = (now.get(name) for name in _AIR)
+        places = {name[5:-2]: value for name, value in now.items() if name.startswith("temp_") and name.endswith("_c")}
+        time_ns = self._start_ns + self._due_ns[row]
+        return Environment(time_ns, air_temp_c, pressure_hpa, humidity_percent, places)
+
+    @property
+    def sample_rate_hz(self) -> float | None:
+        """The mean rate, where there is one."""
+        return (len(self._due_ns) - 1) * NS_PER_S / self._due_ns[-1] if self._due_ns[-1] else None
