@@ -15,6 +15,7 @@ from enum import Enum
 from typing import Self
 
 from drivers.clock import NS_PER_S, Clock
+from drivers.correction_table import CorrectionTable
 from drivers.errors import CapabilityError, DriveFaultError, LimitError, MotionTimeoutError, StateError
 from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, ReportedScaling
@@ -262,6 +263,11 @@ class ServoDrive(ABC):
     def parameters(self) -> DriveParameters:
         """The drive's parameters by name. Raises CapabilityError where it has none."""
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.PARAMETERS.value}")
+
+    @property
+    def correction_table(self) -> CorrectionTable | None:
+        """The table by which the open drive corrects its axis itself; None where it holds none, or none was described."""
+        return None
 
     # -- waiting, for backends and simple scripts --------------------------------------------------------------------
     def wait_for(

@@ -16,6 +16,7 @@ from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
+from sim_backends.own_table import TableForm
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 
@@ -59,6 +60,7 @@ class CanBench:
     servo_parameters: ServoParameters = SMALL_SERVO
     servo_faults: Sequence[Fault] = ()
     flash: Flash | None = None  # of the drive (all of them share it): what it kept from a life before
+    table: TableForm | None = None  # of every drive: the correction table that it holds itself
 
     def __post_init__(self) -> None:
         self.clock = SimClock()
@@ -76,6 +78,7 @@ class CanBench:
                 parameters=self.parameters,
                 faults=tuple(self.faults.get(node_id, ())),
                 flash=self.flash,
+                table=self.table,
             )
             for node_id, servo in self.servos.items()
         }

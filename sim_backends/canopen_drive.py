@@ -25,8 +25,10 @@ from sim_backends.canopen_pdo_engine import PdoEngine
 from sim_backends.canopen_profile import DriveProfile
 from sim_backends.canopen_sdo_server import SdoServer
 from sim_backends.canopen_store import Flash, ParameterStore
+from sim_backends.canopen_table import TableObjects, table_items
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
+from sim_backends.own_table import TableForm
 from sim_backends.servo import Servo
 
 EDS = Path(__file__).with_name("servo_drive.eds")
@@ -52,7 +54,8 @@ class CanOpenSlave:
     """One simulated drive with its node id.
 
     send(cob_id, data): puts a frame on the bus. parameters: {(index, subindex): value} laid over the EDS's defaults, the way a
-    drive leaves its factory for a certain machine. flash: what it keeps without power; a fresh one where None.
+    drive leaves its factory for a certain machine. flash: what it keeps without power; a fresh one where None. table: the correction
+    table of its own that it holds, beside the EDS's objects.
     """
 
     def __init__(
@@ -64,12 +67,14 @@ class CanOpenSlave:
         parameters: Mapping[tuple[int, int], int] | None = None,
         eds: Path = EDS,
         flash: Flash | None = None,
+        table: TableForm | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
             raise InputError(f"node id is {node_id}, expected 1 to 127")
         self.servo = servo
         self.node_id = node_id
-        self.dictionary = Dictionary(load_items(eds, node_id))
+        own = {} if table is None else table_items(table)
+        self.dictionary = Dictionary({**load_items(eds, node_id), **own})
         for (index, subindex), value in (parameters or {}).items():
             self.dictionary.set_number(index, subindex, value)
         self._send = send
@@ -79,6 +84,9 @@ class CanOpenSlave:
             servo.backlash.follow(
                 lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
             )
+        self.table = None if table is None else TableObjects(self.dictionary, table, lambda: servo.powered)
+        if self.table is not None:
+            servo.table.follow(self.table.table)
         self.pdos = PdoEngine(self.dictionary, self._transmit, lambda: self.emergency(PDO_LENGTH_ERROR))
         self.sdo = SdoServer(self.dictionary)
         self.store = ParameterStore(self.dictionary, flash if flash is not None else Flash(), lambda: not servo.powered)
@@ -103,6 +111,8 @@ class CanOpenSlave:
         self._owed.clear()
         storage_error = self.store.start()
         self.profile.reset()
+        if self.table is not None:
+            self.table.start()
         self.pdos.reload()
         self._guarded.clear()
         self._guard_lost.clear()
@@ -259,10 +269,11 @@ def with_faults(
     *,
     parameters: Mapping[tuple[int, int], int] | None = None,
     flash: Flash | None = None,
+    table: TableForm | None = None,
 ) -> tuple[CanOpenSlave, FaultLayer]:
     """A drive with a fault layer between it and the bus: frames and time go through the layer."""
     layer = FaultLayer(faults, node_id)
-    slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash)
+    slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table)
     layer.wire(
         send=send,
         handle=slave.on_frame,
@@ -284,11 +295,12 @@ def attach_to_wire(
     parameters: Mapping[tuple[int, int], int] | None = None,
     faults: Iterable[CanFault] = (),
     flash: Flash | None = None,
+    table: TableForm | None = None,
 ) -> CanOpenSlave:
     """Put a drive on the simulated wire and boot it; the servo is attached to the clock by whoever made it, before."""
     node = wire.add_node()
     faults = tuple(faults)
-    slave, layer = with_faults(servo, node_id, node.send, faults, parameters=parameters, flash=flash)
+    slave, layer = with_faults(servo, node_id, node.send, faults, parameters=parameters, flash=flash, table=table)
     if faults:
         node.connect(layer.on_frame, layer.tick, layer.due_ns)
     else:
@@ -311,6 +323,7 @@ def served(
     faults: Iterable[CanFault] = (),
     options: Mapping[str, object] | None = None,
     step_s: float = 0.001,
+    table: TableForm | None = None,
 ) -> Iterator[CanOpenSlave]:
     """Serve a drive on any python-can interface in a thread of its own, until the block ends.
 
@@ -322,7 +335,7 @@ def served(
     settings: dict[str, object] = {**(options or {})} if bitrate is None else {**(options or {}), "bitrate": bitrate}
     bus = can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
     try:
-        service = _Service(bus, clock, servo, node_id, parameters=parameters, faults=faults, step_s=step_s)
+        service = _Service(bus, clock, servo, node_id, parameters=parameters, faults=faults, step_s=step_s, table=table)
         try:
             yield service.slave
         finally:
@@ -343,10 +356,11 @@ class Station:
         *,
         parameters: Mapping[tuple[int, int], int] | None,
         faults: Iterable[CanFault],
+        table: TableForm | None = None,
     ) -> None:
         self.bus = bus
         self.clock = clock
-        self.slave, self.layer = with_faults(servo, node_id, self._send, faults, parameters=parameters)
+        self.slave, self.layer = with_faults(servo, node_id, self._send, faults, parameters=parameters, table=table)
         self.slave.boot(clock.now_ns())
 
     def _send(self, cob_id: int, data: bytes) -> None:
@@ -376,8 +390,9 @@ class _Service:
         parameters: Mapping[tuple[int, int], int] | None,
         faults: Iterable[CanFault],
         step_s: float,
+        table: TableForm | None,
     ) -> None:
-        self._station = Station(bus, clock, servo, node_id, parameters=parameters, faults=faults)
+        self._station = Station(bus, clock, servo, node_id, parameters=parameters, faults=faults, table=table)
         self.slave = self._station.slave
         self._bus = bus
         self._clock = clock

@@ -17,6 +17,7 @@ from can.interfaces.virtual import VirtualBus
 from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave, Station
 from sim_backends.canopen_faults import CanFault
 from sim_backends.clock import SimClock
+from sim_backends.own_table import TableForm
 from sim_backends.servo import Servo
 
 
@@ -99,10 +100,11 @@ class DrivesInTurn:
         *,
         parameters: Mapping[tuple[int, int], int] | None = None,
         faults: Iterable[CanFault] = (),
+        table: TableForm | None = None,
     ) -> CanOpenSlave:
         """Put a drive on the bus and boot it; the servo is attached to the clock by whoever made it, before."""
         bus = _Bus(self.channel)
-        station = Station(bus, self.clock, servo, node_id, parameters=parameters, faults=faults)
+        station = Station(bus, self.clock, servo, node_id, parameters=parameters, faults=faults, table=table)
         self._drives.append(_Drive(station, bus, self.clock))
         return station.slave
 

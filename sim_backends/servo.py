@@ -16,6 +16,7 @@ from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.homing import HOMING_METHODS, HomingSensor
 from sim_backends.homing_run import HomingRun
 from sim_backends.motion_profile import Profile, plan_move, plan_stop, plan_velocity
+from sim_backends.own_table import TableStage
 from sim_backends.servo_face import Mechanics, MotionMode, Servo
 from sim_backends.servo_parameters import ServoParameters, Switches
 
@@ -38,6 +39,7 @@ class SimulatedServo:
         self.parameters = p = parameters or ServoParameters()
         self.mechanics = mechanics
         self.backlash = BacklashCompensation(mechanics, p.counts_per_rev)
+        self.table = TableStage()
         self._rng = random.Random(p.seed)
         self.powered = False
         self.stopping = False
@@ -340,7 +342,7 @@ class SimulatedServo:
         if now_ns >= self._fault_change_ns:
             self._meet_faults()
         if not self._moving:
-            self.backlash.step(self._actual, dt_s)
+            self._turn_shaft(dt_s)
             return
         before, velocity_before = self._actual, self._actual_velocity
         demand_before = self._demand
@@ -356,11 +358,19 @@ class SimulatedServo:
             self._actual = max(p.negative_stop_counts, min(p.positive_stop_counts, self._actual))
             self._actual_velocity = 0.0
         self._acceleration = (self._actual_velocity - velocity_before) / dt_s
-        self.backlash.step(self._actual, dt_s)
+        self._turn_shaft(dt_s)
         if self._homing is not None:
             self._advance_homing(self._homing, before)
         self._watch_limits()
         self._supervise(dt_s)
+
+    def _turn_shaft(self, dt_s: float) -> None:
+        """What the drive's own table adds to where it shows itself, then what its backlash compensation adds."""
+        added = self.table.step(self._shown_demand, powered=self.powered, homed=self.homed, dt_s=dt_s)
+        self.backlash.step(self._actual + added, dt_s)
+
+    def _shown_demand(self) -> float:
+        return self._demand - self._frame
 
     def _advance_demand(self, dt_s: float) -> None:
         if self._profile is not None:

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Protocol
 
+from sim_backends.own_table import OwnTable
+
 
 class MotionMode(Enum):
     """What the set-point generator does."""
@@ -40,6 +42,13 @@ class Compensation(Protocol):
         """From now on add so many motor counts, quickly or not."""
 
 
+class OwnCorrection(Protocol):
+    """Where a servo adds a table of its own to what the shaft is told."""
+
+    def follow(self, table: OwnTable) -> None:
+        """From now on add this one."""
+
+
 class Servo(Protocol):
     """What a face may use of a servo. Readings are always of the present moment of simulated time.
 
@@ -49,6 +58,10 @@ class Servo(Protocol):
     @property
     def backlash(self) -> Compensation:
         """Its backlash compensation, for a face to tie to its parameters."""
+
+    @property
+    def table(self) -> OwnCorrection:
+        """The place of its own correction table, for a face that shows one."""
 
     @property
     def powered(self) -> bool: ...

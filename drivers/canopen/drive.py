@@ -26,6 +26,7 @@ from drivers.canopen.cia402 import (
     decode_state,
 )
 from drivers.canopen.connection import Connection
+from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.motion import FAULTS, RUN, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
@@ -40,6 +41,7 @@ from drivers.canopen.reported import readings
 from drivers.canopen.sampling import Sampler, exists, sampled_pdos
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import CanOpenSettings, HomingSettings
+from drivers.canopen.table_map import TableMap
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import read_units
 from drivers.clock import Clock
@@ -92,12 +94,14 @@ class CanOpenDrive(ServoDrive):
         node_id: int,
         settings: CanOpenSettings | None = None,
         eds: EdsFile | None = None,
+        table: TableMap | None = None,
     ) -> None:
         super().__init__(name, scaling, limits, clock)
         self.link = link
         self.node_id = node_id
         self.settings = settings or CanOpenSettings()
         self.eds = eds  # the PDO linter asks it what may be mapped
+        self.table_map = table  # of the correction table that the drive holds itself
         self.identity: Identity | None = None
         self.notes: list[str] = []  # what open found worth telling an engineer
         self._open = False
@@ -356,6 +360,12 @@ class CanOpenDrive(ServoDrive):
         if self._parameters is None:
             self._parameters = NamedParameters(self, self.eds)
         return self._parameters
+
+    @property
+    def correction_table(self) -> CanOpenCorrectionTable | None:
+        """By the map that the drive was given."""
+        self._require_open()
+        return None if self.table_map is None else CanOpenCorrectionTable(self.name, lambda: self.sdo, self.table_map)
 
     # -- streaming ---------------------------------------------------------------------------------------------------------
     @property

@@ -88,6 +88,9 @@ class CanOpenParameters:
             return f"{found.entry} moves the axis and is no parameter"
         if index in NOT_PARAMETERS:
             return f"{found.entry} is a command, not a parameter"
+        table = self._drive.table_map
+        if table is not None and table.holds(index, found.entry.subindex):
+            return f"{found.entry} belongs to the drive's correction table, which is written as a whole (hil params table)"
         if 0x1400 <= index < 0x1C00:
             return f"{found.entry} belongs to the PDO mapping, which is set up as a whole"
         return None

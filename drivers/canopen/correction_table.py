@@ -1,0 +1,119 @@
+"""A CANopen drive's own correction table: arrays of objects one by one, or a domain in one block transfer."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from drivers.canopen.objects import Entry
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.sdo_transfer import ABORT_COMMAND
+from drivers.canopen.table_map import TableMap
+from drivers.correction_table import CorrectionTable, RawTable
+from drivers.errors import AbortError, ProtocolError
+
+_COMMIT_S = 2.0
+"""How long a drive may take to take over a table that has come."""
+
+
+class CanOpenCorrectionTable(CorrectionTable):
+    """sdo: the present channel of the drive, another one after a restart."""
+
+    def __init__(self, drive: str, sdo: Callable[[], SdoClient], table_map: TableMap) -> None:
+        self.drive = drive
+        self.description = table_map.description
+        self.map = table_map
+        self._sdo = sdo
+        self._record = struct.Struct("<" + "".join(kind.format[1:] for _, kind in table_map.record))
+
+    # -- contents ------------------------------------------------------------------------------------------------------
+    def read(self) -> RawTable:
+        columns = self._read_arrays() if self.map.domain is None else self._unpack(self._read_domain(self.map.domain))
+        return RawTable(**columns, **{name: self._number(name) for name in self._places()})  # type: ignore[arg-type]
+
+    def _places(self) -> list[str]:
+        return [name for name in ("origin", "step", "backlash") if name in self.map.scalars]
+
+    def _number(self, name: str) -> int:
+        return self._sdo().read(self.map.scalars[name])
+
+    def _read_arrays(self) -> dict[str, tuple[int, ...]]:
+        sdo, count = self._sdo(), self._number("count")
+        if count > self.description.points:
+            raise ProtocolError(
+                f"drive {self.drive}: {self.description.name} says it holds {count} points, its map {self.description.points}"
+            )
+        return {
+            column: tuple(sdo.read(_element(first, index)) for index in range(count))
+            for column, first in self.map.columns.items()
+        }
+
+    def _unpack(self, data: bytes) -> dict[str, tuple[int, ...]]:
+        if len(data) % self._record.size:
+            raise ProtocolError(
+                f"drive {self.drive}: {self.description.name} is {len(data)} bytes, expected a multiple of {self._record.size}"
+            )
+        rows = list(self._record.iter_unpack(data))
+        return {column: tuple(int(row[place]) for row in rows) for place, (column, _) in enumerate(self.map.record)}
+
+    def _write(self, table: RawTable, present: RawTable | None) -> None:
+        sdo = self._sdo()
+        for name in self._places():
+            if present is None or getattr(present, name) != getattr(table, name):
+                sdo.write(self.map.scalars[name], getattr(table, name))
+        if self.map.domain is not None:
+            data = self.pack(table)
+            if present is None or self.pack(present) != data:
+                self._write_domain(self.map.domain, data)
+            return
+        for column, first in self.map.columns.items():
+            before = () if present is None else getattr(present, column)
+            for index, value in enumerate(getattr(table, column)):
+                if index >= len(before) or before[index] != value:
+                    sdo.write(_element(first, index), value)
+        if present is None or len(present.plus) != len(table.plus):
+            sdo.write(self.map.scalars["count"], len(table.plus))
+
+    def pack(self, table: RawTable) -> bytes:
+        """A domain's bytes."""
+        rows = zip(*(getattr(table, column) for column, _ in self.map.record), strict=True)
+        return b"".join(self._record.pack(*row) for row in rows)
+
+    # -- the domain ----------------------------------------------------------------------------------------------------
+    def _read_domain(self, domain: Entry) -> bytes:
+        """By block; segmented from a drive without block transfer."""
+        try:
+            return self._sdo().read_bytes(domain.index, domain.subindex, block=True)
+        except AbortError as error:
+            if error.code != ABORT_COMMAND:
+                raise
+            return self._sdo().read_bytes(domain.index, domain.subindex)
+
+    def _write_domain(self, domain: Entry, data: bytes) -> None:
+        place = domain.index, domain.subindex
+        try:
+            self._sdo().write_bytes(*place, data, block=True, timeout_s=max(_COMMIT_S, self._sdo().timeout_s))
+        except AbortError as error:
+            if error.code != ABORT_COMMAND:
+                raise
+            self._sdo().write_bytes(*place, data, timeout_s=max(_COMMIT_S, self._sdo().timeout_s))
+
+    # -- the switch ------------------------------------------------------------------------------------------------------
+    def enabled(self) -> bool:
+        found = self._sdo().read(self.map.enable)
+        if found not in (self.map.on, self.map.off):
+            raise ProtocolError(
+                f"drive {self.drive}: the switch of {self.description.name} is {found},"
+                f" expected {self.map.on} (on) or {self.map.off} (off)"
+            )
+        return found == self.map.on
+
+    def _switch(self, on: bool) -> None:
+        self._sdo().write(self.map.enable, self.map.on if on else self.map.off)
+
+    def applied(self) -> int | None:
+        return self._number("applied") if "applied" in self.map.scalars else None
+
+
+def _element(first: Entry, index: int) -> Entry:
+    return Entry(first.index, first.subindex + index, first.type, f"{first.name}[{index}]")

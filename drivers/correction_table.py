@@ -1,0 +1,185 @@
+"""CorrectionTable: the table by which a drive corrects its axis itself, whatever wire it is on.
+
+What may go in: what such a table is (units, nodes, interpolation, directions, sign), its contents as the drive keeps them, and the one
+face to read, write and switch it. Everything here is raw and in the drive's frame: positions count as motor counts do, and the curve
+`plus` is for rising ones. What a table means at the load is the business of whoever computes tables.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.errors import InputError, ProtocolError
+from drivers.scaling import AxisScaling
+
+UNITS = ("counts", "rev", "um", "mm")
+"""What positions and values may be kept in: of the encoder, revolutions of the motor, or travel of the load."""
+
+_UM_PER_MM = 1000.0
+
+
+class Nodes(Enum):
+    """Where the values stand."""
+
+    EQUIDISTANT = "equidistant"  # an origin and a step
+    EXPLICIT = "explicit"  # a position for each
+
+
+class Interpolation(Enum):
+    """What holds between two nodes."""
+
+    LINEAR = "linear"
+    STEP = "step"  # the value of the node before, counted upwards in the drive's frame
+
+
+class Outside(Enum):
+    """What holds beyond the first and the last node."""
+
+    HOLD = "hold"  # the value at the end
+    ZERO = "zero"
+
+
+class Directions(Enum):
+    """What the drive keeps of the two directions."""
+
+    BOTH = "both"  # a curve for each
+    BACKLASH = "backlash"  # the curve for rising counts, and an amount less for falling ones
+    ONE = "one"  # one curve, whatever the direction
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Whole numbers as the drive keeps them: raw · scale is the value in `unit`; raw from low to high."""
+
+    unit: str
+    scale: float
+    low: int
+    high: int
+
+    def um(self, scaling: AxisScaling) -> float:
+        """Travel of the load that one raw step stands for, µm, in the drive's frame. Raises InputError for an unknown unit."""
+        per_unit = {
+            "counts": _UM_PER_MM / scaling.counts_per_load_mm,
+            "rev": _UM_PER_MM / scaling.counts_per_load_mm * scaling.encoder_counts_per_motor_rev,
+            "um": 1.0,
+            "mm": _UM_PER_MM,
+        }
+        if self.unit not in per_unit:
+            raise InputError(f"a correction table in {self.unit or 'no unit'}, expected {', '.join(UNITS)}")
+        return self.scale * per_unit[self.unit]
+
+
+@dataclass(frozen=True)
+class TableDescription:
+    """What a drive's table is like.
+
+    points: the most it holds. sign: 1 where a positive value is added to what the drive is told, -1 where it is subtracted.
+    step: of equidistant nodes; backlash: the amount of Directions.BACKLASH. wears: each change goes into a memory that bears only so
+    many writes. shows_applied: the drive tells what it adds at present. switched_off_to_write: it takes a table only without power.
+    """
+
+    name: str
+    points: int
+    nodes: Nodes
+    interpolation: Interpolation
+    outside: Outside
+    directions: Directions
+    sign: int
+    position: Quantity
+    value: Quantity
+    step: Quantity | None = None
+    backlash: Quantity | None = None
+    wears: bool = False
+    shows_applied: bool = False
+
+    def check(self, table: RawTable) -> None:
+        """Raise InputError for contents that such a table cannot hold; an empty one can always be held."""
+        count = len(table.plus)
+        if count > self.points:
+            raise InputError(f"{self.name} holds {self.points} points, {count} were to be written")
+        wanted = {
+            "position": count if self.nodes is Nodes.EXPLICIT else 0,
+            "minus": count if self.directions is Directions.BOTH else 0,
+        }
+        for column, length in wanted.items():
+            found = len(getattr(table, column))
+            if found != length:
+                raise InputError(f"{self.name}: column {column} has {found} values, expected {length}")
+        if any(second <= first for first, second in itertools.pairwise(table.position)):
+            raise InputError(f"{self.name}: positions do not ascend")
+        if self.nodes is Nodes.EQUIDISTANT and count > 1 and table.step <= 0:
+            raise InputError(f"{self.name}: the step is {table.step}, expected more than 0")
+        held: list[tuple[str, Quantity | None, tuple[int, ...]]] = [
+            ("position", self.position, table.position if self.nodes is Nodes.EXPLICIT else (table.origin,)),
+            ("plus", self.value, table.plus),
+            ("minus", self.value, table.minus),
+            ("step", self.step, (table.step,)),
+            ("backlash", self.backlash, (table.backlash,)),
+        ]
+        for column, quantity, values in held:
+            for raw in values:
+                if quantity is not None and not quantity.low <= raw <= quantity.high:
+                    raise InputError(f"{self.name}: {column} {raw}, allowed is {quantity.low} to {quantity.high} (raw)")
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """The contents, raw, as many points as are in use. position: of explicit nodes; origin and step: of equidistant ones."""
+
+    plus: tuple[int, ...] = ()
+    minus: tuple[int, ...] = ()
+    position: tuple[int, ...] = ()
+    origin: int = 0
+    step: int = 0
+    backlash: int = 0
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """Where the values stand, raw, ascending."""
+        return self.position or tuple(self.origin + index * self.step for index in range(len(self.plus)))
+
+
+class CorrectionTable(ABC):
+    """The table of one open drive. All of it raises what access to a parameter raises."""
+
+    drive: str
+    description: TableDescription
+
+    @abstractmethod
+    def read(self) -> RawTable:
+        """What the drive holds now."""
+
+    def write(self, table: RawTable, present: RawTable | None = None) -> None:
+        """Write what differs from `present`, everything without it. Does not read back: whoever writes a table does.
+
+        Raises InputError, before anything is written, for what the table cannot hold.
+        """
+        self.description.check(table)
+        self._write(table, present)
+
+    @abstractmethod
+    def _write(self, table: RawTable, present: RawTable | None) -> None: ...
+
+    @abstractmethod
+    def enabled(self) -> bool:
+        """Whether the drive corrects by it, asked now. Raises ProtocolError for a switch that is neither on nor off."""
+
+    def switch(self, on: bool) -> None:
+        """Switch it on or off, and read back. Raises ProtocolError when it stands otherwise."""
+        if self.enabled() is on:
+            return
+        self._switch(on)
+        if self.enabled() is not on:
+            raise ProtocolError(
+                f"drive {self.drive}: {self.description.name} was switched {'on' if on else 'off'} and is not"
+            )
+
+    @abstractmethod
+    def _switch(self, on: bool) -> None: ...
+
+    def applied(self) -> int | None:
+        """What the drive adds at present, raw in the table's value unit and sign; None where it does not tell."""
+        return None
