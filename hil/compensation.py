@@ -1,8 +1,10 @@
 """The compensation engine: from a target and what is known when it is issued, to the command the drive is given.
 
 Pure functions over frozen values: tables, effect terms, the motion so far. command = target + correction, and the correction is that
-of the tables for the direction of arrival minus what the effect terms say the error will be. No I/O, no clock, no memory: the
-motion so far is a value (`MotionHistory`) that the caller carries from set-point to set-point.
+of the tables for the direction of arrival minus what the effect terms say the error will be. With a measured rise of the lost motion
+in force, the tables' two directions are not switched at a reversal: the correction goes from one to the other as the wind-up does.
+So it has no step there, the reversal is counted once, and after full strokes it is that of the tables alone. No I/O, no clock, no
+memory: the motion so far is a value (`MotionHistory`) that the caller carries from set-point to set-point.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from typing import Protocol
 import numpy as np
 
 from drivers.errors import InputError, StateError
+from hil.lost_motion.running import Turns, remembered, wound_share
+from hil.lost_motion.shapes import Rise
 from hil.records import UM_PER_MM, Floats
 from hil.tables import TableSet
 
@@ -22,6 +26,9 @@ Columns = Mapping[str, Floats]
 
 LONG_STROKE_MM = 1e6
 """Stands for 'long enough to wind everything up' where the stroke before the first reversal is not known."""
+
+WOUND_SHARE = "wound_share"
+"""Column: 0 after a full stroke in −, 1 after one in +; how far the drive train is wound up between the two."""
 
 
 class ErrorTerm(Protocol):
@@ -43,12 +50,14 @@ class MotionHistory:
     direction: sign of the last commanded motion, 0 while unknown (after power-on, before the first motion)
     since_reversal_mm: travel since the last reversal, with the motion that ends on `position_mm` included
     stroke_mm: length of the stroke before that reversal; None while there was none
+    turns_mm: the reversals that the wind-up remembers (`hil.lost_motion.running`)
     """
 
     position_mm: float
     direction: int = 0
     since_reversal_mm: float = 0.0
     stroke_mm: float | None = None
+    turns_mm: Turns = ()
 
     @property
     def stroke_or_long_mm(self) -> float:
@@ -60,10 +69,13 @@ class MotionHistory:
         if travel == 0.0:
             return self
         direction = 1 if travel > 0 else -1
+        if self.direction == 0:
+            return MotionHistory(target_mm, direction, abs(travel))
+        turns = remembered(self.turns_mm, self.position_mm, self.direction, target_mm)
         if direction == self.direction:
-            return replace(self, position_mm=target_mm, since_reversal_mm=self.since_reversal_mm + abs(travel))
-        stroke = self.since_reversal_mm if self.direction else None
-        return MotionHistory(target_mm, direction, abs(travel), stroke)
+            since_mm = self.since_reversal_mm + abs(travel)
+            return replace(self, position_mm=target_mm, since_reversal_mm=since_mm, turns_mm=turns)
+        return MotionHistory(target_mm, direction, abs(travel), self.since_reversal_mm, turns)
 
 
 @dataclass(frozen=True)
@@ -78,15 +90,20 @@ class Command:
 
 @dataclass(frozen=True)
 class Compensation:
-    """What is in force: tables, and the effects that the tables lack."""
+    """What is in force: tables, the effects that the tables lack, and how the lost motion rises after a reversal.
+
+    Without a rise (None) the tables' directions are switched at once.
+    """
 
     tables: TableSet
     terms: tuple[ErrorTerm, ...] = field(default=())
+    rise: Rise | None = None
 
     @property
     def needs(self) -> frozenset[str]:
-        """Columns the terms read beyond target and direction."""
-        return frozenset(name for term in self.terms for name in term.needs) - {"target_mm", "direction"}
+        """Columns that are read beyond target and direction."""
+        own = set() if self.rise is None else {WOUND_SHARE}
+        return frozenset(own.union(*(term.needs for term in self.terms))) - {"target_mm", "direction"}
 
     def correction_um(self, columns: Columns) -> Floats:
         """The correction for each row, µm, shape (n,).
@@ -97,10 +114,16 @@ class Compensation:
         missing = [name for name in sorted(self.needs) if name not in columns]
         if missing:
             raise StateError(f"the model in force needs {', '.join(missing)}, which this set-up does not provide")
-        correction = self.tables.correction_um(columns["target_mm"], columns["direction"])
+        correction = self._of_tables_um(columns)
         for term in self.terms:
             correction = correction - term.error_um(columns)
         return correction
+
+    def _of_tables_um(self, columns: Columns) -> Floats:
+        if self.rise is None:
+            return self.tables.correction_um(columns["target_mm"], columns["direction"])
+        plus, minus = (self.tables.correction_um(columns["target_mm"], sign) for sign in (1, -1))
+        return np.asarray(minus + columns[WOUND_SHARE] * (plus - minus), dtype=np.float64)
 
     def command(self, target_mm: float, history: MotionHistory, known: Mapping[str, float]) -> Command:
         """The command for a motion to a target.
@@ -123,6 +146,8 @@ class Compensation:
             since_reversal_mm=after.since_reversal_mm,
             stroke_mm=after.stroke_or_long_mm,
         )
+        if self.rise is not None:
+            values[WOUND_SHARE] = wound_share(self.rise, target_mm, after.direction, after.turns_mm)
         columns = {name: np.array([value], dtype=np.float64) for name, value in values.items()}
         correction_um = float(self.correction_um(columns)[0])
         return Command(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)

@@ -1,6 +1,6 @@
 """The sealed store: what is in force on an axis, as a file that a machine can run with and only its builder can change.
 
-Two entries per axis: `<axis>.tables` and `<axis>.effects`. Several axes may share a file. Reading needs the builder's public key and
+Three entries per axis: `<axis>.tables`, `<axis>.effects` and `<axis>.lost-motion` (older files lack the last). Several axes may share a file. Reading needs the builder's public key and
 the reading password; writing needs the builder's private key.
 """
 
@@ -20,6 +20,7 @@ from hil.compensation import Compensation
 from hil.effects import ALL
 from hil.effects.base import Effect, Term, term_from_json
 from hil.files import held, naming, read_bytes, replace_file
+from hil.lost_motion.shapes import rise_from_json
 from hil.sealed import check, load_private_key, load_public_key, open_sealed, reseal, seal
 from hil.tables import TableSet
 
@@ -67,18 +68,31 @@ class SealedStore:
     def _names(self) -> tuple[str, str]:
         return f"{self.axis}.tables", f"{self.axis}.effects"
 
+    @property
+    def _rise_name(self) -> str:
+        return f"{self.axis}.lost-motion"
+
+    def _rise_entry(self, data: bytes, builder_public: Ed25519PublicKey) -> tuple[str, ...]:
+        """The entry's name where the file has one."""
+        return tuple(name for name in check(data, builder_public).entries if name == self._rise_name)
+
     def save(self, compensation: Compensation) -> None:
         """Replace this axis's entries as a whole, others in the file kept. Raises StateError without the builder's key."""
         if self.builder_key is None:
             raise StateError(f"{self.path} is locked: changing it needs the builder's private key")
         tables, effects = self._names
         changes = {tables: _dump(compensation.tables.to_dict()), effects: _dump(_terms(compensation))}
+        rise = {self._rise_name: _dump(_rise(compensation))}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with held(self.path.parent, wait=True):  # another axis may be about to change its own entries
             if self.path.exists():
                 with naming(self.path):
-                    data = reseal(read_bytes(self.path), changes, self.password, self.builder_key)
+                    before = read_bytes(self.path)
+                    there = self._rise_entry(before, self.builder_key.public_key())
+                    changes |= rise if there or compensation.rise is not None else {}
+                    data = reseal(before, changes, self.password, self.builder_key)
             else:
+                changes |= rise if compensation.rise is not None else {}
                 data = seal(changes, self.password, self.builder_key)
             replace_file(self.path, data)
 
@@ -89,17 +103,26 @@ class SealedStore:
     def load(self, effects: Sequence[Effect] = ALL) -> Compensation:
         """What was saved last. Raises the SealedError or InputError that says why it cannot be believed, naming the file."""
         with naming(self.path):
-            opened = open_sealed(read_bytes(self.path), self.password, self.builder_public, names=self._names)
+            data = read_bytes(self.path)
+            names = [*self._names, *self._rise_entry(data, self.builder_public)]
+            opened = open_sealed(data, self.password, self.builder_public, names=names)
             tables, terms = (_parse(opened[name], name) for name in self._names)
+            rise = _parse(opened.get(self._rise_name, b"null"), self._rise_name)
             if not isinstance(terms, list):
                 raise InputError(f"entry {self._names[1]} is not a list of effects")
             loaded = [term_from_json(term, effects, f"{self._names[1]}[{index}]") for index, term in enumerate(terms)]
-            return Compensation(TableSet.from_dict(tables), tuple(loaded))
+            parsed = None if rise is None else rise_from_json(rise, self._rise_name)
+            return Compensation(TableSet.from_dict(tables), tuple(loaded), parsed)
 
 
 def compensation_in_force(compensation: Compensation) -> dict[str, Any]:
     """By what a campaign names it: rows measured with another one do not belong to the same."""
-    return {"tables": compensation.tables.digest(), "effects": _terms(compensation)}
+    form: dict[str, Any] = {"tables": compensation.tables.digest(), "effects": _terms(compensation)}
+    return form if compensation.rise is None else {**form, "lost_motion": _rise(compensation)}
+
+
+def _rise(compensation: Compensation) -> dict[str, Any] | None:
+    return None if compensation.rise is None else compensation.rise.to_json()
 
 
 def _terms(compensation: Compensation) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The shape of lost motion from measured reversals: two tanh terms, one, an exponential and a dead zone, judged on held-out strokes.
+"""The shape of lost motion from measured reversals: two tanh terms, one, an exponential, a dead zone …, judged on held-out strokes.
 
 What is linear in travel over one stroke belongs to the table, not to the reversal; it is fitted beside every shape and left out of
 the result. Amounts and that slope follow by non-negative least squares for each choice of the lengths, so only those are searched.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,13 @@ from scipy.optimize import least_squares, nnls
 
 from drivers.errors import InputError
 from hil.lost_motion.published import TwoTanh
-
-Floats = NDArray[np.float64]
+from hil.lost_motion.shapes import SHAPES, Floats, Rise, Shape
 
 FOLDS = 5
 FIT_ROWS = 250
 """A search sees about this many rows, evenly picked; what is reported is of all of them."""
+LEAST_WEIGHT = 0.02
+"""Of a row where the load stands still while the motor moves."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,15 @@ class MeasuredReversal:
 
     direction: of the stroke, +1 or -1. travel_mm: shape (n,), ≥ 0, since the reversal. error_um: shape (n,), actual − commanded; its
     first row is taken before the motion starts. stroke_mm: travel of the stroke before; rows beyond it are left out, as the axis is
-    back on an earlier branch there. Raises InputError for anything else, and for fewer than 10 rows.
+    back on an earlier branch there. weight: shape (n,), > 0, of the rows; None: all alike.
+    Raises InputError for anything else, and for fewer than 10 rows.
     """
 
     direction: int
     travel_mm: Floats
     error_um: Floats
     stroke_mm: float = math.inf
+    weight: Floats | None = None
 
     def __post_init__(self) -> None:
         rows = len(self.travel_mm)
@@ -47,6 +50,8 @@ class MeasuredReversal:
                 f"reversal in direction {self.direction} with {rows} travels and {len(self.error_um)} errors:"
                 " expected +1 or -1, and as many finite errors as travels, none of which is below 0"
             )
+        if self.weight is not None and (len(self.weight) != rows or not np.all(self.weight > 0.0)):
+            raise InputError(f"reversal with {len(self.weight)} weights for {rows} rows, expected as many, all > 0")
         if int(self._kept.sum()) < 10 or not np.any(self.travel_mm > 0.0):
             raise InputError(
                 f"{int(self._kept.sum())} rows within the stroke: too few, at least 10 are needed, and some travel"
@@ -63,72 +68,93 @@ class MeasuredReversal:
         risen_um = -self.direction * (self.error_um - self.error_um[0])
         return self.travel_mm[kept], risen_um[kept]
 
+    @property
+    def weights(self) -> Floats:
+        """Of the rows of `rise`, shape (m,)."""
+        return np.ones(int(self._kept.sum())) if self.weight is None else self.weight[self._kept]
 
-@dataclass(frozen=True)
-class Shape:
-    """A way to rise: `columns(travel_mm, lengths_mm)` gives one column for each amount, 0 at travel 0; `rises` lengths come first."""
+    def by_load(self) -> MeasuredReversal:
+        """The same over the load's own travel instead of the motor's: what a correction needs, under which the load is on its target.
 
-    name: str
-    columns: Callable[[Floats, Sequence[float]], Floats]
-    rises: int
-    onsets: int = 0
-
-
-def _two_tanh(s: Floats, lengths: Sequence[float]) -> Floats:
-    return np.column_stack([np.tanh(s / lengths[0]), np.tanh(np.maximum(s - lengths[2], 0.0) / lengths[1])])
-
-
-TWO_TANH = Shape("two tanh", _two_tanh, rises=2, onsets=1)
-TANH = Shape("tanh", lambda s, lengths: np.tanh(s / lengths[0])[:, None], rises=1)
-EXPONENTIAL = Shape("exponential", lambda s, lengths: -np.expm1(-s / lengths[0])[:, None], rises=1)
-DEAD_ZONE = Shape("dead zone", lambda s, lengths: np.minimum(s / lengths[0], 1.0)[:, None], rises=1)
-SHAPES = (TWO_TANH, TANH, EXPONENTIAL, DEAD_ZONE)
+        Where the load hardly moves, a row says little of the rise at its place: it weighs as the load's travel per motor travel, by
+        which an error of the rise shows in an error at a given motor travel. Raises InputError unless the travel grows row by row.
+        """
+        if np.any(np.diff(self.travel_mm) <= 0.0):
+            raise InputError("the travel has to grow from row to row to tell the load's travel")
+        risen_um = -self.direction * (self.error_um - self.error_um[0])
+        load_mm = np.maximum(self.travel_mm - risen_um / 1000.0, 0.0)
+        weight = np.clip(np.gradient(load_mm, self.travel_mm), LEAST_WEIGHT, 1.0)
+        return replace(self, travel_mm=load_mm, weight=weight)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A shape with its amounts, µm, its lengths, mm, and what the table was off along the stroke, µm of rise per mm."""
+    """A rise, and what the table was off along the stroke, µm of rise per mm."""
 
-    shape: Shape
-    amounts_um: tuple[float, ...]
-    lengths_mm: tuple[float, ...]
-    table_um_per_mm: float
+    rise: Rise
+    table_um_per_mm: float = 0.0
+
+    @property
+    def shape(self) -> Shape:
+        return self.rise.shape
 
     def rise_um(self, travel_mm: Floats) -> Floats:
         """What a measured reversal is expected to show, shape (n,): the lost motion come back, and the table's part."""
-        columns = self.shape.columns(travel_mm, self.lengths_mm)
-        return np.asarray(columns @ np.array(self.amounts_um) + self.table_um_per_mm * travel_mm, dtype=np.float64)
+        return np.asarray(self.rise.along_um(travel_mm) + self.table_um_per_mm * travel_mm, dtype=np.float64)
 
     @property
     def form(self) -> TwoTanh:
         """Pc1, Pc2, a1, a2, b2. Raises InputError for a shape that is not of tanh terms."""
-        if self.shape is TWO_TANH:
-            return TwoTanh(*self.amounts_um, *self.lengths_mm)
-        if self.shape is TANH:
-            return TwoTanh(self.amounts_um[0], 0.0, self.lengths_mm[0], self.lengths_mm[0])
-        raise InputError(f"{self.shape.name} is no sum of tanh terms")
+        return self.rise.form
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A shape fitted to all rows, its RMS on them, and its RMS on rows it had not seen, µm."""
+    """A shape fitted to all rows, its RMS on them, and its RMS on rows it had not seen, µm; weighted where the rows are."""
 
     fitted: Fitted
     rms_um: float
     held_out_rms_um: float
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """All rows of some reversals: travel, rise, weight, and which reversal each is of; shape (n,) each."""
+
+    travel_mm: Floats
+    risen_um: Floats
+    weight: Floats
+    stroke: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, reversals: Sequence[MeasuredReversal]) -> _Rows:
+        if not reversals:
+            raise InputError("no reversal was measured")
+        rises = [reversal.rise for reversal in reversals]
+        stroke = np.repeat(np.arange(len(rises)), [len(travel) for travel, _ in rises])
+        weight = np.concatenate([reversal.weights for reversal in reversals])
+        return cls(np.concatenate([t for t, _ in rises]), np.concatenate([r for _, r in rises]), weight, stroke)
+
+    def where(self, rows: NDArray[np.bool_] | slice) -> _Rows:
+        return _Rows(self.travel_mm[rows], self.risen_um[rows], self.weight[rows], self.stroke[rows])
+
+    def residual_um(self, fitted: Fitted) -> Floats:
+        return np.asarray(self.weight * (fitted.rise_um(self.travel_mm) - self.risen_um), dtype=np.float64)
+
+
 def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True) -> Fitted:
     """The shape that is closest to all rows of the reversals, with no rise shorter than given. Raises InputError without any.
 
-    table: whether a slope is fitted beside it; False where a table that was measured with this motion is in force already.
+    table: whether a slope is fitted beside it; False where what belongs to the table has been taken out already.
     """
-    travel_mm, risen_um, _ = _rows(reversals)
-    return _fit(shape, travel_mm, risen_um, shortest_mm, table)
+    return _fit(shape, _Rows.of(reversals), shortest_mm, table)
 
 
 def compete(
-    reversals: Sequence[MeasuredReversal], block_mm: float, shapes: Sequence[Shape] = SHAPES
+    reversals: Sequence[MeasuredReversal],
+    block_mm: float,
+    shapes: Sequence[Shape] = SHAPES,
+    table: bool = True,
 ) -> tuple[Contender, ...]:
     """The shapes, the one with the least held-out RMS first.
 
@@ -136,61 +162,85 @@ def compete(
     block is held out in turn. A block has to be shorter than the lengths sought, as no rise shorter than it is tried: it could hide
     where a block is missing. Raises InputError without reversals, or for blocks longer than the stroke.
     """
-    travel_mm, risen_um, stroke = _rows(reversals)
-    if not 0.0 < block_mm < float(travel_mm.max()):
+    rows = _Rows.of(reversals)
+    if not 0.0 < block_mm < float(rows.travel_mm.max()):
         raise InputError(f"blocks of {block_mm:g} mm: expected > 0 and less than the stroke")
-    fold = stroke if len(reversals) > 1 else (travel_mm // block_mm).astype(np.int64) % FOLDS
+    fold = rows.stroke if len(reversals) > 1 else (rows.travel_mm // block_mm).astype(np.int64) % FOLDS
     found = []
     for shape in shapes:
+        fitted = _fit(shape, rows, block_mm, table)
         residuals = []
         for out in (fold == k for k in np.unique(fold)):
-            seen = _fit(shape, travel_mm[~out], risen_um[~out], block_mm)
-            residuals.append(seen.rise_um(travel_mm[out]) - risen_um[out])
-        fitted = _fit(shape, travel_mm, risen_um, block_mm)
-        found.append(Contender(fitted, _rms(fitted.rise_um(travel_mm) - risen_um), _rms(np.concatenate(residuals))))
+            seen = _fit(shape, rows.where(~out), block_mm, table)
+            residuals.append(rows.where(out).residual_um(seen))
+        found.append(Contender(fitted, _rms(rows.residual_um(fitted)), _rms(np.concatenate(residuals))))
     return tuple(sorted(found, key=lambda contender: contender.held_out_rms_um))
+
+
+def refit(
+    fitted: Fitted, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True
+) -> Fitted:
+    """The same shape on other reversals, searched from where it was found before."""
+    return _fit(fitted.shape, _Rows.of(reversals), shortest_mm, table, start=fitted.rise.lengths_mm)
 
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _rows(reversals: Sequence[MeasuredReversal]) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """All travels, all rises, and which reversal each is of."""
-    if not reversals:
-        raise InputError("no reversal was measured")
-    rises = [reversal.rise for reversal in reversals]
-    stroke = np.repeat(np.arange(len(rises)), [len(travel) for travel, _ in rises])
-    return np.concatenate([t for t, _ in rises]), np.concatenate([r for _, r in rises]), stroke
-
-
-def _fit(shape: Shape, travel_mm: Floats, risen_um: Floats, shortest_mm: float, table: bool = True) -> Fitted:
-    every = max(1, len(travel_mm) // FIT_ROWS)
-    s, y = travel_mm[::every], risen_um[::every]
+def _fit(
+    shape: Shape, rows: _Rows, shortest_mm: float, table: bool = True, start: tuple[float, ...] | None = None
+) -> Fitted:
+    seen = rows.where(slice(None, None, max(1, len(rows.travel_mm) // FIT_ROWS)))
+    s, y, w = seen.travel_mm, seen.risen_um, seen.weight
     span = float(s.max())
     slope = s if table else np.zeros_like(s)
 
     def solved(lengths: Sequence[float]) -> tuple[Floats, Floats]:
-        matrix = np.column_stack([shape.columns(s, lengths), slope, -slope])  # the slope may have either sign
-        amounts, _ = nnls(matrix, y)
-        return amounts, np.asarray(matrix @ amounts - y, dtype=np.float64)
+        columns = [shape.columns(s, lengths), slope, -slope]  # the slope may have either sign
+        matrix = np.column_stack(columns) * w[:, None]
+        amounts, _ = nnls(matrix, w * y)
+        return amounts, np.asarray(matrix @ amounts - w * y, dtype=np.float64)
 
     high, last = span / 4.0, span / 2.0  # slower or later, and it could not be told from the table
-    low = min(max(span / 200.0, shortest_mm), high / 2.0)
-    rises = np.geomspace(max(span / 60.0, 1.01 * low), 0.8 * high, 5).tolist()
+    low = min(shortest_mm if shortest_mm > 0.0 else span / 200.0, high / 2.0)
+    if shape.knots:
+        lengths = tuple(np.geomspace(low, span, shape.knots).tolist()) if start is None else start
+    else:
+        bounds = ([low] * shape.rises + [0.0] * shape.onsets, [high] * shape.rises + [last] * shape.onsets)
+        starts = _starts(shape, solved, (low, high, last)) if start is None else [start]
+        best = min(
+            (
+                least_squares(
+                    lambda v: solved(v)[1], np.clip(one, *_inside(bounds)), bounds=bounds, x_scale=span / 10.0
+                )
+                for one in starts
+            ),
+            key=lambda result: float(result.cost),
+        )
+        lengths = tuple(float(v) for v in best.x)
+    amounts = solved(lengths)[0]
+    return Fitted(Rise(shape, tuple(float(a) for a in amounts[:-2]), lengths), float(amounts[-2] - amounts[-1]))
+
+
+def _inside(bounds: tuple[list[float], list[float]]) -> tuple[Floats, Floats]:
+    """A little within bounds: where a search may start."""
+    low, high = np.array(bounds[0]), np.array(bounds[1])
+    edge = 1e-6 * (high - low)
+    return low + edge, high - edge
+
+
+def _starts(
+    shape: Shape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], reach: tuple[float, float, float]
+) -> list[tuple[float, ...]]:
+    """The best of each onset: the search falls into the nearest of several hollows. reach: shortest, longest rise, last onset."""
+    low, high, last = reach
+    rises = np.geomspace(1.01 * low, 0.8 * high, 6).tolist()
     onsets = np.linspace(0.0, 0.8 * last, 5).tolist()
-    starts = [  # the best of each onset: the search falls into the nearest of several hollows
+    return [
         min(
             ((*lengths, *onset) for lengths in itertools.product(rises, repeat=shape.rises)),
             key=lambda lengths: float(np.sum(solved(lengths)[1] ** 2)),
         )
         for onset in itertools.product(onsets, repeat=shape.onsets)
     ]
-    bounds = ([low] * shape.rises + [0.0] * shape.onsets, [high] * shape.rises + [last] * shape.onsets)
-    best = min(
-        (least_squares(lambda v: solved(v)[1], start, bounds=bounds, x_scale=span / 10.0) for start in starts),
-        key=lambda result: float(result.cost),
-    )
-    lengths = tuple(float(v) for v in best.x)
-    amounts = solved(lengths)[0]
-    return Fitted(shape, tuple(float(a) for a in amounts[:-2]), lengths, float(amounts[-2] - amounts[-1]))

@@ -11,9 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hil.lost_motion.fit import TWO_TANH, MeasuredReversal, fit
+from hil.lost_motion.fit import MeasuredReversal, fit
 from hil.lost_motion.published import TwoTanh
 from hil.lost_motion.running import after_full_stroke, moved_to
+from hil.lost_motion.shapes import TWO_TANH
 from sim_backends.plant.hysteresis import Backlash, LostMotion, Reversal
 
 MACHINES, SEQUENCES, STROKES = 50, 10, 30

@@ -10,20 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.lost_motion.fit import (
-    DEAD_ZONE,
-    EXPONENTIAL,
-    TANH,
-    TWO_TANH,
-    Contender,
-    Fitted,
-    Floats,
-    MeasuredReversal,
-    compete,
-    fit,
-)
+from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
 from hil.lost_motion.published import TwoTanh
 from hil.lost_motion.running import after_full_stroke, moved_to
+from hil.lost_motion.shapes import DEAD_ZONE, EXPONENTIAL, TANH, TWO_TANH, Floats, Rise
 
 DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
@@ -108,9 +98,9 @@ def test_after_a_short_stroke_only_rows_within_it_count() -> None:
 
 
 def test_only_tanh_terms_make_a_form() -> None:
-    assert Fitted(TANH, (8.0,), (0.5,), 0.0).form == TwoTanh(8.0, 0.0, 0.5, 0.5)
+    assert Rise(TANH, (8.0,), (0.5,)).form == TwoTanh(8.0, 0.0, 0.5, 0.5)
     with pytest.raises(InputError, match="exponential is no sum of tanh terms"):
-        _ = Fitted(EXPONENTIAL, (8.0,), (0.5,), 0.0).form
+        _ = Rise(EXPONENTIAL, (8.0,), (0.5,)).form
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_a_short_stroke_and_back_leaves_no_trace_however_often(
 ) -> None:
     state, _ = run(form, after_full_stroke(0.0, direction), path)
     there = state.position_mm
-    open_mm = abs(there - state.turns[-1].position_mm) if state.turns else 8.0  # a longer one closes the loop it is in
+    open_mm = abs(there - state.turns_mm[-1]) if state.turns_mm else 8.0  # a longer one closes the loop it is in
     dip_mm = share * open_mm * 0.99
     back = state
     for _ in range(times):
@@ -115,7 +115,7 @@ def test_literal_course_with_a_partial_stroke_inside_a_partial_stroke() -> None:
 
 def test_memory_is_of_open_loops_only() -> None:
     state, _ = run(FORM, after_full_stroke(0.0, 1), [-1.0, 0.5, -0.25])
-    assert len(state.turns) == 3
+    assert len(state.turns_mm) == 3
     state, _ = moved_to(FORM, state, 7.0)
     assert state == WindUp(7.0, 1)
     state, _ = run(FORM, state, [-0.5, 0.5] * 1000)
