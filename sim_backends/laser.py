@@ -1,41 +1,23 @@
 """A simulated µMD interferometer: looks at the feed axis's true position and sends lines over a pseudo-terminal.
 
-Optics, air and set-up errors are in `interferometer`; the line is formatted here and not with anything of the decoder's, which it is
-there to prove. In simulated time (`SimulatedLaser` attached to a SimClock) what was sampled during a sleep is on the wire when the
-sleeper wakes: written, and waited for until the kernel shows it at the reader's end. Nobody reading never blocks it: when the
-terminal is full, lines are lost and leave a gap in the sequence.
+Optics, air and set-up errors are in `interferometer`, the wire is `terminal`'s; the line is formatted here and not with anything of
+the decoder's, which it is there to prove. Lines that a full terminal loses leave a gap in the sequence.
 """
 
 from __future__ import annotations
 
-import fcntl
-import os
 import random
-import struct
-import termios
-import time
-import tty
 from dataclasses import dataclass
 
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.interferometer import Interferometer, LaserParameters
 from sim_backends.plant.axis import FeedAxis
+from sim_backends.terminal import InstrumentTerminal
 
-__all__ = ["Interferometer", "LaserCounters", "LaserParameters", "SimulatedLaser"]
+__all__ = ["Interferometer", "LaserParameters", "SimulatedLaser"]
 
-PTY_CAPACITY_BYTES = 4000  # a terminal's line discipline holds 4095; beyond that order and loss are the kernel's choice
-_ARRIVAL_BOUND_S = 0.25  # real time to wait at most for the kernel to hand bytes over
 _NS = 1_000_000_000
 _ERROR_WORD = {FaultKind.HEAD_ERROR: 0x400, FaultKind.BEAM_LOST: 0x800}
-
-
-@dataclass(slots=True)
-class LaserCounters:
-    """What was sent and what was not."""
-
-    samples: int = 0
-    dropped_lines: int = 0
-    late_arrivals: int = 0
 
 
 @dataclass
@@ -66,7 +48,9 @@ class SimulatedLaser:
     ) -> None:
         self.parameters = parameters or LaserParameters()
         self.interferometer = Interferometer(axis, self.parameters)
-        self.counters = LaserCounters()
+        self._wire = InstrumentTerminal(wait_for_arrival=wait_for_arrival)
+        self.path = self._wire.path
+        self.counters = self._wire.counters
         self._axis = axis
         self._faults = FaultSchedule(faults)
         self._garbage = random.Random(self.parameters.seed + 1)
@@ -75,27 +59,16 @@ class SimulatedLaser:
         self._sequence = 0
         self._displacement = 0
         self._runaway = 0  # counts gained or lost while the beam was away
-        self._pending: list[bytes] = []
-        self._pending_bytes = 0
-        self._unsent = b""
-        self._wait = wait_for_arrival
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
         self._next_ns = self._due_ns(1)
 
     def close(self) -> None:
         """Close the terminal; readers then see the port vanish."""
-        if self._master >= 0:
-            os.close(self._slave)
-            os.close(self._master)
-            self._master = self._slave = -1
+        self._wire.close()
 
     @property
     def is_open(self) -> bool:
         """Whether the terminal is still there."""
-        return self._master >= 0
+        return self._wire.is_open
 
     def configure(self, parameters: LaserParameters) -> None:
         """Exchange the set-up while it runs; the rate stays."""
@@ -112,11 +85,11 @@ class SimulatedLaser:
 
     def bearable(self, now_ns: int) -> int:
         """For SimClock: until the next sample, so that it is taken at its moment."""
-        return self._next_ns - now_ns if self._master >= 0 else _NS
+        return self._next_ns - now_ns if self._wire.is_open else _NS
 
     def advance(self, now_ns: int, dt_s: float) -> None:
         """Take the samples that are due."""
-        if self._master < 0:
+        if not self._wire.is_open:
             return
         while self._next_ns <= now_ns:
             self._taken += 1
@@ -162,7 +135,7 @@ class SimulatedLaser:
         if line.garbage:
             text += self._garbage.randbytes(line.garbage)
         if not line.silent:
-            self._put(text)
+            self._wire.put(text)
 
     def _line_faults(self, time_s: float) -> _Line:
         line = _Line()
@@ -207,50 +180,6 @@ class SimulatedLaser:
             return round(readings.temps_c[self.parameters.material_place] * 100.0)
         return round(readings.air_pressure_hpa * 100.0) if code == 5 else round(readings.air_humidity_percent * 10.0)
 
-    # -- wire ----------------------------------------------------------------------------------------------------------
-    def _put(self, text: bytes) -> None:
-        if self._pending_bytes + len(text) > PTY_CAPACITY_BYTES:
-            self.counters.dropped_lines += 1
-            return
-        self._pending.append(text)
-        self._pending_bytes += len(text)
-
-    def _waiting_bytes(self) -> int:
-        """What lies at the reader's end, unread."""
-        return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0])
-
     def settle(self) -> None:
         """Send what was sampled since the last time; return once it lies at the reader's end."""
-        if self._master < 0 or not (self._pending or self._unsent):
-            return
-        before = self._waiting_bytes()
-        room = PTY_CAPACITY_BYTES - before - len(self._unsent)
-        out = [self._unsent] if self._unsent else []
-        for text in self._pending:
-            if len(text) > room:
-                self.counters.dropped_lines += 1
-                room = 0  # none that comes after may overtake it
-            else:
-                room -= len(text)
-                out.append(text)
-        self._pending.clear()
-        self._pending_bytes = 0
-        data = b"".join(out)
-        if not data:
-            return
-        try:
-            written = os.write(self._master, data)
-        except BlockingIOError:
-            written = 0
-        self._unsent = data[written:]
-        if self._wait and written:
-            self._wait_for(before + written)
-
-    def _wait_for(self, expected_bytes: int) -> None:
-        """The kernel hands bytes over in its own time; another thread that reads meanwhile ends the wait by its bound only."""
-        deadline = time.monotonic() + _ARRIVAL_BOUND_S
-        while self._waiting_bytes() < expected_bytes:
-            if time.monotonic() > deadline:
-                self.counters.late_arrivals += 1
-                return
-            os.sched_yield()
+        self._wire.settle()

@@ -19,14 +19,17 @@ def nd(*chunks: bytes, count_mm: float | None = None) -> list[object]:
     return [event for chunk in chunks for event in decoder.feed(chunk)]
 
 
-def text(*chunks: bytes, using: AsciiSettings = AsciiSettings(request=b"?")) -> list[object]:
+ASKED = AsciiSettings(request=b"?")
+
+
+def text(*chunks: bytes, using: AsciiSettings = ASKED) -> list[object]:
     decoder = AsciiDecoder(using)
     return [event for chunk in chunks for event in decoder.feed(chunk)]
 
 
 def test_requests_are_the_manuals() -> None:
-    assert ASK_DISPLAYED == bytes([0x02])
-    assert ASK_COUNT == bytes([0x1B, 0x41, 0x30, 0x32, 0x30, 0x30, 0x0D])
+    assert bytes([0x02]) == ASK_DISPLAYED
+    assert bytes([0x1B, 0x41, 0x30, 0x32, 0x30, 0x30, 0x0D]) == ASK_COUNT
     assert Nd2xxDecoder().request == ASK_DISPLAYED
     assert Nd2xxDecoder(0.0001).request == ASK_COUNT
 
