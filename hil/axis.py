@@ -21,14 +21,8 @@ from drivers.errors import InputError
 from drivers.scaling import AxisScaling
 from hil import axis_reader as reader
 from hil.axis_backlash import BacklashConfig, read_backlash
-from hil.axis_connections import (
-    BENCH_MACHINES,
-    DriveConfig,
-    HomingConfig,
-    InstrumentConfig,
-    read_drive,
-    read_instrument,
-)
+from hil.axis_connections import BENCH_MACHINES, DriveConfig, HomingConfig, read_drive
+from hil.axis_instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis_reader import Table
 from hil.files import read_text
 from hil.tables import Band, TableMode
@@ -38,6 +32,7 @@ __all__ = [
     "AxisConfig",
     "ConditionsConfig",
     "CorrectionConfig",
+    "DisplayConfig",
     "DriveAxis",
     "DriveConfig",
     "HomingConfig",
@@ -140,7 +135,7 @@ class AxisConfig(DriveAxis):
             "instrument": {
                 name: value
                 for name, value in asdict(self.instrument).items()
-                if name not in ("port", "stale_after_s", "place_temps")
+                if name not in ("port", "stale_after_s", "resume_within_s", "place_temps")
             },
             "measurement": {**asdict(self.measurement), "targets_mm": list(self.measurement.targets_mm)},
             "correction": {**asdict(self.correction), "mode": self.correction.mode.value},

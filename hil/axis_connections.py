@@ -1,6 +1,6 @@
-"""The [drive] and [instrument] sections of an axis file: how to reach the two, and how they are set up.
+"""The [drive] section of an axis file: how to reach the drive, and how it is set up.
 
-What may go in: data and its checks. Concrete drives and instruments are made from it by `hil.wiring` alone.
+What may go in: data and its checks. Concrete drives are made from it by `hil.wiring` alone.
 """
 
 from __future__ import annotations
@@ -18,9 +18,6 @@ with a soft drive train that winds up by some 53 µm."""
 
 BENCH_FACES = ("canopen", "modbus-tcp", "modbus-rtu", "virtual")
 """How the bench's drive is shown: on a virtual CAN bus, a loopback port, a pty, or with no wire in between."""
-
-THERMOMETERS = (3, 4)
-"""Temperature channels of a µMD display."""
 
 GUARD_S = 2.0
 """How long a drive on a machine goes on without hearing us, unless its axis file says otherwise."""
@@ -63,38 +60,6 @@ class DriveConfig:
     machine: str = "typical"
     seed: int = 0
     face: str = "canopen"
-
-
-@dataclass(frozen=True)
-class FixedAirConfig:
-    """Air values that no sensor delivers; None: the instrument's own."""
-
-    temp_c: float | None = None
-    pressure_hpa: float | None = None
-    humidity_percent: float | None = None
-
-
-@dataclass(frozen=True)
-class InstrumentConfig:
-    """How to reach the instrument, and how it stands. kind: umd.
-
-    wavelength_fraction: the optics, one count is λ/2, λ/4 or λ/8; place_temps: place -> temperature channel; air_temp_channel None:
-    the air's temperature is fixed_air's; axis: 1 to 3 of a display with several.
-    """
-
-    kind: str
-    port: str
-    wavelength_fraction: int
-    direction: int
-    compensate_air: bool
-    place_temps: dict[str, int]
-    stale_after_s: float
-    vacuum_wavelength_nm: float
-    axis: int
-    phase_sign: int
-    dead_path_mm: float
-    air_temp_channel: int | None
-    fixed_air: FixedAirConfig
 
 
 def read_drive(table: Table) -> DriveConfig:
@@ -164,57 +129,3 @@ def _homing(table: Table) -> HomingConfig:
 def _period(value: Any) -> float | None:
     seconds = reader.not_negative(value)
     return None if seconds == 0 else reader.between(0.01, 60.0)(seconds)
-
-
-def read_instrument(table: Table, *, has_port: bool) -> InstrumentConfig:
-    """[instrument]; has_port False: the bench brings its own."""
-    kind = table.take("kind", reader.choice("umd"), "umd", "umd")
-    air_channel = table.take("air_temp_channel", reader.choice(0, *THERMOMETERS), "3, 4, or 0 for none", 3)
-    compensate_air = table.take("compensate_air", reader.flag, "true or false", True)
-    fixed_air = _fixed_air(table)
-    config = InstrumentConfig(
-        kind=kind,
-        port=table.take("port", reader.text, "a serial port", reader.REQUIRED if has_port else "bench"),
-        wavelength_fraction=table.take("wavelength_fraction", reader.choice(2, 4, 8), "2, 4 or 8", 2),
-        direction=table.take("direction", reader.choice(1, -1), "1 or -1", 1),
-        compensate_air=compensate_air,
-        place_temps=table.take("place_temps", _channels, "a table of place = channel, 3 or 4", {}),
-        stale_after_s=table.take("stale_after_s", reader.positive, "a number > 0 in s", 0.5),
-        vacuum_wavelength_nm=table.take(
-            "vacuum_wavelength_nm", reader.between(101.0, 1999.0), "nm, 101 to 1999", 632.9912
-        ),
-        axis=table.take("axis", reader.choice(1, 2, 3), "1, 2 or 3", 1),
-        phase_sign=table.take("phase_sign", reader.choice(1, -1), "1 or -1", 1),
-        dead_path_mm=table.take("dead_path_mm", reader.between(-10_000.0, 10_000.0), "mm, -10000 to 10000", 0.0),
-        air_temp_channel=air_channel or None,
-        fixed_air=fixed_air,
-    )
-    _check_thermometers(table, config)
-    table.finish()
-    return config
-
-
-def _fixed_air(table: Table) -> FixedAirConfig:
-    air = table.child("fixed_air", required=False)
-    config = FixedAirConfig(
-        temp_c=air.take("temp_c", reader.between(-20.0, 60.0), "°C, -20 to 60", None),
-        pressure_hpa=air.take("pressure_hpa", reader.between(500.0, 1200.0), "hPa, 500 to 1200", None),
-        humidity_percent=air.take("humidity_percent", reader.between(0.0, 100.0), "%, 0 to 100", None),
-    )
-    air.finish()
-    return config
-
-
-def _channels(value: Any) -> dict[str, int]:
-    if not isinstance(value, dict):
-        raise TypeError
-    return {reader.name(place): reader.choice(*THERMOMETERS)(channel) for place, channel in value.items()}
-
-
-def _check_thermometers(table: Table, config: InstrumentConfig) -> None:
-    """One thermometer is in one place; air that is compensated must have a temperature from somewhere."""
-    for place, channel in config.place_temps.items():
-        if channel == config.air_temp_channel:
-            raise table.fail("place_temps", f"gives {place} channel {channel}, which is the air's (air_temp_channel)")
-    if config.compensate_air and config.air_temp_channel is None and config.fixed_air.temp_c is None:
-        raise table.fail("air_temp_channel", "is 0 and fixed_air has no temp_c, expected one of them to compensate air")

@@ -1,4 +1,4 @@
-"""The one place that knows concrete drives and instruments: from an axis file to a session on a machine, or on the bench.
+"""The one place that knows concrete drives: from an axis file to a session on a machine, or on the bench.
 
 Everything else of `hil` works against `ServoDrive` and `DistanceInstrument`, so that the same code runs on real hardware and in tests.
 """
@@ -16,8 +16,6 @@ from drivers.clock import Clock, WallClock
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import CapabilityError, InputError
 from drivers.instrument import DistanceInstrument
-from drivers.instruments.serial_link import SerialLink
-from drivers.instruments.umd_laser import FixedAir, Optics, UmdLaser, UmdSettings
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
@@ -25,9 +23,10 @@ from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
 from drivers.scaling import AxisScaling
-from hil.axis import AxisConfig, DriveAxis, InstrumentConfig
+from hil.axis import AxisConfig, DriveAxis
 from hil.bench_conditions import BenchConditions
 from hil.files import held
+from hil.instruments import instrument, with_instrument
 from hil.procedures.conditions import Conditions
 from hil.procedures.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters, known_bench
@@ -80,10 +79,10 @@ def bench_parameters(axis: DriveAxis) -> BenchParameters:
 
 
 def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -> Machine:
-    bench = _bench(axis, parameters, stack)
+    bench = _bench(axis, with_instrument(parameters, axis.instrument), stack)
     drive = _bench_drive(axis, bench, stack)
-    laser = _umd(axis.instrument, bench.laser_path, bench.clock)
-    return Machine(axis, _session(axis, drive, laser, BenchConditions(bench.plant, axis.conditions.levels)), bench)
+    looking = instrument(axis.instrument, bench.laser_path, bench.clock)
+    return Machine(axis, _session(axis, drive, looking, BenchConditions(bench.plant, axis.conditions.levels)), bench)
 
 
 def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack) -> Bench:
@@ -94,7 +93,7 @@ def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack) -> Be
 def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack) -> Machine:
     clock = WallClock()
     drive = hardware_drive(axis, clock, stack)
-    return Machine(axis, _session(axis, drive, _umd(axis.instrument, axis.instrument.port, clock), conditions))
+    return Machine(axis, _session(axis, drive, instrument(axis.instrument, axis.instrument.port, clock), conditions))
 
 
 # -- drives ------------------------------------------------------------------------------------------------------------
@@ -228,29 +227,12 @@ def _virtual(axis: DriveAxis, bench: Bench) -> VirtualDrive:
     return VirtualDrive(bench.servo, axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
 
 
-# -- instruments and session -------------------------------------------------------------------------------------------
-def _umd(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
-    air = config.fixed_air
-    settings = UmdSettings(
-        optics=Optics(config.wavelength_fraction),
-        vacuum_wavelength_nm=config.vacuum_wavelength_nm,
-        direction=config.direction,
-        phase_sign=config.phase_sign,
-        axis=config.axis,
-        compensate_air=config.compensate_air,
-        fixed_air=FixedAir(air.temp_c, air.pressure_hpa, air.humidity_percent),
-        air_temp_code=config.air_temp_channel,
-        places=config.place_temps,
-        dead_path_mm=config.dead_path_mm,
-    )
-    return UmdLaser(SerialLink(port), clock, settings)
-
-
+# -- session -------------------------------------------------------------------------------------------
 def _session(
-    axis: AxisConfig, drive: ServoDrive, instrument: DistanceInstrument, conditions: Conditions | None
+    axis: AxisConfig, drive: ServoDrive, looking: DistanceInstrument, conditions: Conditions | None
 ) -> AxisSession:
     stale_after_s = axis.instrument.stale_after_s
-    return AxisSession(drive, instrument, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
+    return AxisSession(drive, looking, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
 
 
 def _check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:

@@ -16,6 +16,7 @@ from drivers.scaling import AxisScaling
 from sim_backends import laser_effects
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
+from sim_backends.gauge import GaugeParameters, SimulatedGauge
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
@@ -25,11 +26,15 @@ from sim_backends.servo import ServoParameters, SimulatedServo
 
 @dataclass(frozen=True)
 class BenchParameters:
-    """Everything seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm)."""
+    """Everything seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm).
+
+    gauge: a display or gauge that measures the axis instead of the laser; the laser's faults are then its own
+    """
 
     plant: PlantParameters = field(default_factory=lambda: typical_axis(1))
     servo: ServoParameters = field(default_factory=ServoParameters)
     laser: LaserParameters = field(default_factory=LaserParameters)
+    gauge: GaugeParameters | None = None
     laser_faults: tuple[Fault, ...] = ()
     servo_faults: tuple[Fault, ...] = ()
     step_s: float = 0.005
@@ -115,10 +120,17 @@ class Bench:
         self.laser = SimulatedLaser(self.plant, p.laser, p.laser_faults, wait_for_arrival=wait_for_arrival)
         self.clock.attach(self.servo.advance, bearable=self.servo.bearable)
         self.clock.attach(self.laser.advance, bearable=self.laser.bearable, settle=self.laser.settle)
+        self.gauge: SimulatedGauge | None = None
+        if p.gauge is not None:
+            self.gauge = SimulatedGauge(self.plant, p.gauge, p.laser_faults, wait_for_arrival=wait_for_arrival)
+            self.clock.attach(self.gauge.advance, bearable=self.gauge.bearable, settle=self.gauge.settle)
+            self.laser.close()
 
     def switch_on(self, effect: str, size_um: float) -> None:
         """From now on the machine or its instrument has one more effect, by its id in the catalogue; for what `size_um` means see
         `plant.switches` and `laser_effects`. Raises InputError for an unknown id."""
+        if effect in laser_effects.SWITCHES and self.gauge is not None:
+            raise InputError(f"effect {effect!r} is a laser's, and this bench measures with a gauge")
         if effect in laser_effects.SWITCHES:
             laser_effects.switch_on(self.laser, self.plant, effect, size_um)
         elif effect in switches.SWITCHES:
@@ -129,11 +141,17 @@ class Bench:
 
     @property
     def laser_path(self) -> str:
-        """The port that a reader opens."""
-        return self.laser.path
+        """The port that a reader of the instrument opens."""
+        return self.laser.path if self.gauge is None else self.gauge.path
+
+    def close_instrument(self) -> None:
+        """Take the instrument's terminal away; readers then see the port vanish."""
+        self.laser.close()
+        if self.gauge is not None:
+            self.gauge.close()
 
     def close(self) -> None:
-        self.laser.close()
+        self.close_instrument()
 
     def __enter__(self) -> Self:
         return self

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.axis import AxisConfig
+from hil.cli.instrument_identity import instrument_identity
 from hil.diagnosis import Diagnosis
 from hil.procedures.calibrate import Calibration
 from hil.procedures.close_loop import Loop
@@ -125,8 +126,7 @@ def identity(axis: AxisConfig) -> dict[str, str]:
         "Axis": axis.name,
         "Travel": f"{axis.limits.travel_min_mm:g} to {axis.limits.travel_max_mm:g} mm",
         "Drive": drive,
-        "Instrument": f"µMD interferometer on {axis.instrument.port}, λ/{axis.instrument.wavelength_fraction}",
-        "Air compensation": "on" if axis.instrument.compensate_air else "off",
+        **instrument_identity(axis.instrument),
         "Feed between targets": f"{how.velocity_mm_s:g} mm/s",
         "At each target": f"{how.dwell_s:g} s dwell, {how.reading_s:g} s averaged",
     }

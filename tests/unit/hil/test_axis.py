@@ -16,7 +16,7 @@ from support.corpus import check_complete, check_refused, expectations
 
 from drivers.errors import InputError
 from hil.axis import HomingConfig, iso_targets, load_axis
-from hil.axis_connections import FixedAirConfig
+from hil.axis_instrument import FixedAirConfig
 from hil.tables import Band, TableMode
 
 CORPUS = Path(__file__).parent / "corpus" / "axis"

@@ -1,0 +1,193 @@
+"""The [instrument] section of an axis file: what measures the axis, how it is reached, and how it stands.
+
+What may go in: data and its checks, by kind. Concrete instruments are made from it by `hil.instruments` alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hil import axis_reader as reader
+from hil.axis_reader import Table
+
+KINDS = ("umd", "nd2xx", "ascii", "replay")
+THERMOMETERS = (3, 4)
+"""Temperature channels of a µMD display."""
+
+
+@dataclass(frozen=True)
+class FixedAirConfig:
+    """Air values that no sensor delivers; None: the instrument's own."""
+
+    temp_c: float | None = None
+    pressure_hpa: float | None = None
+    humidity_percent: float | None = None
+
+
+@dataclass(frozen=True)
+class DisplayConfig:
+    """A display or gauge that sends a value in a line (kinds nd2xx and ascii), and its serial line.
+
+    count_mm: of nd2xx, one step of the count that is asked for, None for the value displayed; the others are of ascii (see
+    `drivers.instruments.ascii_values`).
+    """
+
+    baud: int
+    data_bits: int
+    parity: str
+    stop_bits: int
+    count_mm: float | None = None
+    pattern: str = ""
+    fault: str = ""
+    unit: str = "mm"
+    decimals: int | None = None
+    request: str = ""
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """A recording that is played. file: absolute; column: the one that is the position; speed: of playing."""
+
+    file: str
+    column: str
+    speed: float
+
+
+@dataclass(frozen=True)
+class InstrumentConfig:
+    """How to reach the instrument, and how it stands. kind: umd | nd2xx | ascii | replay.
+
+    resume_within_s: after a lost signal the axis, stopped, waits so long for it and goes on by itself; None: the job ends.
+    Of umd: wavelength_fraction, the optics, one count is λ/2, λ/4 or λ/8; place_temps, place -> temperature channel;
+    air_temp_channel None, the air's temperature is fixed_air's; axis, 1 to 3 of a display with several.
+    """
+
+    kind: str
+    port: str
+    direction: int
+    stale_after_s: float
+    resume_within_s: float | None = None
+    display: DisplayConfig | None = None
+    replay: ReplayConfig | None = None
+    wavelength_fraction: int = 2
+    compensate_air: bool = False
+    place_temps: dict[str, int] = field(default_factory=dict)
+    vacuum_wavelength_nm: float = 632.9912
+    axis: int = 1
+    phase_sign: int = 1
+    dead_path_mm: float = 0.0
+    air_temp_channel: int | None = None
+    fixed_air: FixedAirConfig = FixedAirConfig()
+
+
+def read_instrument(table: Table, *, has_port: bool) -> InstrumentConfig:
+    """[instrument]; has_port False: the bench brings its own. Keys are those of the kind; another kind's are unknown."""
+    kind = table.take("kind", reader.choice(*KINDS), " or ".join(KINDS), "umd")
+    port = "" if kind == "replay" else "bench"
+    if kind != "replay":
+        port = table.take("port", reader.text, "a serial port", reader.REQUIRED if has_port else port)
+    common: dict[str, Any] = {
+        "kind": kind,
+        "port": port,
+        "direction": table.take("direction", reader.choice(1, -1), "1 or -1", 1),
+        "stale_after_s": table.take("stale_after_s", reader.positive, "a number > 0 in s", 0.5),
+        "resume_within_s": table.take("resume_within_s", reader.between(1.0, 86_400.0), "seconds, 1 to 86400", None),
+    }
+    config = {"umd": _umd, "nd2xx": _nd2xx, "ascii": _ascii, "replay": _replay}[kind](table, common)
+    table.finish()
+    return config
+
+
+def _umd(table: Table, common: dict[str, Any]) -> InstrumentConfig:
+    air_channel = table.take("air_temp_channel", reader.choice(0, *THERMOMETERS), "3, 4, or 0 for none", 3)
+    config = InstrumentConfig(
+        **common,
+        wavelength_fraction=table.take("wavelength_fraction", reader.choice(2, 4, 8), "2, 4 or 8", 2),
+        compensate_air=table.take("compensate_air", reader.flag, "true or false", True),
+        fixed_air=_fixed_air(table),
+        place_temps=table.take("place_temps", _channels, "a table of place = channel, 3 or 4", {}),
+        vacuum_wavelength_nm=table.take(
+            "vacuum_wavelength_nm", reader.between(101.0, 1999.0), "nm, 101 to 1999", 632.9912
+        ),
+        axis=table.take("axis", reader.choice(1, 2, 3), "1, 2 or 3", 1),
+        phase_sign=table.take("phase_sign", reader.choice(1, -1), "1 or -1", 1),
+        dead_path_mm=table.take("dead_path_mm", reader.between(-10_000.0, 10_000.0), "mm, -10000 to 10000", 0.0),
+        air_temp_channel=air_channel or None,
+    )
+    _check_thermometers(table, config)
+    return config
+
+
+def _nd2xx(table: Table, common: dict[str, Any]) -> InstrumentConfig:
+    count_mm = table.take("count_mm", reader.between(1e-6, 1.0), "mm, 0.000001 to 1", None)
+    return InstrumentConfig(**common, display=DisplayConfig(**_line(table, 7, "E", 2), count_mm=count_mm))
+
+
+def _ascii(table: Table, common: dict[str, Any]) -> InstrumentConfig:
+    config = DisplayConfig(
+        **_line(table, 8, "N", 1),
+        pattern=table.take("pattern", reader.text, "number, mitutoyo, or a regular expression", "number"),
+        fault=table.take("fault", reader.text, "a regular expression", ""),
+        unit=table.take("unit", reader.choice("mm", "um", "in"), "mm, um or in", "mm"),
+        decimals=table.take("decimals", reader.whole(0, 9), "a whole number, 0 to 9", None),
+        request=table.take("request", _short_text, "what asks for a value, up to 40 characters", ""),
+    )
+    return InstrumentConfig(**common, display=config)
+
+
+def _line(table: Table, data_bits: int, parity: str, stop_bits: int) -> dict[str, Any]:
+    return {
+        "baud": table.take("baud", reader.whole(300, 4_000_000), "baud, 300 to 4000000", 9600),
+        "data_bits": table.take("data_bits", reader.choice(7, 8), "7 or 8", data_bits),
+        "parity": table.take("parity", reader.choice("N", "E", "O"), "N, E or O", parity),
+        "stop_bits": table.take("stop_bits", reader.choice(1, 2), "1 or 2", stop_bits),
+    }
+
+
+def _replay(table: Table, common: dict[str, Any]) -> InstrumentConfig:
+    base = table.path.resolve().parent
+
+    def place(value: Any) -> str:
+        return str(Path(base / reader.text(value)))
+
+    config = ReplayConfig(
+        file=table.take("file", place, "a recording, .csv or .csv.gz"),
+        column=table.take("column", reader.text, "the column that is the position", "laser_mm"),
+        speed=table.take("speed", reader.between(1e-3, 1e6), "a number, 0.001 to 1000000", 1.0),
+    )
+    return InstrumentConfig(**common, replay=config)
+
+
+def _short_text(value: Any) -> str:
+    """Control characters too: a request usually ends in one."""
+    if not isinstance(value, str) or not 0 < len(value) <= 40 or not value.isascii():
+        raise ValueError
+    return value
+
+
+def _fixed_air(table: Table) -> FixedAirConfig:
+    air = table.child("fixed_air", required=False)
+    config = FixedAirConfig(
+        temp_c=air.take("temp_c", reader.between(-20.0, 60.0), "°C, -20 to 60", None),
+        pressure_hpa=air.take("pressure_hpa", reader.between(500.0, 1200.0), "hPa, 500 to 1200", None),
+        humidity_percent=air.take("humidity_percent", reader.between(0.0, 100.0), "%, 0 to 100", None),
+    )
+    air.finish()
+    return config
+
+
+def _channels(value: Any) -> dict[str, int]:
+    if not isinstance(value, dict):
+        raise TypeError
+    return {reader.name(place): reader.choice(*THERMOMETERS)(channel) for place, channel in value.items()}
+
+
+def _check_thermometers(table: Table, config: InstrumentConfig) -> None:
+    """One thermometer is in one place; air that is compensated must have a temperature from somewhere."""
+    for place, channel in config.place_temps.items():
+        if channel == config.air_temp_channel:
+            raise table.fail("place_temps", f"gives {place} channel {channel}, which is the air's (air_temp_channel)")
+    if config.compensate_air and config.air_temp_channel is None and config.fixed_air.temp_c is None:
+        raise table.fail("air_temp_channel", "is 0 and fixed_air has no temp_c, expected one of them to compensate air")

@@ -1,0 +1,22 @@
+"""What measured, as lines of a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hil.axis import InstrumentConfig
+
+
+def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
+    """The instrument of an axis file and how it stood, name -> text."""
+    if config.replay is not None:
+        return {"Instrument": f"recording {Path(config.replay.file).name}, column {config.replay.column}"}
+    if config.kind == "nd2xx":
+        return {"Instrument": f"HEIDENHAIN ND 2xx display on {config.port}"}
+    if config.display is not None:
+        return {"Instrument": f"display on {config.port}, lines by the pattern {config.display.pattern}"}
+    facts = {"Instrument": f"µMD interferometer on {config.port}, λ/{config.wavelength_fraction}"}
+    facts["Air compensation"] = "on" if config.compensate_air else "off"
+    if config.dead_path_mm:
+        facts["Dead path"] = f"{config.dead_path_mm:g} mm"
+    return facts
