@@ -34,6 +34,7 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
 from hil.procedures.conditions import Conditions, NoConditions
+from hil.procedures.one_correction import refuse_while_drive_corrects
 
 SLICE_S = 0.05
 """How often drive and instrument are looked at while the axis moves."""
@@ -77,7 +78,7 @@ class AxisSession:
         self.clock = drive.clock
         self.how = how
         self.conditions: Conditions = NoConditions() if conditions is None else conditions
-        self.compensation: Compensation | None = None
+        self._compensation: Compensation | None = None
         self.history: MotionHistory | None = None
         self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
         self._stale_ns = round(stale_after_s * NS_PER_S)
@@ -148,6 +149,22 @@ class AxisSession:
         except BridgeError:
             if raising:
                 raise
+
+    # -- one correction --------------------------------------------------------------------------------------------------
+    @property
+    def compensation(self) -> Compensation | None:
+        """What the bridge corrects by; None leaves commands as they are.
+
+        Putting one into force raises StateError while the drive corrects by a table of its own: the error would be taken out twice.
+        The drive is asked, each time and before each move.
+        """
+        return self._compensation
+
+    @compensation.setter
+    def compensation(self, compensation: Compensation | None) -> None:
+        if compensation is not None and self._entered:
+            refuse_while_drive_corrects(self.drive)
+        self._compensation = compensation
 
     # -- watching ----------------------------------------------------------------------------------------------------
     def elapsed_s(self) -> float:
@@ -253,10 +270,12 @@ class AxisSession:
         """Signal, enable, home, datum: afterwards positions of the instrument are load positions of the axis.
 
         The instrument's zero is taken once, at the reference position approached upwards and without any correction, so that all
-        passes of a session, with and without correction, share one datum.
+        passes of a session, with and without correction, share one datum. Raises StateError while the drive corrects by a table of
+        its own: that datum, and tables made on it, would hold the drive's correction.
         """
         if not self._entered:
             raise StateError("prepare() needs the session to be entered first")
+        refuse_while_drive_corrects(self.drive)
         self.drive.require(Capability.PROFILE_POSITION, *([Capability.HOMING] if self.how.home else []))
         self.await_instrument()
         self.watch(max(self.how.reading_s, 2 * SLICE_S))
@@ -276,13 +295,17 @@ class AxisSession:
 
     def take_datum(self) -> None:
         """Go to the reference position from below, uncorrected, and call the instrument's reading there that position."""
+        self.come_to_reference()
+        self._datum_mm = self.raw_average() - self.how.reference_mm
+
+    def come_to_reference(self) -> None:
+        """Go to the reference position from below, uncorrected; from there on the direction of arrival is known."""
         reference = self.how.reference_mm
         here = self.drive.sample().position_load_mm
         self.move_uncorrected(reference - self.how.overrun_mm, self.how.velocity_mm_s)
         self.move_uncorrected(reference, self.how.velocity_mm_s)
         self.history = MotionHistory(here).moved_to(reference - self.how.overrun_mm).moved_to(reference)
         self._commanded_mm = reference
-        self._datum_mm = self.raw_average() - reference
 
     def move_uncorrected(self, position_load_mm: float, velocity_mm_s: float) -> None:
         """Move the motor to a position as it is, watched; the history for corrections is unknown afterwards."""
@@ -345,13 +368,15 @@ class AxisSession:
         return command
 
     def _command(self, target_mm: float) -> Command:
+        if self._compensation is not None:
+            refuse_while_drive_corrects(self.drive)
         return self._command_of(target_mm, self.known())
 
     def _command_of(self, target_mm: float, known: Mapping[str, float]) -> Command:
         history = self._known_history()
-        if self.compensation is None:
+        if self._compensation is None:
             return Command(target_mm, target_mm, 0.0, history.moved_to(target_mm))
-        return self.compensation.command(target_mm, history, known)
+        return self._compensation.command(target_mm, history, known)
 
     def _known_history(self) -> MotionHistory:
         if self.history is None:
@@ -392,6 +417,8 @@ class AxisSession:
 
         path_mm: targets and the velocities (mm/s) there, from where the axis stands.
         """
+        if self._compensation is not None:
+            refuse_while_drive_corrects(self.drive)
         known = self.known()
         with self._stopping_on_error(), self.drive.stream(settings) as stream:
             for target_mm, velocity_mm_s in path_mm:

@@ -1,0 +1,20 @@
+"""One correction at a time: the bridge's, or the one that the drive applies by a table of its own.
+
+The drive is asked, never remembered: another master, a stored switch or an operator's panel may have put its table into force.
+"""
+
+from __future__ import annotations
+
+from drivers.drive import ServoDrive
+from drivers.errors import StateError
+
+
+def refuse_while_drive_corrects(drive: ServoDrive) -> None:
+    """Raise StateError while the drive corrects by a table of its own."""
+    table = drive.correction_table
+    if table is not None and table.enabled():
+        raise StateError(
+            f"drive {drive.name} corrects this axis itself, its {table.description.name} is switched on: with the bridge's"
+            " correction the error would be taken out twice; switch the drive's off (hil params table remove) or leave the"
+            " bridge's out"
+        )
