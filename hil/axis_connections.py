@@ -5,6 +5,7 @@ What may go in: data and its checks. Concrete drives are made from it by `hil.wi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ with a soft drive train that winds up by some 53 µm."""
 
 BENCH_FACES = ("canopen", "modbus-tcp", "modbus-rtu", "virtual")
 """How the bench's drive is shown: on a virtual CAN bus, a loopback port, a pty, or with no wire in between."""
+
+BENCH_TABLES = ("simulated_array", "simulated_domain")
+"""Correction tables that the bench's drive can hold itself; over Modbus it has that of its register map."""
 
 GUARD_S = 2.0
 """How long a drive on a machine goes on without hearing us, unless its axis file says otherwise."""
@@ -39,8 +43,9 @@ class DriveConfig:
     """How to reach the drive. backend: canopen | modbus | bench (the built-in simulated machine).
 
     heartbeat_s: period asked of a CANopen drive, None when it is not to be supervised; guard_s: how long the drive goes on without
-    hearing us before it stops by itself, None for good. register_map: an absolute file, or the name of a shipped one. face: how the
-    bench shows its drive.
+    hearing us before it stops by itself, None for good. eds: the maker's file of a CANopen drive's objects; correction_table: the map of
+    the table that it holds itself, a file or the name of a shipped one, empty where it holds none. register_map: an absolute file, or
+    the name of a shipped one. face: how the bench shows its drive.
     """
 
     backend: str
@@ -52,6 +57,7 @@ class DriveConfig:
     sample_timeout_s: float = 0.1
     heartbeat_s: float | None = 0.2
     guard_s: float | None = None
+    eds: Path | None = None
     homing: HomingConfig = field(default_factory=HomingConfig)
     register_map: str = ""
     url: str = ""
@@ -60,6 +66,7 @@ class DriveConfig:
     machine: str = "typical"
     seed: int = 0
     face: str = "canopen"
+    correction_table: str = ""
 
 
 def read_drive(table: Table) -> DriveConfig:
@@ -81,22 +88,32 @@ def _canopen(table: Table) -> DriveConfig:
         sample_timeout_s=table.take("sample_timeout_s", reader.between(0.01, 10.0), "seconds, 0.01 to 10", 0.1),
         heartbeat_s=table.take("heartbeat_s", _period, "seconds, 0.01 to 60, or 0 for none", 0.2),
         guard_s=table.take("guard_s", _period, "seconds, 0.01 to 60, or 0 for none", GUARD_S),
+        eds=table.take("eds", _beside(table), "the maker's EDS or DCF file", None),
         homing=_homing(table),
+        correction_table=table.take("correction_table", _map_file(table), "a table map's name or file", ""),
     )
 
 
-def _modbus(table: Table) -> DriveConfig:
-    base = table.path.resolve().parent
+def _beside(table: Table) -> Callable[[Any], Path]:
+    """A file, by its place beside the axis file."""
+    return lambda value: table.path.resolve().parent / reader.text(value)
 
-    def register_map(value: Any) -> str:
-        """A file beside the axis file; what is none may be the name of a shipped map."""
+
+def _map_file(table: Table) -> Callable[[Any], str]:
+    """A file beside the axis file; what is none may be the name of a shipped map."""
+
+    def convert(value: Any) -> str:
         name = reader.text(value)
-        beside = base / name
+        beside = table.path.resolve().parent / name
         return str(beside) if beside.is_file() or Path(name).suffix else name
 
+    return convert
+
+
+def _modbus(table: Table) -> DriveConfig:
     return DriveConfig(
         "modbus",
-        register_map=table.take("register_map", register_map, "a register map's name or file"),
+        register_map=table.take("register_map", _map_file(table), "a register map's name or file"),
         url=table.take("url", reader.text, "tcp://host:port or a serial port"),
         unit=table.take("unit", reader.whole(0, 255), "a unit id, 0 to 255", 1),
         baud=table.take("baud", reader.whole(300, 4_000_000), "baud, 300 to 4000000", 19_200),
@@ -111,7 +128,10 @@ def _bench(table: Table) -> DriveConfig:
         maps = ("cia402_over_modbus", "vendor_style")
         register_map = table.take("register_map", reader.choice(*maps), " or ".join(maps), maps[0])
         return DriveConfig("bench", machine=machine, seed=seed, face=face, register_map=register_map)
-    return DriveConfig("bench", machine=machine, seed=seed, face=face, homing=_homing(table))
+    own_table = table.take("correction_table", reader.choice(*BENCH_TABLES), " or ".join(BENCH_TABLES), "")
+    return DriveConfig(
+        "bench", machine=machine, seed=seed, face=face, homing=_homing(table), correction_table=own_table
+    )
 
 
 def _homing(table: Table) -> HomingConfig:

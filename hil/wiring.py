@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.canopen.table_map import load_table_map
 from drivers.clock import Clock, WallClock
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import CapabilityError, InputError
@@ -33,6 +34,7 @@ from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.machine import modbus_face
 from sim_backends.modbus_drive import rtu_slave, tcp_server
+from sim_backends.own_table import ARRAY, TableForm, error_domain
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
 BENCH_PATIENCE_S = 10.0
@@ -154,7 +156,12 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
     if face == "canopen":
         channel = f"bench-{uuid.uuid4().hex}"
         bus = stack.enter_context(drives_in_turn(clock, channel))
-        bus.add(bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
+        bus.add(
+            bench.servo,
+            axis.drive.node_id,
+            parameters=bench.parameters.objects,
+            table=_bench_table(axis, bench),
+        )
         links = Links({("virtual", channel): stack.enter_context(CanLink(bus.master(), clock))})
         return canopen_drive(axis, clock, ("virtual", channel), stack, links=links)
     shape = "vendor" if axis.drive.register_map == "vendor_style" else "cia402"
@@ -193,7 +200,14 @@ def canopen_drive(
         homing=HomingSettings(homing.method, homing.speed_switch_mm_s, homing.speed_zero_mm_s, homing.home_position_mm),
     )
     return CanOpenDrive(
-        axis.name, axis.scaling, axis.limits, clock, link=shared.can[bus], node_id=config.node_id, settings=settings
+        axis.name,
+        axis.scaling,
+        axis.limits,
+        clock,
+        link=shared.can[bus],
+        node_id=config.node_id,
+        settings=settings,
+        table=load_table_map(config.correction_table) if config.correction_table else None,
     )
 
 
@@ -224,7 +238,21 @@ def _virtual(axis: DriveAxis, bench: Bench) -> VirtualDrive:
         "home_position_mm": asked.home_position_mm,
     }
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
-    return VirtualDrive(bench.servo, axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
+    return VirtualDrive(
+        bench.servo,
+        axis.scaling,
+        axis.limits,
+        bench.clock,
+        name=axis.name,
+        settings=settings,
+        table=_bench_table(axis, bench),
+    )
+
+
+def _bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:
+    """The correction table that the bench's drive holds itself."""
+    per_um = bench.parameters.scaling.counts_per_load_mm / 1000.0
+    return {"simulated_array": ARRAY, "simulated_domain": error_domain(per_um)}.get(axis.drive.correction_table)
 
 
 # -- session -------------------------------------------------------------------------------------------

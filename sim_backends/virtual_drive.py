@@ -16,9 +16,11 @@ from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import TouchProbe
 from sim_backends.clock import SimClock
+from sim_backends.own_table import TableForm
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
 from sim_backends.virtual_faces import VirtualParameters, VirtualStream, VirtualTouchProbe
+from sim_backends.virtual_table import VirtualCorrectionTable
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class VirtualDrive(ServoDrive):
         *,
         name: str = "virtual",
         settings: VirtualDriveSettings | None = None,
+        table: TableForm | None = None,
     ) -> None:
         super().__init__(name, scaling, limits, clock)
         self._servo = servo
@@ -66,6 +69,9 @@ class VirtualDrive(ServoDrive):
         if isinstance(clock, SimClock):  # after the servo, which is attached before
             clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _PATIENT_NS)
         self._parameters = VirtualParameters(self)
+        self._table = None if table is None else VirtualCorrectionTable(name, table, lambda: servo.powered)
+        if self._table is not None:
+            servo.table.follow(self._table.own)
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
@@ -181,6 +187,11 @@ class VirtualDrive(ServoDrive):
         """Ramps and homing, in the units of a drive on a wire."""
         self.require(Capability.PARAMETERS)
         return self._parameters
+
+    @property
+    def correction_table(self) -> VirtualCorrectionTable | None:
+        self._require_open()
+        return self._table
 
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         self._running = False
