@@ -23,6 +23,7 @@ from hil import axis_reader as reader
 from hil.axis_backlash import BacklashConfig, read_backlash
 from hil.axis_connections import BENCH_MACHINES, DriveConfig, HomingConfig, read_drive
 from hil.axis_instrument import DisplayConfig, InstrumentConfig, read_instrument
+from hil.axis_lost_motion import LostMotionConfig, read_lost_motion
 from hil.axis_reader import Table
 from hil.files import read_text
 from hil.tables import Band, TableMode
@@ -113,6 +114,7 @@ class AxisConfig(DriveAxis):
     measurement: MeasurementConfig
     correction: CorrectionConfig
     conditions: ConditionsConfig
+    lost_motion: LostMotionConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
 
     @property
     def tables_path(self) -> Path:
@@ -197,12 +199,16 @@ def _axis(root: Table) -> AxisConfig:
     store = _store(root.child("store", required=False), root.path, name)
     conditions = _conditions(root.child("conditions", required=False))
     backlash = _backlash(root, limits, scaling, drive)
-    known = ("axis", "scaling", "drive", "instrument", "measurement", "correction", "store", "conditions", "backlash")
-    root.finish(known)
+    lost_motion = None
+    if "lost_motion" in root.keys_left():
+        lost_motion = read_lost_motion(root.child("lost_motion"), limits, measurement.targets_mm)
+    known = ("axis", "scaling", "drive", "instrument", "measurement", "correction", "store", "conditions")
+    root.finish((*known, "backlash", "lost_motion"))
     return AxisConfig(
         *(root.path, name, limits, scaling, drive, store),
         *(instrument, measurement, correction, conditions),
         backlash=backlash,
+        lost_motion=lost_motion,
     )
 
 

@@ -1,7 +1,7 @@
 """The sealed store: what is in force on an axis, as a file that a machine can run with and only its builder can change.
 
-Three entries per axis: `<axis>.tables`, `<axis>.effects` and `<axis>.lost-motion` (older files lack the last). Several axes may share a file. Reading needs the builder's public key and
-the reading password; writing needs the builder's private key.
+Three entries per axis: `<axis>.tables`, `<axis>.effects` and, where it was measured, `<axis>.lost-motion`. Several axes may share a
+file. Reading needs the builder's public key and the reading password; writing needs the builder's private key.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def main(path: str) -> int:
         error = np.concatenate([before.error_um[-1:], rows.error_um])  # the turning point ends the stroke before
         reversals.append(hil.MeasuredReversal(int(rows.direction[0]), travel, error, STROKE_MM))
     for found in hil.compete_lost_motion(reversals, block_mm=0.02):
-        shape = found.fitted
+        shape = found.fitted.rise
         amounts = " + ".join(f"{amount:.2f}" for amount in shape.amounts_um)
         lengths = ", ".join(f"{length:.2f}" for length in shape.lengths_mm)
         print(

@@ -22,7 +22,7 @@ from hil.lost_motion.shapes import SHAPES, Floats, Rise, Shape
 FOLDS = 5
 FIT_ROWS = 250
 """A search sees about this many rows, evenly picked; what is reported is of all of them."""
-LEAST_WEIGHT = 0.02
+LEAST_WEIGHT = 0.002
 """Of a row where the load stands still while the motor moves."""
 
 
@@ -83,7 +83,8 @@ class MeasuredReversal:
             raise InputError("the travel has to grow from row to row to tell the load's travel")
         risen_um = -self.direction * (self.error_um - self.error_um[0])
         load_mm = np.maximum(self.travel_mm - risen_um / 1000.0, 0.0)
-        weight = np.clip(np.gradient(load_mm, self.travel_mm), LEAST_WEIGHT, 1.0)
+        slope = np.diff(load_mm) / np.diff(self.travel_mm)
+        weight = np.clip(np.minimum(np.append(slope, 1.0), np.append(1.0, slope)), LEAST_WEIGHT, 1.0)
         return replace(self, travel_mm=load_mm, weight=weight)
 
 

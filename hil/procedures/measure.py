@@ -39,7 +39,8 @@ BASE_COLUMNS = (
 class Step:
     """One capture: arrive at a target in a direction.
 
-    overrun_mm: how far beyond the target the axis turns before it; feed_mm_s: how fast it comes; None is the session's
+    overrun_mm: how far beyond the target the axis turns before it, 0: it comes straight from where it stands; feed_mm_s: how fast it
+    comes; None is the session's
     dwell_s: standing still before the session's own dwell
     """
 
@@ -136,6 +137,8 @@ def _approach(session: AxisSession, step: Step) -> None:
         history = session.history
     here = math.nan if history is None else history.position_mm
     travel = (step.target_mm - here) * step.direction
+    if travel > 0 and step.overrun_mm == 0.0:
+        return
     if not travel > 0 or (history is not None and history.direction != step.direction):
         overrun_mm = session.how.overrun_mm if step.overrun_mm is None else step.overrun_mm
         session.approach(step.target_mm - step.direction * overrun_mm)
