@@ -144,6 +144,11 @@ class Bench:
         """The port that a reader of the instrument opens."""
         return self.laser.path if self.gauge is None else self.gauge.path
 
+    @property
+    def has_instrument(self) -> bool:
+        """Whether its terminal is there."""
+        return self.laser.is_open or (self.gauge is not None and self.gauge.is_open)
+
     def close_instrument(self) -> None:
         """Take the instrument's terminal away; readers then see the port vanish."""
         self.laser.close()

@@ -27,7 +27,7 @@ LONGEST_BYTES = 40
 _DISPLAYED = re.compile(rb"(?P<sign>[+-])(?P<number>[ 0-9.]{10}) (?P<unit>[ \"?])[ <>=?][ SAGD]")
 _NUMBER = re.compile(rb" *(\d+\.?\d*|\.\d+)")
 _COUNT = re.compile(rb"\x02(?P<count>[+-]\d{9})")
-_TEXT = re.compile(rb"\x02(?P<text>[ -~]{1,20})")
+_TEXT = re.compile(rb"\x02(?=.*[A-Za-z])(?P<text>[ -~]{1,20})")
 
 
 class Nd2xxDecoder:

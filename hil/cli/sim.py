@@ -18,12 +18,13 @@ from typing import Any
 from drivers.clock import WallClock
 from drivers.errors import InputError
 from hil.axis_connections import BENCH_MACHINES
+from hil.cli.sim_axis_file import axis_text, instrument_text
 from hil.files import replace_file
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_faults import CanFaultKind
 from sim_backends.fault_text import Faults, fault_names, parse_faults
 from sim_backends.faults import FaultKind
-from sim_backends.laser import LaserParameters
+from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
 from sim_backends.modbus_faults import WireFaultKind
 from sim_backends.reach import check_can, parse_tcp
@@ -38,10 +39,11 @@ example: a machine in one terminal, its commissioning in another
 
 without a CAN kernel:  hil sim drive --interface slcan-pty --laser --axis-file X.toml
 over Modbus:           hil sim modbus --tcp 127.0.0.1:0 --laser --axis-file X.toml
-the instrument alone:  hil sim laser
+the instrument alone:  hil sim laser, hil sim laser --kind nd2xx
 
 The first line on standard output is JSON and says what is where. Ctrl-C or SIGTERM ends it; the last line says how the axis was left.
 """
+INSTRUMENT_KINDS = ("umd", *GAUGE_KINDS)
 FAULT_HELP = "what goes wrong, and when: KIND@SECONDS[+SECONDS][=SIZE], for example beam-lost@20+3 (repeatable)"
 
 
@@ -100,8 +102,9 @@ def _add_modbus(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 def _add_laser(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     laser = parts.add_parser(
         "laser",
-        help="a µMD laser interferometer on a pty, over an axis that shuttles",
-        description="A µMD laser interferometer on a pseudo-terminal, looking at an axis that goes to and fro by itself.",
+        help="a laser interferometer or gauge on a pty, over an axis that shuttles",
+        description="A µMD laser interferometer, or another instrument, on a pseudo-terminal, looking at an axis that goes to and fro"
+        " by itself.",
         epilog=EXAMPLE + f"\nfaults of laser and motor: {', '.join(fault_names(FaultKind))}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -125,7 +128,15 @@ def _add_machine(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the machine")
     group.add_argument("--machine", choices=BENCH_MACHINES, default="typical", help="default typical")
     group.add_argument("--seed", type=int, default=0, help="which of those machines (default 0)")
-    group.add_argument("--rate", type=float, default=50.0, help="laser readings per second (default 50)")
+    group.add_argument(
+        "--kind",
+        choices=INSTRUMENT_KINDS,
+        default="umd",
+        help="what measures: the µMD laser (default) or another instrument",
+    )
+    group.add_argument(
+        "--rate", type=float, default=50.0, help="readings per second of what sends by itself (default 50)"
+    )
     group.add_argument(
         "--effect", action="append", default=[], metavar="ID=UM", help="one more effect of the catalogue (repeatable)"
     )
@@ -141,7 +152,8 @@ def _parameters(args: argparse.Namespace, faults: Faults) -> BenchParameters:
         raise InputError(f"--seed is {args.seed}, expected a whole number >= 0")
     parameters = known_bench(args.machine, args.seed)
     laser = replace(parameters.laser, rate_hz=args.rate)
-    return replace(parameters, laser=laser, laser_faults=faults.laser, servo_faults=faults.servo)
+    gauge = None if args.kind == "umd" else GaugeParameters(args.kind, rate_hz=args.rate)
+    return replace(parameters, laser=laser, gauge=gauge, laser_faults=faults.laser, servo_faults=faults.servo)
 
 
 def _effects(texts: Sequence[str]) -> list[tuple[str, float]]:
@@ -165,7 +177,7 @@ def _machine(args: argparse.Namespace, faults: Faults, *, laser: bool) -> Iterat
         for name, size_um in effects:
             bench.switch_on(name, size_um)
         if not laser:
-            bench.laser.close()
+            bench.close_instrument()
         yield bench
 
 
@@ -225,9 +237,10 @@ def _run(
 ) -> None:
     """Say what is where, run until told to end, say how the axis was left."""
     with _until_told() as keep_running:
-        laser = {"kind": "umd", "port": bench.laser_path} if bench.laser.is_open else None
+        laser = {"kind": args.kind, "port": bench.laser_path} if bench.has_instrument else None
         if getattr(args, "axis_file", None):
-            replace_file(args.axis_file, axis_text(bench.parameters, drive or {}, bench.laser_path).encode())
+            instrument = instrument_text(args.kind, bench.laser_path)
+            replace_file(args.axis_file, axis_text(bench.parameters, drive or {}, instrument).encode())
         machine = {"kind": args.machine, "seed": args.seed, "length_mm": bench.parameters.plant.length_mm}
         print(json.dumps({"machine": machine, "drive": drive, "laser": laser}), flush=True)
         end = None if args.seconds is None else pace.wall.deadline(args.seconds)
@@ -267,39 +280,3 @@ def _check_axis_file(args: argparse.Namespace) -> None:
         raise InputError("--axis-file needs --laser: an axis file names an instrument")
     if Path(args.axis_file).exists():
         raise InputError("exists already, and might be a real machine's; expected a new file", path=args.axis_file)
-
-
-def axis_text(parameters: BenchParameters, drive: dict[str, Any], laser_port: str) -> str:
-    """An axis file for the machine, with targets over its whole travel."""
-    limits, scaling = parameters.limits, parameters.scaling
-    keys = "\n".join(f"{name} = {json.dumps(value)}" for name, value in drive.items())
-    first, last = 0.01 * parameters.plant.length_mm, 0.99 * parameters.plant.length_mm
-    return f"""\
-# The machine of a running `hil sim`.
-
-[axis]
-name = "X"
-travel_min_mm = {limits.travel_min_mm!r}
-travel_max_mm = {limits.travel_max_mm!r}
-max_velocity_mm_s = {limits.max_velocity_mm_s!r}
-max_acceleration_mm_s2 = {limits.max_acceleration_mm_s2!r}
-
-[scaling]
-encoder_counts_per_motor_rev = {scaling.encoder_counts_per_motor_rev}
-feed_mm_per_shaft_rev = {scaling.feed_mm_per_shaft_rev!r}
-
-[drive]
-{keys}
-
-[instrument]
-kind = "umd"
-port = {json.dumps(laser_port)}
-place_temps = {{ {LaserParameters().material_place} = 4 }}
-
-[measurement]
-first_mm = {first!r}
-last_mm = {last!r}
-sections = 11
-runs = 2
-velocity_mm_s = {min(100.0, limits.max_velocity_mm_s)!r}
-"""
