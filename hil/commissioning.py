@@ -16,7 +16,7 @@ from hil.manual import read_manual_tables, read_straightness
 from hil.probe_machine import ProbeMachineConfig, load_probe_machine
 from hil.probe_wiring import connected_probe, probe_bench
 from hil.procedures.calibrate import Calibration, calibrate
-from hil.procedures.close_loop import Loop, close_loop
+from hil.procedures.close_loop import Loop, Turning, close_loop
 from hil.procedures.doctor import Check, doctor
 from hil.procedures.events import Event
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
@@ -61,6 +61,7 @@ __all__ = [
     "TableMode",
     "TableSet",
     "TorqueBacklash",
+    "Turning",
     "Verification",
     "backlash_settings",
     "calibrate",

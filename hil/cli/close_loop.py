@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from typing import Any
 
@@ -16,9 +17,10 @@ from hil.cli.summary import error_figures, print_findings, print_stages
 from hil.diagnosis.planned_run import PlannedRun
 from hil.files import replace_file
 from hil.journal import Campaign
-from hil.procedures.close_loop import MOST_RUNS, Consent, Loop, Turn, close_loop
+from hil.procedures.close_loop import MOST_RUNS, Consent, Loop, Turn, Turning, close_loop
 from hil.procedures.conditions import AskedConditions, Conditions
 from hil.procedures.explore import Exploration
+from hil.procedures.in_motion import InMotion
 from hil.procedures.measure import bidirectional_steps
 from hil.procedures.next_run import runs_of
 from hil.procedures.plans import read_plan
@@ -30,9 +32,11 @@ example:
   hil close-loop X.toml --report loop.html
   hil close-loop X.toml --resume
   hil close-loop X.toml --plan plan.csv --person none
+  hil close-loop X.toml --feeds 20,60,110 --stretch 60
 
 Where two causes could have made what is left, the measurement that tells them apart best for its time is made next: by itself
-where the axis can, after asking where somebody has to lend a hand. Exit status 1: structure is left that nothing in the
+where the axis can, after asking where somebody has to lend a hand. With --feeds, a second turn is made in motion, for what cannot
+be seen at rest; the drive must take set-points in its cycle. Exit status 1: structure is left that nothing in the
 catalogue explains, a measurement is waiting for a person, or the axis came out no better.
 """
 
@@ -61,9 +65,40 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         choices=("ask", "none"),
         help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
     )
+    _add_in_motion(parser)
     add_effects_option(parser)
     add_password_options(parser, key=True)
     parser.set_defaults(run=run)
+
+
+def _add_in_motion(parser: argparse.ArgumentParser) -> None:
+    usual = InMotion(())
+    parser.add_argument(
+        "--feeds", metavar="MM_S", type=_feeds, help="then passes at these feeds, e.g. 20,60,110 (mm/s)"
+    )
+    parser.add_argument(
+        "--stretch",
+        metavar="MM",
+        type=float,
+        default=usual.stretch_mm,
+        help=f"of constant velocity in each pass (default {usual.stretch_mm:g})",
+    )
+    parser.add_argument(
+        "--period",
+        metavar="S",
+        type=float,
+        default=usual.period_s,
+        help=f"of the set-points in motion (default {usual.period_s:g})",
+    )
+
+
+def _feeds(text: str) -> tuple[float, ...]:
+    feeds = tuple(float(part) for part in text.split(","))
+    if len(set(feeds)) < 2 or not all(0 < feed < math.inf for feed in feeds):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, expected at least two different feeds above 0 mm/s, e.g. 20,60,110"
+        )
+    return feeds
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,12 +114,20 @@ def run(args: argparse.Namespace) -> int:
             if plan
             else (f"{args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each")
         )
-        print(f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart")
+        passes = f"; then twice passes at {', '.join(f'{feed:g}' for feed in args.feeds)} mm/s" if args.feeds else ""
+        print(
+            f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart{passes}"
+        )
         return 0
     store = open_store(args, axis, writing=True)
     how = Exploration(args.runs, args.rows, args.warm_up)
+    in_motion = None
+    if args.feeds:
+        in_motion = InMotion(args.feeds, stretch_mm=args.stretch, period_s=args.period)
     exploration = vars(how) if plan is None else {"plan": repr(plan)}
     purpose = {**axis.purpose("close-loop"), "exploration": exploration}
+    if in_motion is not None:
+        purpose["in_motion"] = {**vars(in_motion), "feeds_mm_s": list(args.feeds)}
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
     with (
         blaming(effects),
@@ -98,15 +141,15 @@ def run(args: argparse.Namespace) -> int:
             axis.correction,
             store.save,
             listener,
-            how=how,
-            consent=_consent(args.person),
-            plan=plan,
-            effects=effects,
+            turning=Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion),
         )
     stages = loop_stages(loop)
     print_stages(stages)
     print_findings(loop.turn.diagnosis)
     print_runs(loop.turn)
+    if loop.in_motion is not None:
+        print("in motion:")
+        print_findings(loop.in_motion.diagnosis)
     if args.report:
         from hil.cli.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
 
@@ -120,6 +163,7 @@ def run(args: argparse.Namespace) -> int:
                 "stages": stages,
                 "diagnosis": loop.turn.diagnosis.to_json() if loop.turn.follow is None else loop.turn.follow.to_json(),
                 "further": [run.describe() for run in loop.turn.further],
+                "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
                 "good": good,
             },
         )
@@ -174,17 +218,26 @@ def print_runs(turn: Turn) -> None:
 
 def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
     """The measured stages of a loop with their figures."""
-    return {
+    stages = {
         "uncorrected": error_figures(loop.calibration.before),
         "table": error_figures(loop.calibration.rounds[-1].records),
         "table, explored": error_figures(loop.turn.before),
         "extended, explored": error_figures(loop.turn.after),
     }
+    if loop.in_motion is not None:
+        stages["in motion"] = error_figures(loop.in_motion.before)
+        stages["in motion, extended"] = error_figures(loop.in_motion.after)
+    return stages
 
 
 def loop_is_good(loop: Loop) -> bool:
     """Everything found, no measurement left that needs a person, and the axis measured no worse than before."""
-    before, after = error_figures(loop.turn.before)["rms_um"], error_figures(loop.turn.after)["rms_um"]
-    diagnosis = loop.turn.diagnosis
-    waits = loop.turn.follow is not None and loop.turn.follow.run is not None and bool(loop.turn.follow.run.person)
-    return not diagnosis.unexplained and not waits and bool(after <= max(before, 2 * diagnosis.noise_floor.value))
+    follow = loop.turn.follow
+    waits = follow is not None and follow.run is not None and bool(follow.run.person)
+    turns = [loop.turn] if loop.in_motion is None else [loop.turn, loop.in_motion]
+    return not waits and all(_turn_is_good(turn) for turn in turns)
+
+
+def _turn_is_good(turn: Turn) -> bool:
+    before, after = error_figures(turn.before)["rms_um"], error_figures(turn.after)["rms_um"]
+    return not turn.diagnosis.unexplained and bool(after <= max(before, 2 * turn.diagnosis.noise_floor.value))

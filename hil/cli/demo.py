@@ -19,7 +19,7 @@ from hil.cli.progress import terminal_progress
 from hil.cli.summary import print_findings, print_stages
 from hil.files import replace_file
 from hil.journal import Campaign
-from hil.procedures.close_loop import Loop, close_loop
+from hil.procedures.close_loop import Loop, Turning, close_loop
 from hil.procedures.explore import Exploration
 from hil.sealed import new_key, save_private_key, save_public_key
 from hil.store import SealedStore
@@ -34,7 +34,7 @@ A CiA-402 drive on a virtual CAN bus and a laser on a pseudo-terminal, over a si
 shows an error that no table holds. The loop finds its cause, adds it to the correction, and measures again.
 """
 MARKER = "made-by-hil-demo"
-HOW = Exploration(runs=4, rows=28, warm_up_s=180.0)
+TURNING = Turning(Exploration(runs=4, rows=28, warm_up_s=180.0), most_further=0)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     with connected(axis) as machine, terminal_progress() as listener:
         machine.session.prepare()
         campaign = Campaign.numbered(axis.store.directory, axis.purpose("demo"), resume=False)
-        loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, how=HOW, most_further=0)
+        loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=TURNING)
         machine_s = machine.clock.now_ns() / NS_PER_S
     from hil.cli.documents import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from hil.axis import AxisConfig
 from hil.cli.instrument_identity import instrument_identity
 from hil.diagnosis import Diagnosis
 from hil.procedures.calibrate import Calibration
-from hil.procedures.close_loop import Loop
+from hil.procedures.close_loop import Loop, Turn
 from hil.procedures.verify import Verification
 from hil.records import Records
 from hil.report.data import NamedCampaign, ReportData, TableInForce
@@ -64,7 +64,7 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
             in_force(turn.extended.tables),
             diagnosis_with_plots(turn.diagnosis, turn.diagnosed),
             NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
-            tuple(notes),
+            (*notes, *_in_motion_notes(loop.in_motion)),
         )
     )
 
@@ -75,12 +75,28 @@ def loop_image(loop: Loop) -> bytes:
 
 
 def loop_campaigns(loop: Loop) -> tuple[NamedCampaign, ...]:
-    return (
+    campaigns = [
         NamedCampaign("uncorrected", loop.calibration.before, "cold, no correction in force"),
         NamedCampaign("table", loop.calibration.rounds[-1].records, "cold, at the table's own targets"),
         NamedCampaign("table, explored", loop.turn.before, "other targets, warming and resting between runs"),
         NamedCampaign("extended, explored", loop.turn.after, "the same kind of campaign anew, with what was found"),
-    )
+    ]
+    if loop.in_motion is not None:
+        campaigns += [
+            NamedCampaign("in motion", loop.in_motion.before, "passes at feed with what was found at rest"),
+            NamedCampaign("in motion, extended", loop.in_motion.after, "passes anew, with what was found in motion"),
+        ]
+    return tuple(campaigns)
+
+
+def _in_motion_notes(turn: Turn | None) -> Iterator[str]:
+    """What was found in motion, a sentence each."""
+    if turn is None:
+        return
+    for finding in turn.diagnosis.findings:
+        yield f"In motion: {finding.effect} ({finding.confidence:.2f}, {finding.action.value}). {finding.explanation}"
+    if turn.diagnosis.unexplained:
+        yield "In motion: structure is left that nothing in the catalogue explains."
 
 
 def diagnosis_with_plots(diagnosis: Diagnosis, records: Records) -> Mapping[str, Any]:

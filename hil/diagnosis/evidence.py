@@ -334,6 +334,11 @@ class Bench:
         self.table = TableColumns.of(campaign, self.shape)
         self._whitened: dict[tuple[float, float], Whitened] = {}
 
+    @property
+    def rough(self) -> bool:
+        """Whether the table has a roughness that is estimated."""
+        return bool(self.table.shape.even.shape[1])
+
     def whitened(self, noise: Noise) -> Whitened:
         key = (noise.ar, noise.rho if noise.ar else 0.0)
         if key not in self._whitened:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
-from hil.diagnosis.next_measurement import Outlook, Prospect, outlook
+from hil.diagnosis.hypotheses import weigh
+from hil.diagnosis.next_measurement import LEAST, Outlook, Prospect, outlook
 from hil.diagnosis.planned_run import Means, PlannedRun
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
 from hil.effects import ALL, Effect
@@ -108,6 +109,24 @@ def follow_up(
     if asked is None:
         return FollowUp(told, None, None, tuple(undecided))
     return FollowUp(told, asked[0], asked[1], tuple(undecided))
+
+
+def ruled_out(
+    asked: FollowUp, records: Records, declared: Model | None, *, effects: Sequence[Effect] = ALL
+) -> set[str]:
+    """The causes of the finding that was asked about which all rows together now speak against.
+
+    asked: what led to the run; records: all rows, those of the run among them. Nothing is ruled out where none of the causes is left:
+    then they were not the right ones to compare, and the search has to say.
+    """
+    if asked.finding is None:
+        return set()
+    finding = asked.finding
+    beside = [other.term for other in asked.diagnosis.findings if other is not finding]
+    weight = {cause.id: cause.weight for cause in weigh(thinned(records), declared, effects, beside)}
+    suspects = {finding.effect, *(rival.effect for rival in finding.rivals if rival.effect in weight)}
+    left = {name for name in suspects if weight.get(name, 0.0) >= LEAST}
+    return suspects - left if left else set()
 
 
 def _with_rivals(finding: Finding, look: Outlook) -> Finding:

@@ -17,7 +17,7 @@ from hil.diagnosis.candidates import score
 from hil.diagnosis.evidence import MOST_OFFSET, Bench, Extra, Frame, Noise, random_gain
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.null import CAMPAIGNS, Null, null_maxima, simulate, tail_probability
-from hil.diagnosis.search import Searcher, Stage
+from hil.diagnosis.search import Searcher, Stage, smoother
 from hil.diagnosis.structure import Catalogue, Structure
 
 Floats = NDArray[np.float64]
@@ -69,7 +69,8 @@ class NullJudge:
             offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
             typical = replace(noise, offset=float(np.median(offsets)))
             far = abs(typical.offset - noise.offset) > NEAR_OFFSET
-            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
+            smooth = smoother(noise) if searcher.bench.rough else ()
+            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()), *smooth)))
             self.asked[key] = null_maxima(
                 searcher.bench, searcher.candidates, noises, offsets, searcher.extra(chosen), seed=self.seed
             )

@@ -33,6 +33,8 @@ GRID = tuple(
     for offset in (0.0, 0.25, 0.6)
 )
 """Noise models over which each candidate is profiled."""
+SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))
+"""Shares of the table's roughness (even, odd part) that may be left once a feature of one place stands beside it."""
 MOST_FRAMES = 40
 EXCHANGES = 2
 CONTENDERS = 8
@@ -239,11 +241,28 @@ class Searcher:
             for i, value in enumerate(view.base(trial) + gains):
                 if value > best[i].evidence:
                     best[i] = Ranked(choices[i], float(value), trial)
+        best = self._smoothed(view, best)
         first: dict[str, Ranked] = {}
         for r in sorted(best, key=lambda r: -r.evidence):
             first.setdefault(r.effect, r)
         judged = [replace(r, evidence=r.evidence - self._penalty(r.choice, view, r.noise)) for r in first.values()]
         return sorted(judged, key=lambda r: -r.evidence)
+
+    def _smoothed(self, view: View, ranked: Sequence[Ranked]) -> list[Ranked]:
+        """Features of one place beside a table that needs to be less rough everywhere: it bulged where they stand."""
+        best = list(ranked)
+        survey = self.bench.campaign.survey
+        which = [i for i, r in enumerate(ranked) if r.choice.effect.is_local(r.choice.form, r.choice.theta, survey)]
+        if not self.effort.correlations or not self.bench.rough:
+            return best
+        for start in dict.fromkeys(ranked[i].noise for i in which):
+            mine = [i for i in which if ranked[i].noise == start]
+            for trial in smoother(start):
+                gains, choices = score_choices(view.frame(trial), [ranked[i].choice for i in mine])
+                for i, choice, value in zip(mine, choices, view.base(trial) + gains, strict=True):
+                    if value > best[i].evidence:
+                        best[i] = Ranked(choice, float(value), trial)
+        return best
 
     def _penalty(self, choice: Choice, view: View, noise: Noise) -> float:
         penalty = -choice.effect.log_odds
@@ -315,6 +334,11 @@ class View:
 
 def _with(noise: Noise, ar: float, rho: float, offset: float) -> Noise:
     return replace(noise, ar=ar, rho=rho, offset=offset)
+
+
+def smoother(noise: Noise) -> tuple[Noise, ...]:
+    """The same noise beside tables that are less rough."""
+    return tuple(replace(noise, even=noise.even * even, odd=noise.odd * odd) for even, odd in SMOOTHER)
 
 
 def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:

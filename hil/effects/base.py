@@ -132,6 +132,14 @@ class Effect(ABC):
     def explain(self, term: Term) -> str:
         """One sentence: what it is, with figures and units."""
 
+    def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
+        """Whether with these parameters it is a feature of one place.
+
+        A table that has to hold such a feature comes out rough everywhere, so it is tried beside smoother tables too.
+        """
+        del form, theta, survey
+        return False
+
     def implausible(self, term: Term) -> str | None:
         """Why no machine does this (sign, range), or None. It lowers the weight of the effect, it does not forbid it."""
         del term

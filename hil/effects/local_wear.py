@@ -12,6 +12,8 @@ from hil.effects.survey import Survey
 
 USUAL_SHARE, USUAL_SPREAD = 1 / 12, 0.7
 """A zone is short against the travel: its width over half of that, and the standard deviation of the logarithm."""
+NARROW = 0.1
+"""Width over half of the travel up to which no smooth table makes such a bulge."""
 BUMP, REVERSAL, BOTH = "bump", "bump with direction", "bump in each direction"
 
 
@@ -53,6 +55,9 @@ class LocalWear(Effect):
         d = columns["direction"]
         columns_of = {BUMP: [bump], REVERSAL: [d * bump], BOTH: [bump, d * bump]}
         return np.column_stack(columns_of[form.name])
+
+    def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
+        return theta[1] <= NARROW * survey.half_span_mm
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"height_um": term.coefficient(0), "centre_mm": term.nonlinear(0), "width_mm": term.nonlinear(1)}

@@ -4,19 +4,22 @@ Where two causes could have made what is left, the measurement that tells them a
 is made anew from all rows together. It stops when one cause is left, when no run that can be made here separates them, or when what is
 left is within the noise or unexplained.
 
+What only shows in motion is found in a second turn, of passes at feed, where the drive takes set-points in its cycle.
+
 Before and after are both measured, in campaigns of the same kind at other targets; nothing is reported from rows that were fitted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
+from drivers.errors import InputError
 from hil.axis import CorrectionConfig
 from hil.compensation import Compensation
 from hil.diagnosis import Diagnosis, diagnose
-from hil.diagnosis.follow_up import FollowUp, follow_up
+from hil.diagnosis.follow_up import FollowUp, follow_up, ruled_out
 from hil.diagnosis.hypotheses import joined
 from hil.diagnosis.planned_run import PlannedRun
 from hil.effects import ALL, Effect
@@ -24,7 +27,8 @@ from hil.journal import Campaign
 from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.explore import Exploration, Run, explore, plan_runs
-from hil.procedures.extend import compensation_of, issuable
+from hil.procedures.extend import compensation_of, issuable, model_of
+from hil.procedures.in_motion import InMotion, check_passes, measure_in_motion, plan_passes
 from hil.procedures.next_run import means_of, measure_run
 from hil.procedures.session import AxisSession
 from hil.records import Records
@@ -38,6 +42,23 @@ MOST_RUNS = 2
 """Further measurements asked for in one turn."""
 SURE = 0.95
 """A name of such a confidence stands; below it the set of rivals does."""
+
+
+@dataclass(frozen=True)
+class Turning:
+    """How a loop is turned.
+
+    exploration, or instead of it plan: what is measured before and after; consent: asks for a person where a run needs one, without
+    it only runs that the axis makes alone are made; most_further: runs to tell causes apart; effects: the catalogue, and what stands
+    beside it; in_motion: passes of a second turn, at feed, where they are wanted
+    """
+
+    exploration: Exploration = field(default_factory=Exploration)
+    plan: Sequence[Run] | None = None
+    consent: Consent | None = None
+    most_further: int = MOST_RUNS
+    effects: Sequence[Effect] = ALL
+    in_motion: InMotion | None = None
 
 
 @dataclass(frozen=True)
@@ -61,10 +82,11 @@ class Turn:
 
 @dataclass(frozen=True)
 class Loop:
-    """A calibration and the turn after it."""
+    """A calibration, the turn after it at rest, and that in motion where it was asked for."""
 
     calibration: Calibration
     turn: Turn
+    in_motion: Turn | None = None
 
 
 def close_loop(
@@ -74,28 +96,24 @@ def close_loop(
     store: Store,
     listener: Listener = silent,
     *,
-    how: Exploration | None = None,
-    consent: Consent | None = None,
-    plan: Sequence[Run] | None = None,
-    most_further: int = MOST_RUNS,
-    effects: Sequence[Effect] = ALL,
+    turning: Turning | None = None,
 ) -> Loop:
-    """Calibrate and turn the loop once, on a prepared session; leaves the extended compensation in force and stored."""
+    """Calibrate and turn the loop, on a prepared session; leaves the extended compensation in force and stored.
+
+    Raises CapabilityError before anything moves where passes in motion are asked of a drive that takes no set-points in its cycle.
+    """
+    turning = turning or Turning()
+    if turning.in_motion is not None:
+        check_passes(session, turning.in_motion)
     calibration = calibrate(session, campaign, correction, lambda tables: store(Compensation(tables)), listener)
-    tables = calibration.tables
-    turn = turn_loop(
-        session,
-        campaign,
-        tables,
-        store,
-        listener,
-        how=how,
-        consent=consent,
-        plan=plan,
-        most_further=most_further,
-        effects=effects,
+    turn = turn_loop(session, campaign, calibration.tables, store, listener, turning=turning)
+    if turning.in_motion is None:
+        return Loop(calibration, turn)
+    return Loop(
+        calibration,
+        turn,
+        turn_in_motion(session, campaign, turning.in_motion, store, listener, effects=turning.effects),
     )
-    return Loop(calibration, turn)
 
 
 def turn_loop(
@@ -105,68 +123,92 @@ def turn_loop(
     store: Store,
     listener: Listener = silent,
     *,
-    how: Exploration | None = None,
-    consent: Consent | None = None,
-    plan: Sequence[Run] | None = None,
-    most_further: int = MOST_RUNS,
-    effects: Sequence[Effect] = ALL,
+    turning: Turning | None = None,
 ) -> Turn:
     """Explore, diagnose, extend, explore again, on a prepared session with a compensation in force.
-
-    consent: asks for a person where a run needs one; without it only runs that the axis makes alone are made
-    plan: rows to explore with before and after, instead of those of `how`; effects: the catalogue, and what stands beside it
 
     What is fitted is the whole machine (measured - command), so that the new compensation replaces the old one. It is put into
     force only when the diagnosis recommends it: not where it would make runs it has not seen worse.
     """
-    how = how or Exploration()
-    before = explore(session, campaign, "before", plan or plan_runs(session, how, seed=1), listener)
-    asking = Asking(consent, most_further, tuple(effects))
-    diagnosis, rows, further, follow = _decide(session, campaign, before, asking, listener)
+    how = turning or Turning()
+    runs = [how.plan or plan_runs(session, how.exploration, seed) for seed in (1, 2)]
+    before = explore(session, campaign, "before", runs[0], listener)
+    diagnosis, rows, further, follow = _decide(session, campaign, before, how, listener)
     extended = session.compensation or Compensation(tables)
     if diagnosis.recommended:
         extended = compensation_of(diagnosis.extended, tables)
         store(extended)
     session.compensation = extended
-    after = explore(session, campaign, "after", plan or plan_runs(session, how, seed=2), listener)
+    after = explore(session, campaign, "after", runs[1], listener)
     return Turn(before, diagnosis, extended, after, rows, further, follow)
 
 
-@dataclass(frozen=True)
-class Asking:
-    """Who is asked for a run that needs a person, how many runs may be made, and which effects are looked for."""
+def turn_in_motion(
+    session: AxisSession,
+    campaign: Campaign,
+    how: InMotion,
+    store: Store,
+    listener: Listener = silent,
+    *,
+    effects: Sequence[Effect] = ALL,
+) -> Turn:
+    """The same with passes at feed, for what no campaign at rest can see; with a compensation in force.
 
-    consent: Consent | None
-    most: int
-    effects: tuple[Effect, ...]
+    Rows in motion are few and say little of the table, so that the compensation in force is what is declared here: only what it lacks
+    is added.
+    """
+    compensation = session.compensation
+    if compensation is None:
+        raise InputError("no compensation is in force; expected that of a calibration")
+    passes = [plan_passes(session, how, seed) for seed in (1, 2)]
+    before = measure_in_motion(session, campaign, "motion-before", passes[0], how=how, listener=listener)
+    listener(Event("diagnose"))
+    rows = issuable(session, before)
+    diagnosis = diagnose(rows, model_of(compensation), effects=effects)
+    extended = compensation
+    if diagnosis.recommended:
+        extended = compensation_of(diagnosis.extended, compensation.tables)
+        store(extended)
+    session.compensation = extended
+    after = measure_in_motion(session, campaign, "motion-after", passes[1], how=how, listener=listener)
+    return Turn(before, diagnosis, extended, after, rows)
 
 
 def _decide(
-    session: AxisSession, campaign: Campaign, before: Records, asking: Asking, listener: Listener
+    session: AxisSession, campaign: Campaign, before: Records, how: Turning, listener: Listener
 ) -> tuple[Diagnosis, Records, tuple[PlannedRun, ...], FollowUp | None]:
-    """Diagnose; as long as causes are left that a run can tell apart, make the run and diagnose all rows together."""
+    """Diagnose; as long as causes are left that a run can tell apart, make the run and diagnose all rows together.
+
+    Rows of unlike campaigns weigh differently on every cause, so a search over all of them anew could change its mind for no good
+    reason. What a run was made for is therefore decided first, by the weights of just the causes it was to tell apart; those that lose
+    are not looked for again.
+    """
     parts = [issuable(session, before)]
     means = means_of(session)
+    effects = tuple(how.effects)
     further: list[PlannedRun] = []
     while True:
         listener(Event("diagnose"))
         rows = joined(parts) if further else parts[0]
-        diagnosis = diagnose(rows, effects=asking.effects)
-        if asking.most == 0:
+        diagnosis = diagnose(rows, effects=effects)
+        if how.most_further == 0:
             return diagnosis, rows, (), None
         refused = [run.name for run in further]
-        weighing = partial(follow_up, diagnosis, rows, None, means, effects=asking.effects, seed=len(further))
-        follow = weighing(made=refused)
-        run = follow.run if len(further) < asking.most and _in_doubt(diagnosis) else None
-        while run is not None and run.person and not (asking.consent is not None and asking.consent(run)):
+        weighing = partial(follow_up, diagnosis, rows, None, means, effects=effects, seed=len(further))
+        follow = asked = weighing(made=refused)
+        run = asked.run if len(further) < how.most_further and _in_doubt(diagnosis) else None
+        while run is not None and run.person and not (how.consent is not None and how.consent(run)):
             refused.append(run.name)
-            run = weighing(made=refused, persons=asking.consent is not None).run
+            asked = weighing(made=refused, persons=how.consent is not None)
+            run = asked.run
         if run is None:
             return follow.diagnosis, rows, tuple(further), follow
         further.append(run)
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
         parts.append(issuable(session, measured))
+        gone = ruled_out(asked, joined(parts), None, effects=effects)
+        effects = tuple(effect for effect in effects if effect.id not in gone)
 
 
 def _in_doubt(diagnosis: Diagnosis) -> bool:

@@ -56,6 +56,12 @@ class Pass:
         return 1 if self.to_mm > self.from_mm else -1
 
 
+def check_passes(session: AxisSession, how: InMotion) -> None:
+    """Raises CapabilityError or InputError, before anything moves, for passes that this axis cannot make."""
+    session.drive.require(Capability.STREAMING)
+    plan_passes(session, how, 0)
+
+
 def plan_passes(session: AxisSession, how: InMotion, seed: int) -> list[Pass]:
     """Feeds in random order in each run, each up and down over a stretch at a random place of the travel.
 

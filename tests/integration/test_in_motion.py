@@ -12,14 +12,13 @@ from support import bench_axis
 
 from hil.axis import load_axis
 from hil.compensation import Compensation
-from hil.diagnosis import diagnose
 from hil.journal import Campaign
 from hil.procedures.calibrate import calibrate
-from hil.procedures.extend import compensation_of, issuable, model_of
-from hil.procedures.in_motion import InMotion, Pass, measure_in_motion, plan_passes, ramped_path
+from hil.procedures.close_loop import turn_in_motion
+from hil.procedures.in_motion import InMotion, Pass, ramped_path
 from hil.procedures.sample_times import SampleTimes
 from hil.records import Records
-from hil.wiring import Machine, bench_parameters, connected
+from hil.wiring import bench_parameters, connected
 from sim_backends.bench import BenchParameters
 
 HIDDEN_UM = 20.0  # trailing at 100 mm/s
@@ -60,13 +59,14 @@ def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path:
         campaign = Campaign(tmp_path / "motion", {}, resume=False)
         calibration = calibrate(machine.session, campaign, axis.correction, lambda tables: None)
         machine.session.compensation = Compensation(calibration.tables)
-        known = measured(machine, campaign, "known", 1)
-        extend(machine, known)
-        quiet = measured(machine, campaign, "quiet", 2)
+        stored: list[Compensation] = []
+        first = turn_in_motion(machine.session, Campaign(tmp_path / "known", {}, resume=False), HOW, stored.append)
         machine.bench.switch_on("velocity_lag", HIDDEN_UM)
-        before = measured(machine, campaign, "before", 3)
-        assert extend(machine, before) == ["velocity_lag"]
-        after = measured(machine, campaign, "after", 4)
+        second = turn_in_motion(machine.session, Campaign(tmp_path / "hidden", {}, resume=False), HOW, stored.append)
+    known, quiet, before, after = first.before, first.after, second.before, second.after
+    # what fifteen sections could not hold of the pitch error comes after it
+    assert second.diagnosis.findings[0].effect == "velocity_lag"
+    assert stored == [first.extended, second.extended]
     hidden = math.sqrt(rms_um(before) ** 2 - rms_um(quiet) ** 2)
     left = math.sqrt(max(0.0, rms_um(after) ** 2 - rms_um(quiet) ** 2))
     print(
@@ -76,19 +76,6 @@ def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path:
     assert hidden > 5.0
     assert left <= 0.1 * hidden
     assert abs(lag_at_table_um(after)) <= 0.1 * HIDDEN_UM
-
-
-def measured(machine: Machine, campaign: Campaign, name: str, seed: int) -> Records:
-    return measure_in_motion(machine.session, campaign, name, plan_passes(machine.session, HOW, seed), how=HOW)
-
-
-def extend(machine: Machine, records: Records) -> list[str]:
-    """Diagnose what the compensation in force leaves, and put what is found beside it; the effects found."""
-    compensation = machine.session.compensation
-    assert compensation is not None
-    diagnosis = diagnose(issuable(machine.session, records), model_of(compensation))
-    machine.session.compensation = compensation_of(diagnosis.extended, compensation.tables)
-    return [finding.effect for finding in diagnosis.findings]
 
 
 def rms_um(records: Records) -> float:

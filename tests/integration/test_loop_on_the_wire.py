@@ -19,7 +19,7 @@ from hil.effects import ALL
 from hil.effects.base import Action
 from hil.journal import Campaign
 from hil.procedures.calibrate import calibrate
-from hil.procedures.close_loop import turn_loop
+from hil.procedures.close_loop import Turning, turn_loop
 from hil.procedures.explore import Exploration
 from hil.records import Records
 from hil.tables import TableSet
@@ -70,7 +70,7 @@ def test_nine_tenths_of_a_hidden_effect_are_removed(effect: str, tmp_path: Path)
             campaign,
             calibration.tables,
             lambda compensation: stored.append(compensation.tables),
-            how=Exploration(runs=8, rows=42, warm_up_s=120.0),
+            turning=Turning(Exploration(runs=8, rows=42, warm_up_s=120.0)),
         )
     assert turn.diagnosis.recommended
     left = hidden_rms_um(turn.after) / hidden_rms_um(turn.before)

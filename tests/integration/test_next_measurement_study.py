@@ -12,7 +12,7 @@ from support import bench_axis
 from hil.axis import load_axis
 from hil.journal import Campaign
 from hil.procedures.calibrate import calibrate
-from hil.procedures.close_loop import turn_loop
+from hil.procedures.close_loop import Turning, turn_loop
 from hil.procedures.explore import Exploration
 from hil.wiring import bench_parameters, connected
 
@@ -42,9 +42,8 @@ def test_the_loop_makes_the_run_that_tells_its_rivals_apart(tmp_path: Path) -> N
         campaign = Campaign(tmp_path / "loop", {}, resume=False)
         tables = calibrate(machine.session, campaign, axis.correction, lambda _: None).tables
         machine.bench.switch_on("thermal_drift", 10.0)
-        turn = turn_loop(
-            machine.session, campaign, tables, lambda _: None, how=Exploration(runs=3, rows=16, warm_up_s=60.0)
-        )
+        turning = Turning(Exploration(runs=3, rows=16, warm_up_s=60.0))
+        turn = turn_loop(machine.session, campaign, tables, lambda _: None, turning=turning)
     assert turn.further[0].name == "warm and cool"
     assert not any(made.person for made in turn.further)
     assert len(turn.diagnosed) == len(turn.before) + sum(len(made.points) for made in turn.further)
