@@ -43,9 +43,9 @@ class DriveConfig:
     """How to reach the drive. backend: canopen | modbus | bench (the built-in simulated machine).
 
     heartbeat_s: period asked of a CANopen drive, None when it is not to be supervised; guard_s: how long the drive goes on without
-    hearing us before it stops by itself, None for good. eds: the maker's file of a CANopen drive's objects; correction_table: the map of
-    the table that it holds itself, a file or the name of a shipped one, empty where it holds none. register_map: an absolute file, or
-    the name of a shipped one. face: how the bench shows its drive.
+    hearing us before it stops by itself, None for good. eds: the maker's file of a CANopen drive's objects; correction_table: the map
+    of the table that it holds itself, a file or the name of a shipped one, empty where it holds none. register_map: an absolute file,
+    or the name of a shipped one. face: how the bench shows its drive.
     """
 
     backend: str

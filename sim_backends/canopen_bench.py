@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
-from sim_backends.canopen_drive import CanOpenSlave, attach_to_wire
+from sim_backends.canopen_drive import EDS, CanOpenSlave, attach_to_wire
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort
@@ -60,6 +61,7 @@ class CanBench:
     servo_parameters: ServoParameters = SMALL_SERVO
     servo_faults: Sequence[Fault] = ()
     flash: Flash | None = None  # of the drive (all of them share it): what it kept from a life before
+    eds: Path = EDS
     table: TableForm | None = None  # of every drive: the correction table that it holds itself
 
     def __post_init__(self) -> None:
@@ -78,6 +80,7 @@ class CanBench:
                 parameters=self.parameters,
                 faults=tuple(self.faults.get(node_id, ())),
                 flash=self.flash,
+                eds=self.eds,
                 table=self.table,
             )
             for node_id, servo in self.servos.items()

@@ -270,10 +270,11 @@ def with_faults(
     parameters: Mapping[tuple[int, int], int] | None = None,
     flash: Flash | None = None,
     table: TableForm | None = None,
+    eds: Path = EDS,
 ) -> tuple[CanOpenSlave, FaultLayer]:
     """A drive with a fault layer between it and the bus: frames and time go through the layer."""
     layer = FaultLayer(faults, node_id)
-    slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table)
+    slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table, eds=eds)
     layer.wire(
         send=send,
         handle=slave.on_frame,
@@ -296,11 +297,14 @@ def attach_to_wire(
     faults: Iterable[CanFault] = (),
     flash: Flash | None = None,
     table: TableForm | None = None,
+    eds: Path = EDS,
 ) -> CanOpenSlave:
     """Put a drive on the simulated wire and boot it; the servo is attached to the clock by whoever made it, before."""
     node = wire.add_node()
     faults = tuple(faults)
-    slave, layer = with_faults(servo, node_id, node.send, faults, parameters=parameters, flash=flash, table=table)
+    slave, layer = with_faults(
+        servo, node_id, node.send, faults, parameters=parameters, flash=flash, table=table, eds=eds
+    )
     if faults:
         node.connect(layer.on_frame, layer.tick, layer.due_ns)
     else:

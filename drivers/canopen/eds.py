@@ -6,6 +6,7 @@ the limits are read here once more, as that package drops or folds some of them.
 
 from __future__ import annotations
 
+import configparser
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -78,7 +79,7 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
     node_id = own_id if node_id is None else node_id
     try:
         dictionary = import_eds(io.StringIO(parsed.render()), node_id)  # type: ignore[no-untyped-call]
-    except (ValueError, KeyError) as error:
+    except (ValueError, KeyError, configparser.Error) as error:
         raise InputError(f"is no usable EDS: {error}", path=path) from error
     entries = {}
     for variable in _variables(dictionary):

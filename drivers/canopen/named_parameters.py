@@ -55,7 +55,7 @@ def _name(entry: Entry) -> str:
     return entry.name.replace(" ", "_").replace("-", "_").lower()
 
 
-def _dictionary(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], dict[str, str]]:
+def known_objects(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], dict[str, str]]:
     """What is known of the drive's objects, by name, and their units. A file knows better than the standard."""
     entries: dict[tuple[int, int], EdsEntry] = dict(eds.entries) if eds is not None else {}
     names: dict[str, EdsEntry] = {}
@@ -81,7 +81,7 @@ class NamedParameters(DriveParameters):
 
     def __init__(self, drive: CanOpenDrive, eds: EdsFile | None) -> None:
         self._drive = drive
-        file, self._entries, self._units = _dictionary(eds)
+        file, self._entries, self._units = known_objects(eds)
         self._access = CanOpenParameters(drive, file)
         self._present: tuple[str, ...] | None = tuple(self._entries) if eds is not None else None
 
@@ -102,10 +102,10 @@ class NamedParameters(DriveParameters):
 
     def describe(self, name: str) -> ParameterInfo:
         found = self._find(name)
-        low, high = _range(found)
+        low, high = range_of(found)
         return ParameterInfo(
             name,
-            _kind(found.entry.type),
+            kind_of(found.entry.type),
             self._units.get(name, ""),
             low,
             high,
@@ -118,8 +118,8 @@ class NamedParameters(DriveParameters):
 
     def write(self, name: str, value: ParameterValue) -> bool:
         found = self._find(name)
-        kind = _kind(found.entry.type)
-        if self._access.refusal(found) is None and not isinstance(value, _FITTING[kind]):
+        kind = kind_of(found.entry.type)
+        if self._access.refusal(found) is None and not isinstance(value, FITTING[kind]):
             raise InputError(f"{found.entry}: {value!r} is no {kind.value}")
         self._access.check(found, value)
         if self._access.read(found).value == value:
@@ -143,7 +143,7 @@ _KINDS: Mapping[DataType, ParameterKind] = {
 }
 
 
-_FITTING: Mapping[ParameterKind, tuple[type, ...]] = {
+FITTING: Mapping[ParameterKind, tuple[type, ...]] = {
     ParameterKind.INTEGER: (int,),
     ParameterKind.NUMBER: (int, float),
     ParameterKind.TEXT: (str,),
@@ -151,14 +151,14 @@ _FITTING: Mapping[ParameterKind, tuple[type, ...]] = {
 }
 
 
-def _kind(data_type: DataType) -> ParameterKind:
+def kind_of(data_type: DataType) -> ParameterKind:
     return _KINDS.get(data_type, ParameterKind.INTEGER)
 
 
-def _range(found: EdsEntry) -> tuple[float | None, float | None]:
+def range_of(found: EdsEntry) -> tuple[float | None, float | None]:
     """The file's limits within those of the type."""
     kind = found.entry.type
-    if _kind(kind) is not ParameterKind.INTEGER:
+    if kind_of(kind) is not ParameterKind.INTEGER:
         return found.low, found.high
     bits = 1 if kind is DataType.BOOLEAN else 8 * kind.size
     least, most = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.is_signed else (0, (1 << bits) - 1)

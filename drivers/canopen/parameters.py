@@ -15,6 +15,7 @@ from drivers.canopen import objects
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.objects import DataType
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.table_map import TableMap
 from drivers.canopen.wire_time import expedited_sdo, frame
 from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError
 
@@ -41,10 +42,32 @@ NOT_PARAMETERS: dict[int, str] = {
     0x1003: "error history",
     0x1010: "store parameters",
     0x1011: "restore parameters",
+    0x1014: "COB-ID EMCY, which goes with the node id",
     0x1020: "verify configuration",
     0x1F50: "program data",
     0x1F51: "program control",
 }
+SET_UP_AS_A_WHOLE: dict[range, str] = {
+    range(0x1200, 0x1300): "is the channel that parameters come by",
+    range(0x1400, 0x1C00): "belongs to the PDO mapping, which is set up as a whole",
+}
+
+
+def why_not_written(found: EdsEntry, table: TableMap | None = None) -> str | None:
+    """Why an entry is not written as a parameter; None for one that may be. table: of the drive's own correction table."""
+    index = found.entry.index
+    if not found.writable:
+        return f"{found.entry} is read only"
+    if index in MOTION_TARGETS:
+        return f"{found.entry} moves the axis and is no parameter"
+    if index in NOT_PARAMETERS:
+        return f"{found.entry} is a command, not a parameter"
+    if table is not None and table.holds(index, found.entry.subindex):
+        return f"{found.entry} belongs to the drive's correction table, which is written as a whole (hil params table)"
+    for indices, what in SET_UP_AS_A_WHOLE.items():
+        if index in indices:
+            return f"{found.entry} {what}"
+    return None
 
 
 @dataclass(frozen=True)
@@ -81,19 +104,7 @@ class CanOpenParameters:
 
     def refusal(self, found: EdsEntry) -> str | None:
         """Why an entry is not written as a parameter; None for one that may be."""
-        index = found.entry.index
-        if not found.writable:
-            return f"{found.entry} is read only"
-        if index in MOTION_TARGETS:
-            return f"{found.entry} moves the axis and is no parameter"
-        if index in NOT_PARAMETERS:
-            return f"{found.entry} is a command, not a parameter"
-        table = self._drive.table_map
-        if table is not None and table.holds(index, found.entry.subindex):
-            return f"{found.entry} belongs to the drive's correction table, which is written as a whole (hil params table)"
-        if 0x1400 <= index < 0x1C00:
-            return f"{found.entry} belongs to the PDO mapping, which is set up as a whole"
-        return None
+        return why_not_written(found, self._drive.table_map)
 
     def find(self, index: int, subindex: int = 0) -> EdsEntry:
         """The entry. Raises InputError for one that the file does not have."""

@@ -1,6 +1,7 @@
 """SDO access that can be trusted: guarded against late answers, lost writes and a server that broke off.
 
-What may go in: one `SdoClient` per node over a `CanLink`, and `run_together`, which serves the channels of several nodes at once.
+What may go in: one `SdoClient` per node over a `CanLink`, and `read_together`, which asks several nodes at once; `side_by_side` keeps
+the channels of several nodes busy with work of their own.
 An answer counts only when it names the index that was asked for; after a time-out the channel is left quiet before it is used
 again; and a write whose answer was lost is resolved by reading back, never by sending it a second time.
 """
@@ -43,12 +44,15 @@ class SdoCounters:
     writes_read_back: int = 0  # by comparing the object after a time-out
 
 
-class _Running(Generic[T]):
-    """One transfer on its way over one channel."""
+class Running(Generic[T]):
+    """One transfer on its way over one channel. timeout_s: how long it may be silent; None: as long as the client says."""
 
-    def __init__(self, client: SdoClient, talk: Conversation, transfer: Transfer[T]) -> None:
+    def __init__(
+        self, client: SdoClient, talk: Conversation, transfer: Transfer[T], timeout_s: float | None = None
+    ) -> None:
         self.client = client
         self.talk = talk
+        self.timeout_s = timeout_s or client.timeout_s
         self._transfer = transfer
         self.finished = False
         self.result: T | None = None
@@ -102,7 +106,7 @@ class SdoClient:
         self.timeout_s = timeout_s
         self.quiet_s = quiet_s
         self.counters = SdoCounters()
-        self._running: _Running[bytes] | _Running[None] | None = None
+        self._running: Running[bytes] | Running[None] | None = None
         self._frames = 0
         self._late: Callable[[bytes], None] | None = None
         self._must_be_quiet = False
@@ -171,24 +175,24 @@ class SdoClient:
         """
         talk = Conversation(index, subindex)
         transfer = block_download(talk, data) if block else download(talk, data)
-        running = _Running(self, talk, transfer)
+        running = Running(self, talk, transfer)
         try:
             _run([running], timeout_s or self.timeout_s)
             _result(running)
         except NoAnswerError as lost:
-            self._resolve(talk, data, lost, reads_back)
+            self.resolve(talk, data, lost, reads_back)
 
     def _upload(self, index: int, subindex: int, block: bool) -> bytes:
         talk = Conversation(index, subindex)
-        running = _Running(self, talk, block_upload(talk) if block else upload(talk))
+        running = Running(self, talk, block_upload(talk) if block else upload(talk))
         _run([running], self.timeout_s)
         result = _result(running)
         if result is None:
             raise ProtocolError(f"{self.name}: SDO {talk.place()} ended without data")
         return result
 
-    def _resolve(self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool) -> None:
-        """A write was not answered: was it carried out?"""
+    def resolve(self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool) -> None:
+        """A write was not answered: was it carried out? Returns when it was; raises AbortError, NoAnswerError."""
         answers: list[bytes] = []
         self._late = answers.append
         try:
@@ -224,7 +228,7 @@ class SdoClient:
                 return
         raise ProtocolError(f"{self.name}: the SDO channel does not fall silent")
 
-    def begin(self, running: _Running[bytes] | _Running[None]) -> None:
+    def begin(self, running: Running[bytes] | Running[None]) -> None:
         """Give the channel to a transfer and send its first frame."""
         if self._running is not None:
             raise StateError(f"{self.name}: the SDO channel is already in use")
@@ -264,13 +268,13 @@ class SdoClient:
             self.counters.stale_frames += 1
 
 
-def _result(running: _Running[T]) -> T | None:
+def _result(running: Running[T]) -> T | None:
     if running.error is not None:
         raise running.error
     return running.result
 
 
-def _run(transfers: Sequence[_Running[bytes] | _Running[None]], timeout_s: float) -> None:
+def _run(transfers: Sequence[Running[bytes] | Running[None]], timeout_s: float) -> None:
     """Run transfers of *different* nodes side by side; each may be silent for `timeout_s` at most."""
     link = transfers[0].client.link
     try:
@@ -296,10 +300,10 @@ def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float 
 
     The answer of each request stands in its place: the value, or the error that this node gave.
     """
-    transfers: list[_Running[bytes] | _Running[None]] = []
+    transfers: list[Running[bytes] | Running[None]] = []
     for client, entry in requests:
         talk = Conversation(entry.index, entry.subindex)
-        transfers.append(_Running(client, talk, upload(talk)))
+        transfers.append(Running(client, talk, upload(talk)))
     if not transfers:
         return []
     _run(transfers, timeout_s)

@@ -1,0 +1,329 @@
+"""A CANopen node's parameters as raw bytes, for whole sets: over SDO alone, without opening the node as a drive.
+
+What may go in: `RawParameters` over one node's channel. No PDO is mapped, no heartbeat asked for, nothing is set up that would have to
+be put back, so that what is read is what the user set. What may be written at all is decided in `parameters`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from drivers.canopen import objects
+from drivers.canopen.cia402 import decode_state
+from drivers.canopen.eds import EdsEntry, EdsFile, Key
+from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of
+from drivers.canopen.node import NmtCommand, NodeMonitor
+from drivers.canopen.objects import DataType, Entry
+from drivers.canopen.parameters import ON_COMMAND, SAVE, why_not_written
+from drivers.canopen.pdo import OBJECT_MISSING
+from drivers.canopen.sdo import Running, SdoClient
+from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
+from drivers.canopen.sdo_transfer import Conversation, download, upload
+from drivers.canopen.side_by_side import CanLine
+from drivers.canopen.table_map import TableMap
+from drivers.drive import DriveState
+from drivers.errors import (
+    AbortError,
+    BridgeError,
+    CapabilityError,
+    InputError,
+    NoAnswerError,
+    ProtocolError,
+    TransportError,
+)
+from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
+from drivers.raw_parameters import (
+    Access,
+    DriveIdentity,
+    RawForm,
+    RawParameter,
+    RawParameters,
+    Steps,
+    Tell,
+    WireTime,
+    deaf,
+)
+
+STORE_S = 10.0  # writing a drive's memory may take so long
+START_S = 10.0  # from a reset to the boot-up message
+_UNITS = (0x608F, 0x6090, 0x6091, 0x6092, 0x6093, 0x6096, 0x6097, 0x60A8, 0x60A9)
+_LIMITS = (0x607B, 0x607D, 0x607F, 0x6080, 0x60C5, 0x60C6)
+_PAIRS = (("607B:01", "607B:02"), ("607D:01", "607D:02"))
+
+
+def address_of(key: Key) -> str:
+    """An object's address as sets have it, such as "2210h:01"."""
+    return f"{key[0]:04X}h:{key[1]:02X}"
+
+
+class CanOpenRawParameters(RawParameters):
+    """One node. eds None: the standard's objects, as far as the node has them, without limits. timeout_s: for one answer.
+
+    table: of the correction table that the drive holds itself, which is no parameter.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        line: CanLine,
+        node_id: int,
+        eds: EdsFile | None,
+        *,
+        table: TableMap | None = None,
+        timeout_s: float = 0.5,
+        bitrate: int = 1_000_000,
+    ) -> None:
+        self.name = name
+        self.line: CanLine = line
+        self.node_id = node_id
+        self.clock = line.link.clock
+        self.bitrate = bitrate
+        file, names, units = known_objects(eds)
+        self._keys = {address_of(key): found for key, found in file.entries.items()}
+        self._assumed = eds is None
+        units_by_key = {(names[name].entry.index, names[name].entry.subindex): unit for name, unit in units.items()}
+        self._entries = {
+            address: _parameter(address, found, units_by_key.get((found.entry.index, found.entry.subindex), ""), table)
+            for address, found in sorted(self._keys.items())
+            if found.readable and found.entry.type is not DataType.DOMAIN
+        }
+        self._sdo = SdoClient(line.link, node_id, f"drive {name}", timeout_s=timeout_s)
+        self._monitor = NodeMonitor(line.link, node_id, f"drive {name}")
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._sdo.close()
+        self._monitor.close()
+
+    # -- what there is -------------------------------------------------------------------------------------------------
+    @property
+    def entries(self) -> Mapping[str, RawParameter]:
+        return self._entries
+
+    def _entry(self, entry: RawParameter) -> Entry:
+        return self._keys[entry.address].entry
+
+    def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
+        kind = entry.info.kind
+        if not isinstance(value, FITTING[kind]) or isinstance(value, bool):
+            raise InputError(f"{value!r} is no {kind.value}")
+        return self._entry(entry).pack(value)
+
+    def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
+        value = self._entry(entry).unpack(data)
+        return int(value) if isinstance(value, bool) else value
+
+    def from_raw(self, entry: RawParameter, raw: RawForm) -> bytes:
+        if isinstance(raw, int):
+            if entry.info.kind is not ParameterKind.INTEGER:
+                raise InputError(f"raw is {raw}, expected hexadecimal digits for a {entry.type}")
+            return self._entry(entry).pack(raw)
+        try:
+            data = bytes.fromhex(raw)
+        except ValueError as error:
+            raise InputError(f"raw is {raw!r}, expected hexadecimal digits") from error
+        size = self._entry(entry).type.size
+        if size and len(data) != size:
+            raise InputError(f"raw is {len(data)} bytes, a {entry.type} has {size}")
+        return data
+
+    def to_raw(self, entry: RawParameter, data: bytes) -> RawForm:
+        if entry.info.kind is ParameterKind.INTEGER:
+            return int(self._entry(entry).unpack(data))
+        return data.hex()
+
+    def objection(self, entry: RawParameter, data: bytes) -> str | None:
+        if entry.refusal is not None:
+            return entry.refusal
+        value = self.decode(entry, data)
+        low, high = entry.info.low, entry.info.high
+        if isinstance(value, int | float):
+            if low is not None and value < low:
+                return f"{value!r} is below its limit {low:g}"
+            if high is not None and value > high:
+                return f"{value!r} is above its limit {high:g}"
+        return None
+
+    def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
+        """Some devices answer a number with more bytes than it has, or a text with zeros behind it."""
+        data_type = self._entry(entry).type
+        if data_type.is_number:
+            return len(meant) == data_type.size and shown[: data_type.size] == meant
+        return shown.rstrip(b"\0") == meant.rstrip(b"\0") if data_type is DataType.STRING else shown == meant
+
+    def rank(self, address: str) -> int:
+        """Units, then limits, then the rest."""
+        index = self._keys[address].entry.index
+        return 0 if index in _UNITS else 1 if index in _LIMITS else 2
+
+    @property
+    def limit_pairs(self) -> Sequence[tuple[str, str]]:
+        return [(f"{low[:4]}h{low[4:]}", f"{high[:4]}h{high[4:]}") for low, high in _PAIRS]
+
+    def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
+        frames: list[Frame] = []
+        for spelled, accesses in ((upload_frames, reads), (download_frames, writes)):
+            for address, data in accesses:
+                entry = self._keys[address].entry
+                frames += spelled(entry.index, entry.subindex, data)
+        return wire_time(self.node_id, frames, self.bitrate)
+
+    # -- transfers -------------------------------------------------------------------------------------------------------
+    def _upload(self, entry: Entry) -> Steps[bytes]:
+        """As `SdoClient.read_bytes`: a read that was not answered is repeated once."""
+        lost: NoAnswerError | None = None
+        for _ in range(2):
+            talk = Conversation(entry.index, entry.subindex)
+            running: Running[bytes] = Running(self._sdo, talk, upload(talk))
+            yield running
+            if isinstance(running.error, NoAnswerError):
+                lost = running.error
+                continue
+            if running.error is not None:
+                raise running.error
+            if running.result is None:
+                raise ProtocolError(f"drive {self.name}: {entry} was answered without data")
+            return running.result
+        raise lost or NoAnswerError(f"drive {self.name}: {entry} was not read")
+
+    def _download(
+        self, entry: Entry, data: bytes, *, timeout_s: float | None = None, reads_back: bool = True
+    ) -> Steps[None]:
+        """As `SdoClient.write_bytes`: one that was not answered is resolved, never repeated."""
+        talk = Conversation(entry.index, entry.subindex)
+        running: Running[None] = Running(self._sdo, talk, download(talk, data), timeout_s)
+        yield running
+        if isinstance(running.error, NoAnswerError):
+            self._sdo.resolve(talk, data, running.error, reads_back)
+        elif running.error is not None:
+            raise running.error
+
+    def _optional(self, entry: Entry) -> Steps[int | str | None]:
+        """A value, None where the node does not have the object."""
+        try:
+            value = entry.unpack((yield from self._upload(entry)))
+        except AbortError as error:
+            if error.code in OBJECT_MISSING:
+                return None
+            raise
+        return value if isinstance(value, str) else int(value)
+
+    # -- on the wire -----------------------------------------------------------------------------------------------------
+    def identify(self) -> Steps[DriveIdentity]:
+        """1018h, 1008h to 100Ah; what the node does not have is left out."""
+        facts: dict[str, int | str] = {}
+        for name, entry in (
+            ("vendor_id", objects.VENDOR_ID),
+            ("product_code", objects.PRODUCT_CODE),
+            ("revision", objects.REVISION),
+            ("serial", objects.SERIAL_NUMBER),
+            ("device", objects.DEVICE_NAME),
+            ("hardware", objects.HARDWARE_VERSION),
+            ("firmware", objects.SOFTWARE_VERSION),
+        ):
+            value = yield from self._optional(entry)
+            if value is not None:
+                facts[name] = value
+
+        def chosen(*names: str) -> dict[str, int | str]:
+            return {name: facts[name] for name in names if name in facts}
+
+        model = chosen("vendor_id", "product_code", "device")
+        return DriveIdentity("canopen", model, chosen("revision", "hardware", "firmware"), chosen("serial"))
+
+    def state(self) -> Steps[DriveState]:
+        word = yield from self._optional(objects.STATUSWORD)
+        return DriveState.UNKNOWN if not isinstance(word, int) else decode_state(word)
+
+    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+        accesses: list[Access] = []
+        for number, address in enumerate(addresses):
+            start_ns = self.clock.now_ns()
+            try:
+                data = yield from self._upload(self._keys[address].entry)
+            except (AbortError, ProtocolError) as error:
+                accesses.append(self._failed(address, start_ns, error))
+            except TransportError as error:
+                accesses += [self._failed(left, start_ns, error) for left in addresses[number:]]
+                return accesses
+            else:
+                accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9, data))
+            tell(1)
+        return accesses
+
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+        accesses: list[Access] = []
+        for address, data in items:
+            start_ns = self.clock.now_ns()
+            try:
+                yield from self._download(self._keys[address].entry, data)
+            except BridgeError as error:
+                return [*accesses, self._failed(address, start_ns, error)]
+            accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9))
+            tell(1)
+        return accesses
+
+    def _failed(self, address: str, start_ns: int, error: BridgeError) -> Access:
+        return Access(address, (self.clock.now_ns() - start_ns) * 1e-9, error=error)
+
+    # -- kept without power ------------------------------------------------------------------------------------------------
+    def objection_to_store(self) -> Steps[str | None]:
+        abilities = yield from self._optional(objects.STORE_ALL)
+        if isinstance(abilities, int) and abilities & ON_COMMAND:
+            return None
+        return f"it does not keep its parameters on command ({objects.STORE_ALL})"
+
+    def store(self) -> Steps[None]:
+        """1010h:1 := "save"; before that targets are made harmless, as a drive may store them too."""
+        position = yield from self._optional(objects.POSITION_ACTUAL)
+        targets = [
+            (objects.TARGET_POSITION, position),
+            (objects.TARGET_VELOCITY, 0),
+            (objects.TARGET_TORQUE, 0),
+        ]
+        for entry, value in targets:
+            if isinstance(value, int):
+                yield from self._make_harmless(entry, value)
+        yield from self._download(objects.STORE_ALL, SAVE, timeout_s=STORE_S, reads_back=False)
+
+    def _make_harmless(self, entry: Entry, value: int) -> Steps[None]:
+        try:
+            yield from self._download(entry, entry.pack(value))
+        except AbortError as error:
+            if error.code not in OBJECT_MISSING:
+                raise
+
+    def load_defaults(self) -> Steps[None]:
+        abilities = yield from self._optional(objects.RESTORE_ALL)
+        if not isinstance(abilities, int) or not abilities & ON_COMMAND:
+            raise CapabilityError(f"drive {self.name}: {objects.RESTORE_ALL} is not done on command")
+        yield from self._download(objects.RESTORE_ALL, b"load", timeout_s=STORE_S, reads_back=False)
+
+    def restart(self) -> Steps[None]:
+        """NMT reset node; returns when its boot-up was heard. Other nodes' work waits meanwhile."""
+        before = self._monitor.boot_ups
+        self._monitor.command(NmtCommand.RESET_NODE)
+        if not self.line.link.wait(lambda: self._monitor.boot_ups > before, START_S):
+            raise NoAnswerError(
+                f"drive {self.name}: no boot-up of node {self.node_id} within {START_S:g} s of its reset"
+            )
+        yield from ()
+
+    @property
+    def restarts(self) -> int:
+        return self._monitor.boot_ups
+
+    @property
+    def hears_restarts(self) -> bool:
+        return True
+
+    @property
+    def gone(self) -> bool:
+        return self.line.lost
+
+
+def _parameter(address: str, found: EdsEntry, unit: str, table: TableMap | None) -> RawParameter:
+    low, high = range_of(found)
+    refusal = why_not_written(found, table)
+    info = ParameterInfo(found.entry.name, kind_of(found.entry.type), unit, low, high, refusal is None)
+    return RawParameter(address, info, found.entry.type.name, refusal)

@@ -1,0 +1,91 @@
+"""What SDO transfers cost on the bus, counted before they are made: their frames, spelled out, and the bits of each.
+
+What may go in: the frames of a transfer as CiA-301 has them and the arithmetic of ISO 11898-1. The simulated bus counts on its own
+(`sim_backends.can_bus_model`) and shares nothing with this.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+from drivers.canopen.sdo_transfer import SEGMENT, multiplexer
+from drivers.canopen.wire_time import frame
+from drivers.raw_parameters import WireTime
+
+Frame = tuple[bool, bytes]
+"""(whether it is the server's, its data)"""
+
+_CRC_POLYNOMIAL = 0b1100010110011001  # x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1
+_UNSTUFFED = 10 + 3  # from the CRC delimiter to the end of frame, and the interframe space
+
+
+def upload_frames(index: int, subindex: int, data: bytes) -> list[Frame]:
+    """Reading an object that shows `data`."""
+    mux = multiplexer(index, subindex)
+    frames: list[Frame] = [(False, b"\x40" + mux + bytes(4))]
+    if 0 < len(data) <= 4:
+        return [*frames, (True, bytes((0x43 | (4 - len(data)) << 2,)) + mux + data.ljust(4, b"\0"))]
+    frames.append((True, b"\x41" + mux + struct.pack("<I", len(data))))
+    for number, part in enumerate(_segments(data)):
+        toggle, last = number % 2 << 4, (number + 1) * SEGMENT >= len(data)
+        frames.append((False, bytes((0x60 | toggle,)) + bytes(7)))
+        frames.append((True, bytes((toggle | (SEGMENT - len(part)) << 1 | last,)) + part.ljust(SEGMENT, b"\0")))
+    return frames
+
+
+def download_frames(index: int, subindex: int, data: bytes) -> list[Frame]:
+    """Writing `data` to an object that takes it."""
+    mux = multiplexer(index, subindex)
+    taken: Frame = (True, b"\x60" + mux + bytes(4))
+    if 0 < len(data) <= 4:
+        return [(False, bytes((0x23 | (4 - len(data)) << 2,)) + mux + data.ljust(4, b"\0")), taken]
+    frames: list[Frame] = [(False, b"\x21" + mux + struct.pack("<I", len(data))), taken]
+    for number, part in enumerate(_segments(data)):
+        toggle, last = number % 2 << 4, (number + 1) * SEGMENT >= len(data)
+        frames.append((False, bytes((toggle | (SEGMENT - len(part)) << 1 | last,)) + part.ljust(SEGMENT, b"\0")))
+        frames.append((True, bytes((0x20 | toggle,)) + bytes(7)))
+    return frames
+
+
+def _segments(data: bytes) -> list[bytes]:
+    return [data[start : start + SEGMENT] for start in range(0, max(len(data), 1), SEGMENT)]
+
+
+def wire_time(node_id: int, frames: Iterable[Frame], bitrate: int) -> WireTime:
+    """The cost of frames between a node's default SDO channel and its master."""
+    total = WireTime()
+    for server, data in frames:
+        bounds = frame(len(data))
+        likely = exact_bits((0x580 if server else 0x600) + node_id, data)
+        least, most = bounds.least, bounds.most
+        total = total + WireTime(
+            1, least, likely, most, least / bitrate, likely / bitrate, most / bitrate, answers=int(server)
+        )
+    return total
+
+
+def exact_bits(cob_id: int, data: bytes) -> int:
+    """Length of a base-format data frame with its stuff bits and the interframe space."""
+    head = f"0{cob_id:011b}000{len(data):04b}" + "".join(f"{byte:08b}" for byte in data)
+    return len(_stuffed(head + f"{_remainder(head):015b}")) + _UNSTUFFED
+
+
+def _remainder(bits: str) -> int:
+    """Of the bits as a polynomial, shifted by 15, divided by CAN's."""
+    dividend = int(bits, 2) << 15
+    while (excess := dividend.bit_length() - 16) >= 0:
+        dividend ^= _CRC_POLYNOMIAL << excess
+    return dividend
+
+
+def _stuffed(bits: str) -> str:
+    """With the opposite bit put in behind every five equal ones."""
+    sent = ""
+    for bit in bits:
+        if sent[-5:] == (same := sent[-1:] * 5) and same:
+            sent += "1" if sent[-1] == "0" else "0"
+        sent += bit
+    if sent[-5:] == sent[-1] * 5:
+        sent += "1" if sent[-1] == "0" else "0"
+    return sent

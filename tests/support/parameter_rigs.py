@@ -1,0 +1,98 @@
+"""Simulated CANopen drives with many parameters of their own, and sets for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.eds import EdsFile, load_eds
+from drivers.canopen.raw_parameters import CanOpenRawParameters, address_of
+from drivers.canopen.side_by_side import CanLine
+from hil.params.journal import Journal
+from hil.params.set_file import ParameterSet, SetEntry
+from sim_backends.canopen_bench import CanBench
+from sim_backends.canopen_drive import EDS
+from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_store import Flash
+
+TYPES = ((0x0007, 4, 0), (0x0006, 2, 0), (0x0005, 1, 0), (0x0004, 4, -5), (0x0003, 2, -5), (0x0002, 1, -5))
+"""Of the makers' parameters in turn: CiA code, bytes, default."""
+FIRST = 0x3000
+
+
+def maker_eds(folder: Path, count: int) -> Path:
+    """The simulated drive's EDS with `count` parameters of a maker added: records of 100 from 3000h on, of six types in turn."""
+    text = EDS.read_text(encoding="utf-8")
+    sections = []
+    for record in range(-(-count // 100)):
+        members = min(100, count - 100 * record)
+        index = FIRST + record
+        sections.append(
+            f"[{index:04X}]\nParameterName=Group {record}\nObjectType=0x9\nSubNumber={members + 1}\n"
+            f"[{index:04X}sub0]\nParameterName=Highest sub-index supported\nObjectType=0x7\nDataType=0x0005\n"
+            f"AccessType=const\nDefaultValue={members}\nPDOMapping=0"
+        )
+        for member in range(1, members + 1):
+            code, _, default = TYPES[(member - 1) % len(TYPES)]
+            sections.append(
+                f"[{index:04X}sub{member:X}]\nParameterName=Parameter {100 * record + member}\nObjectType=0x7\n"
+                f"DataType=0x{code:04X}\nAccessType=rw\nDefaultValue={default}\nPDOMapping=0"
+            )
+    path = folder / f"maker-{count}.eds"
+    path.write_text(text.rstrip() + "\n" + "\n".join(sections) + "\n", encoding="utf-8")
+    return path
+
+
+def maker_keys(count: int) -> list[tuple[int, int]]:
+    return [(FIRST + number // 100, number % 100 + 1) for number in range(count)]
+
+
+def maker_set(count: int, *, seed: int = 1) -> ParameterSet:
+    """New values for all of them, none of which is its default."""
+    entries = []
+    for number, key in enumerate(maker_keys(count)):
+        size = TYPES[number % 100 % len(TYPES)][1]
+        value = 1 + (seed * 7919 + number * 104_729) % ((1 << (8 * size - 1)) - 2)
+        entries.append(SetEntry(address_of(key), value, value, name=f"Parameter {number + 1}"))
+    return ParameterSet("new", None, tuple(entries))
+
+
+class ParameterRig:
+    """Drives on one simulated wire, reached by their parameters. Give flash and journal to the next life."""
+
+    def __init__(
+        self,
+        eds: Path,
+        folder: Path,
+        *,
+        nodes: Sequence[int] = (5,),
+        bitrate: int | None = 1_000_000,
+        turnaround_s: float = 0.0,
+        faults: Sequence[CanFault] = (),
+        flash: Flash | None = None,
+        timeout_s: float = 0.05,
+        file: EdsFile | None = None,
+    ) -> None:
+        slow = (CanFault(CanFaultKind.SDO_LATE, size=turnaround_s),) if turnaround_s else ()
+        self.bench = CanBench(nodes, bitrate, dict.fromkeys(nodes, (*slow, *faults)), flash=flash, eds=eds)
+        self.stack = ExitStack()
+        self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
+        self.line = CanLine(self.link)
+        self.drives = [
+            CanOpenRawParameters(
+                f"X{node}",
+                self.line,
+                node,
+                file if file is not None else load_eds(eds, node),
+                timeout_s=timeout_s,
+                bitrate=bitrate or 1_000_000,
+            )
+            for node in nodes
+        ]
+        self.journals = [Journal(folder / f"X{node}") for node in nodes]
+
+    def values(self, keys: Sequence[tuple[int, int]], node: int = 0) -> list[int]:
+        """What the drive really holds."""
+        return [list(self.bench.slaves.values())[node].dictionary.number(*key) for key in keys]
