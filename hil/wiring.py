@@ -14,6 +14,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import Clock, WallClock
+from drivers.correction_table import TableDescription
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import CapabilityError, InputError
 from drivers.instrument import DistanceInstrument
@@ -84,18 +85,18 @@ def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -
     bench = _bench(axis, with_instrument(parameters, axis.instrument), stack)
     drive = _bench_drive(axis, bench, stack)
     looking = instrument(axis.instrument, bench.laser_path, bench.clock)
-    return Machine(axis, _session(axis, drive, looking, BenchConditions(bench.plant, axis.conditions.levels)), bench)
+    return Machine(axis, session_of(axis, drive, looking, BenchConditions(bench.plant, axis.conditions.levels)), bench)
 
 
 def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack) -> Bench:
-    _check_bench(axis, parameters)
+    check_bench(axis, parameters)
     return stack.enter_context(Bench(parameters))
 
 
 def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack) -> Machine:
     clock = WallClock()
     drive = hardware_drive(axis, clock, stack)
-    return Machine(axis, _session(axis, drive, instrument(axis.instrument, axis.instrument.port, clock), conditions))
+    return Machine(axis, session_of(axis, drive, instrument(axis.instrument, axis.instrument.port, clock), conditions))
 
 
 # -- drives ------------------------------------------------------------------------------------------------------------
@@ -129,6 +130,15 @@ def _drive_alone(axis: DriveAxis, stack: ExitStack, bench: BenchParameters | Non
     return hardware_drive(axis, WallClock(), stack)
 
 
+def described_table(axis: DriveAxis) -> TableDescription | None:
+    """What the axis's drive can hold as a correction table of its own, by its map alone; None where no map tells of one."""
+    config = axis.drive
+    if config.register_map:
+        table = load_drive_map(config.register_map).table
+        return None if table is None else table.description
+    return load_table_map(config.correction_table).description if config.correction_table else None
+
+
 @dataclass
 class Links:
     """What the drives of one machine share: a link for each CAN bus, by interface and channel, and for each Modbus line."""
@@ -152,7 +162,7 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
     """The bench's servo behind the wire that the axis file asks for."""
     face, clock = axis.drive.face, bench.clock
     if face == "virtual":
-        return _virtual(axis, bench)
+        return virtual_drive(axis, bench)
     if face == "canopen":
         channel = f"bench-{uuid.uuid4().hex}"
         bus = stack.enter_context(drives_in_turn(clock, channel))
@@ -160,7 +170,7 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
             bench.servo,
             axis.drive.node_id,
             parameters=bench.parameters.objects,
-            table=_bench_table(axis, bench),
+            table=bench_table(axis, bench),
         )
         links = Links({("virtual", channel): stack.enter_context(CanLink(bus.master(), clock))})
         return canopen_drive(axis, clock, ("virtual", channel), stack, links=links)
@@ -228,7 +238,7 @@ def modbus_drive(
     )
 
 
-def _virtual(axis: DriveAxis, bench: Bench) -> VirtualDrive:
+def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
     asked = axis.drive.homing
     settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
     given = {
@@ -245,25 +255,25 @@ def _virtual(axis: DriveAxis, bench: Bench) -> VirtualDrive:
         bench.clock,
         name=axis.name,
         settings=settings,
-        table=_bench_table(axis, bench),
+        table=bench_table(axis, bench),
     )
 
 
-def _bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:
+def bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:
     """The correction table that the bench's drive holds itself."""
     per_um = bench.parameters.scaling.counts_per_load_mm / 1000.0
     return {"simulated_array": ARRAY, "simulated_domain": error_domain(per_um)}.get(axis.drive.correction_table)
 
 
 # -- session -------------------------------------------------------------------------------------------
-def _session(
+def session_of(
     axis: AxisConfig, drive: ServoDrive, looking: DistanceInstrument, conditions: Conditions | None
 ) -> AxisSession:
     stale_after_s = axis.instrument.stale_after_s
     return AxisSession(drive, looking, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
 
 
-def _check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:
+def check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:
     """The bench is a machine like any other: an axis file that does not describe it is refused before anything moves."""
     found: tuple[AxisScaling, DriveLimits] = (parameters.scaling, parameters.limits)
     if axis.scaling != found[0]:

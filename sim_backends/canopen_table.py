@@ -25,9 +25,7 @@ SWITCH_D, ALL, SHOWN_D = range(0x2320, 0x2323)
 _POINT = struct.Struct("<ihh")  # place, rising, falling
 
 
-def _number(
-    index: int, subindex: int, code: str, name: str, *, access: str = "rw", high: int | None = None
-) -> Item:
+def _number(index: int, subindex: int, code: str, name: str, *, access: str = "rw", high: int | None = None) -> Item:
     codec = struct.Struct(f"<{code}")
     return Item(index, subindex, name, access, codec, None, high, False, bytes(codec.size))
 

@@ -29,6 +29,7 @@ from sim_backends.modbus_registers import (
     Space,
     Value,
 )
+from sim_backends.modbus_table import ERROR_MAP, BlockTable
 from sim_backends.servo import Servo
 
 EDS = Path(__file__).with_name("servo_drive.eds")
@@ -115,7 +116,16 @@ class Cia402Registers:
             Cell(0x2412, "H", lambda: int(self._now_ns < self._busy_until_ns)),
             Cell(0x2508, "16s", lambda: self.dictionary.raw((0x1008, 0))[:16]),
         ]
+        self.table = BlockTable(ERROR_MAP, lambda: servo.powered, self._um_counts)
+        servo.table.follow(self.table.own)
+        cells += self.table.map_cells()
         self.banks: Mapping[Space, Bank] = {Space.HOLDING_REGISTERS: Bank(cells, gaps_readable=True)}
+
+    def _um_counts(self) -> float:
+        """Motor counts in a µm of travel, by 608Fh, 6091h and 6092h (whose feed is in µm)."""
+        number = self.dictionary.number
+        per_rev = number(0x608F, 1) / max(1, number(0x608F, 2)) * number(0x6091, 1) / max(1, number(0x6091, 2))
+        return per_rev * max(1, number(0x6092, 2)) / max(1, number(0x6092, 1))
 
     def _object_cell(self, address: int, code: str, index: int, subindex: int) -> Cell:
         item = self.dictionary.item(index, subindex)

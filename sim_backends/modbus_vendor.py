@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from sim_backends.modbus_registers import ILLEGAL_VALUE, Bank, Cell, RefusedRequestError, Space, Value
+from sim_backends.modbus_table import PITCH_STEPS, BlockTable
 from sim_backends.servo import Servo
 
 _MS = 1_000_000
@@ -54,13 +55,15 @@ class VendorRegisters:
         self._kept.update(settings or {})
         self.eeprom_writes: dict[str, int] = {}
         servo.backlash.follow(lambda: self._working["backlash"], lambda: bool(self._working["backlash_quick"]))
+        self.table = BlockTable(PITCH_STEPS, lambda: servo.powered, lambda: 1.0)
+        servo.table.follow(self.table.own)
         self._now_ns = 0
         self._ordered_ns = 0
         self.banks: Mapping[Space, Bank] = {
             Space.COILS: Bank(self._coil_cells(), gaps_readable=False),
             Space.DISCRETE_INPUTS: Bank(self._status_cells(), gaps_readable=False),
             Space.INPUT_REGISTERS: Bank(self._value_cells(), gaps_readable=False),
-            Space.HOLDING_REGISTERS: Bank(self._holding_cells(), gaps_readable=False),
+            Space.HOLDING_REGISTERS: Bank([*self._holding_cells(), *self.table.pitch_cells()], gaps_readable=False),
         }
 
     @property

@@ -23,6 +23,7 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.modbus.codec import Raw
+from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, Transition, all_hold
 from drivers.modbus.drive_units import from_counts, to_counts, to_percent
 from drivers.modbus.link import ModbusLink
@@ -143,6 +144,13 @@ class ModbusDrive(ServoDrive):
         """By the map's [drive.scaling]: constants of the model, or its registers."""
         self._require_open()
         return (self._parameters.reported_scaling(),)
+
+    @property
+    def correction_table(self) -> ModbusCorrectionTable | None:
+        """By the map's [drive.correction_table]."""
+        self._require_open()
+        blocks = self.map.table
+        return None if blocks is None else ModbusCorrectionTable(self.name, self.access, blocks, self._parameters.wear)
 
     # -- reading ---------------------------------------------------------------------------------------------------
     @property

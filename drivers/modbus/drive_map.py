@@ -7,6 +7,7 @@
     [drive.quick_stop]     what to write, whatever the state; [drive.halt] to stop before switching off
     [drive.move]           hand-shake of a profile move      [drive.homing]  [drive.store]  [drive.scaling]
     [drive.run]            where the drive runs at a velocity   [drive.stream]  where it follows set-points that come cyclically
+    [drive.correction_table]  the table that the drive holds itself (`drivers.modbus.table_map`)
     [[drive.touch_probe]]  one for each input that latches positions, with [drive.touch_probe.positive] and .negative for its edges
 
 A *condition* is {register, mask, value} or {register, bit, set}; a *write* is the same, and one with a mask changes those bits only.
@@ -22,6 +23,7 @@ from fractions import Fraction
 
 from drivers.drive import DriveState
 from drivers.modbus.register_map import RegisterMap
+from drivers.modbus.table_map import TableBlocks
 from drivers.touch_probe import Edge
 
 FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
@@ -212,6 +214,7 @@ class DriveMap:
     probes: tuple[ProbeMap, ...]
     store: StoreMap | None
     scaling: ScalingMap
+    table: TableBlocks | None = None
 
     def sampled(self) -> tuple[str, ...]:
         """Names of all registers that one sample needs."""
@@ -223,7 +226,7 @@ class DriveMap:
         return tuple(dict.fromkeys(name for name in names if name is not None))
 
     def moving(self) -> frozenset[str]:
-        """Names of all registers that commands, targets and modes write; no parameters."""
+        """Names of all registers that commands, targets, modes and the correction table write; no parameters."""
         writes = [*self.quick_stop, *self.halt, *self.move.mode, *self.move.start, *self.move.release]
         for transition in (*self.enable, *self.disable, *self.reset_fault):
             writes += transition.writes
@@ -240,6 +243,8 @@ class DriveMap:
                 writes += edge.arm
         if self.store is not None:
             writes += self.store.writes
+        if self.table is not None:  # changed as a whole, by itself
+            targets |= self.table.names()
         return frozenset({write.register for write in writes} | targets)
 
 

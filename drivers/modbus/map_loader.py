@@ -35,6 +35,8 @@ from drivers.modbus.drive_map import (
 from drivers.modbus.map_reader import Document, Section, positive, whole
 from drivers.modbus.map_roles import RoleReader
 from drivers.modbus.register_map import RegisterMap, find_map, parse_registers
+from drivers.modbus.table_map import TableBlocks
+from drivers.modbus.table_reader import TableReader
 from drivers.touch_probe import Edge
 
 
@@ -83,12 +85,16 @@ class _Parser(RoleReader):
             probes=self._probes(section),
             store=self._store(section.child("store")) if "store" in section else None,
             scaling=self._scaling(section.child("scaling", required=False)),
+            table=self._table(section.child("correction_table")) if "correction_table" in section else None,
         )
         section.finish()
         self._check_states(drive)
         if drive.run is not None and drive.velocity is None:
             raise self.document.fail("drive.run", "needs drive.velocity, which says when a run has to be stopped")
         return drive
+
+    def _table(self, section: Section) -> TableBlocks:
+        return TableReader(self.document, self.registers).read(section)
 
     # -- states --------------------------------------------------------------------------------------------------------
     def _state_rule(self, section: Section) -> StateRule:

@@ -105,6 +105,11 @@ def test_map_and_drive_have_the_same_addresses(make: Any) -> None:
     mapped: dict[Space, set[int]] = {}
     for register in access.registers.registers.values():
         mapped.setdefault(_SPACES[register.table.value], set()).update(range(register.span.start, register.span.end))
+    table = load_drive_map(access.registers.path).table
+    assert table is not None
+    for first in table.columns.values():
+        end = first.span.start + table.description.points * first.span.count
+        mapped[_SPACES[first.table.value]].update(range(first.span.start, end))
     assert mapped == {space: set(bank.addresses) for space, bank in face.banks.items()}
 
 
