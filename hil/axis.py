@@ -62,6 +62,8 @@ class MeasurementConfig:
     reference_mm: float
     home: bool
     seed: int
+    settle_um: float | None = None
+    settle_within_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -270,6 +272,8 @@ def _measurement(table: Table, limits: DriveLimits) -> MeasurementConfig:
         reference_mm=table.take("reference_mm", reader.finite, "a position in mm", targets[0]),
         home=table.take("home", reader.flag, "true or false", True),
         seed=seed,
+        settle_um=table.take("settle_um", reader.positive, "a number > 0 in µm", None),
+        settle_within_s=table.take("settle_within_s", reader.between(0.1, 3600.0), "seconds, 0.1 to 3600", None),
     )
     table.finish()
     if config.velocity_mm_s > limits.max_velocity_mm_s:

@@ -34,6 +34,8 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
 from hil.procedures.conditions import Conditions, NoConditions
+from hil.reading import Average, average, creep
+from hil.records import Floats
 from hil.procedures.one_correction import refuse_while_drive_corrects
 
 SLICE_S = 0.05
@@ -42,6 +44,8 @@ REST_SLICE_S = 0.2
 """The same while it stands still: soon enough to say what broke, within what instruments keep for a reader."""
 FIRST_READING_S = 2.0
 """How long an instrument may need from its opening to its first reading, as when its air sensors report in turn."""
+SETTLE_WITHIN_S = 10.0
+"""How long the load may take to come to rest where the axis file asks for it without a time of its own."""
 ARRIVED_WITHIN_MM = 0.1
 """Motor encoder against command at the end of a motion: above any position window, below any distance worth measuring over."""
 
@@ -50,12 +54,17 @@ _FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 @dataclass(frozen=True)
 class PositionReading:
-    """The load's position at rest, averaged over a window."""
+    """The load's position at rest, averaged over a window by the rules of `hil.reading`.
+
+    std_um: of one reading; mean_std_um: of the mean; count: readings used; left_out: as outliers
+    """
 
     position_load_mm: float
     std_um: float
     count: int
     sample: DriveSample
+    mean_std_um: float = math.nan
+    left_out: int = 0
 
 
 class AxisSession:
@@ -175,7 +184,7 @@ class AxisSession:
         """One look at drive and instrument; stops the axis and raises on whatever makes motion unsafe or readings worthless."""
         with self._stopping_on_error():
             sample = self.drive.sample()
-            readings = self.instrument.poll()
+            readings = self._poll()
             if sample.state in _FAULTS:
                 code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
                 raise DriveFaultError(
@@ -184,6 +193,13 @@ class AxisSession:
             self._take(readings)
             self._check_fresh(sample)
             return sample, readings
+
+    def _poll(self) -> Sequence[Reading]:
+        """A port of the instrument's that went away is a lost measurement, not a lost drive."""
+        try:
+            return self.instrument.poll()
+        except LinkLostError as error:
+            raise MeasurementLostError(f"instrument {self.instrument.name}: {error}") from error
 
     def _take(self, readings: Sequence[Reading]) -> None:
         for reading in readings:
@@ -200,7 +216,7 @@ class AxisSession:
         """
         with self._stopping_on_error():
             number, numbered = self._samples, []
-            readings = self.instrument.poll()
+            readings = self._poll()
             self._take(readings)
             self._check_instrument_fresh()
             for reading in readings:
@@ -213,7 +229,7 @@ class AxisSession:
         deadline = self.clock.deadline(FIRST_READING_S)
         with self._stopping_on_error():
             while self._latest is None:
-                self._take(self.instrument.poll())
+                self._take(self._poll())
                 if self._latest is None and deadline.expired:
                     raise MeasurementLostError(
                         f"instrument {self.instrument.name}: no reading within {FIRST_READING_S:g} s; nothing was enabled"
@@ -223,10 +239,11 @@ class AxisSession:
     def watch(self, duration_s: float) -> list[Reading]:
         """Let time pass with the axis at rest, watched; returns the readings that arrived meanwhile."""
         deadline = self.clock.deadline(duration_s)
+        slice_s = SLICE_S if self.instrument.answers_when_asked else REST_SLICE_S
         arrived: list[Reading] = []
         with self._stopping_on_error():
             while not deadline.expired:
-                slice_end_ns = self.clock.now_ns() + round(REST_SLICE_S * NS_PER_S)
+                slice_end_ns = self.clock.now_ns() + round(slice_s * NS_PER_S)
                 self.clock.sleep_until_ns(min(slice_end_ns, deadline.end_ns))
                 arrived.extend(self.look()[1])
         return arrived
@@ -338,7 +355,7 @@ class AxisSession:
 
     def raw_average(self) -> float:
         """Dwell, then the instrument's own position in mm, averaged over the reading time."""
-        return self._average()[0]
+        return self._average().position_mm
 
     # -- moving ------------------------------------------------------------------------------------------------------
     def known(self, velocity_mm_s: float = 0.0) -> dict[str, float]:
@@ -451,16 +468,47 @@ class AxisSession:
         """Dwell, then average the instrument over the reading time. Raises MeasurementLostError without readings."""
         if self._datum_mm is None:
             raise StateError("read_position() needs prepare() first: the instrument has no datum")
-        mean, std, count = self._average()
-        return PositionReading(mean - self._datum_mm, std * 1000.0, count, self.drive.sample())
+        mean = self._average()
+        sample = self.drive.sample()
+        return PositionReading(
+            mean.position_mm - self._datum_mm, mean.std_um, mean.count, sample, mean.mean_std_um, mean.left_out
+        )
 
-    def _average(self) -> tuple[float, float, int]:
-        self.watch(self.how.dwell_s)
-        readings = self.watch(self.how.reading_s)
-        positions = np.array([reading.position_mm for reading in readings if reading.position_mm is not None])
+    def _average(self) -> Average:
+        """Of what was read after the axis arrived, stood for the dwell, and, where the axis file asks for it, came to rest."""
+        how = self.how
+        arrived_ns = self.clock.now_ns()
+        self.watch(how.dwell_s)
+        settle = self.clock.deadline(how.settle_within_s or SETTLE_WITHIN_S)
         with self._stopping_on_error():
-            self._require_enabled(self.look()[0], "holding the position while it was read")
-            if not len(positions):
-                raise MeasurementLostError(f"instrument {self.instrument.name}: no reading in {self.how.reading_s:g} s")
-        std = float(positions.std(ddof=1)) if len(positions) > 1 else math.nan
-        return float(positions.mean()), std, len(positions)
+            while True:
+                readings = self._fresh(arrived_ns)
+                self._require_enabled(self.look()[0], "holding the position while it was read")
+                if how.settle_um is None:
+                    return self._averaged(readings)
+                seen = creep(np.array([r.time_ns / NS_PER_S for r in readings]), _positions(readings))
+                if seen.within(how.settle_um):
+                    return self._averaged(readings)
+                if settle.expired:
+                    raise MotionTimeoutError(
+                        f"drive {self.drive.name}: the load still moves by {seen.change_um:.2f} ± {2 * seen.std_um:.2f} µm"
+                        f" in {how.reading_s:g} s, expected at most {how.settle_um:g} µm"
+                    )
+
+    def _fresh(self, arrived_ns: int) -> list[Reading]:
+        """Readings over the reading time, none of them from before the axis arrived."""
+        for _ in range(2):  # the first look after an arrival without a dwell may bring nothing but what waited on the line
+            readings = [reading for reading in self.watch(self.how.reading_s) if reading.earliest_ns >= arrived_ns]
+            if readings:
+                return readings
+        raise MeasurementLostError(f"instrument {self.instrument.name}: no reading in {self.how.reading_s:g} s")
+
+    def _averaged(self, readings: Sequence[Reading]) -> Average:
+        try:
+            return average(_positions(readings))
+        except MeasurementLostError as error:
+            raise MeasurementLostError(f"instrument {self.instrument.name}: {error}") from error
+
+
+def _positions(readings: Sequence[Reading]) -> Floats:
+    return np.array([reading.position_mm for reading in readings], dtype=np.float64)
