@@ -15,6 +15,7 @@ import numpy as np
 from drivers.errors import InputError
 from hil.compensation import Compensation, ErrorTerm
 from hil.effects import Term
+from hil.fold import folded
 from hil.records import Floats
 from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 
@@ -41,14 +42,20 @@ class Export:
 
 
 def tables_only(compensation: Compensation, *, leave_out_effects: bool) -> TableSet:
-    """The tables of what is in force. Raises InputError when there are fitted effects too and they are not to be left out."""
-    if compensation.terms and not leave_out_effects:
-        names = ", ".join(dict.fromkeys(_name(term) for term in compensation.terms))
+    """The tables of what is in force, with the fitted effects that tables can hold: those of position and direction alone.
+
+    Raises InputError when there are others too and they are not to be left out.
+    """
+    whole = folded(compensation)
+    held_by_none = [*dict.fromkeys(_name(term) for term in whole.terms)]
+    if whole.rise is not None:
+        held_by_none.append("the rise of the lost motion after a reversal")
+    if held_by_none and not leave_out_effects:
         raise InputError(
-            f"what is in force holds the effects {names}, and a controller's table holds none; leave them out"
+            f"what is in force holds {', '.join(held_by_none)}, and a controller's table holds none of that; leave it out"
             " (--tables-only) to export the tables alone: the axis is then corrected less than it was proven"
         )
-    return compensation.tables
+    return whole.tables
 
 
 def _name(term: ErrorTerm) -> str:

@@ -135,6 +135,15 @@ CYCLIC = {
     "coefficients": [1.0, 0.5],
     "covariance": [[0.0] * 3] * 3,
 }
+LAG = {
+    "effect": "velocity_lag",
+    "form": "proportional",
+    "inputs": ["velocity_mm_s", "direction"],
+    "constants": {},
+    "nonlinear": {},
+    "coefficients": [0.02],
+    "covariance": [[0.0]],
+}
 
 
 def test_from_the_sealed_store(
@@ -145,17 +154,22 @@ def test_from_the_sealed_store(
     save_public_key(tmp_path / "builder.pub", key.public_key())
     store = SealedStore(tmp_path / "store" / "tables.sealed", "X", "secret", key.public_key(), key)
     tables = read_manual_tables(manual)
-    store.save(Compensation(tables, (term_from_json(CYCLIC, ALL, "cyclic"),)))
+    cyclic, lag = (term_from_json(obj, ALL, obj["effect"]) for obj in (CYCLIC, LAG))
+    store.save(Compensation(tables, (cyclic, lag)))
     monkeypatch.setenv("HIL_PASSWORD", "secret")
     out = tmp_path / "x.comp"
     arguments = ["export", str(tmp_path / "X.toml"), "--format", "linuxcnc", "--out", str(out)]
     assert main(arguments) == 2
     error = capsys.readouterr().err
-    assert "holds the effects cyclic" in error
+    assert "holds velocity_lag, and" in error, "a cyclic error can be held by a table, and is"
     assert "--tables-only" in error
     assert not out.exists()
     assert main([*arguments, "--tables-only"]) == 0
-    assert out.read_text().splitlines()[1] == "10.000000000 0.005000000 0.001000000"
+    rows = np.loadtxt(out)
+    node = rows[rows[:, 0] == 10.0][0]
+    assert node[1:] == pytest.approx(
+        1e-3 * (np.array([5.0, 1.0]) - cyclic.error_um({"target_mm": np.array([10.0])})), abs=1e-9
+    )
 
 
 def test_from_a_fitted_model(tmp_path: Path) -> None:
