@@ -270,7 +270,9 @@ def session_of(
     axis: AxisConfig, drive: ServoDrive, looking: DistanceInstrument, conditions: Conditions | None
 ) -> AxisSession:
     stale_after_s = axis.instrument.stale_after_s
-    return AxisSession(drive, looking, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
+    session = AxisSession(drive, looking, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
+    session.resume_within_s = axis.instrument.resume_within_s
+    return session
 
 
 def check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:

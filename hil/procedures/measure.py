@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from hil.axis import MeasurementConfig
 from hil.compensation import Command
 from hil.journal import Campaign, RowJournal
 from hil.procedures.events import Event, Listener, silent
+from hil.procedures.pause import resuming
 from hil.procedures.session import AxisSession, PositionReading
 from hil.records import Records
 
@@ -98,17 +100,26 @@ def measure(
             journal.note(f"resumed after {done} rows; homed and datum taken anew")
         listener(Event(name, done=done, total=len(steps)))
         for index, step in enumerate(steps[done:], start=done):
-            _approach(session, step)
-            command = session.move_to(step.target_mm, step.feed_mm_s)
-            if step.dwell_s:
-                session.watch(step.dwell_s)
-            reading = session.read_position()
+
+            def tell(what: str, done: int = index) -> None:
+                journal.note(what)
+                listener(Event(name, what, done, len(steps)))
+
+            command, reading = resuming(session, partial(_capture, session, step), tell)
             journal.append(_row(step, command, reading, session.known(), columns))
             listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps)))
         records = journal.records()
     if records is None:
         raise ValueError(f"pass {name} has no steps")
     return records
+
+
+def _capture(session: AxisSession, step: Step) -> tuple[Command, PositionReading]:
+    _approach(session, step)
+    command = session.move_to(step.target_mm, step.feed_mm_s)
+    if step.dwell_s:
+        session.watch(step.dwell_s)
+    return command, session.read_position()
 
 
 def _check_plan(journal: RowJournal, steps: Sequence[Step]) -> int:

@@ -34,9 +34,9 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
 from hil.procedures.conditions import Conditions, NoConditions
+from hil.procedures.one_correction import refuse_while_drive_corrects
 from hil.reading import Average, average, creep
 from hil.records import Floats
-from hil.procedures.one_correction import refuse_while_drive_corrects
 
 SLICE_S = 0.05
 """How often drive and instrument are looked at while the axis moves."""
@@ -89,6 +89,7 @@ class AxisSession:
         self.conditions: Conditions = NoConditions() if conditions is None else conditions
         self._compensation: Compensation | None = None
         self.history: MotionHistory | None = None
+        self.resume_within_s: float | None = None  # how long a lost signal is waited for before the axis moves again by itself
         self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
         self._stale_ns = round(stale_after_s * NS_PER_S)
         self._start_ns = self.clock.now_ns()
