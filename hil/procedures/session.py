@@ -498,7 +498,7 @@ class AxisSession:
 
     def _fresh(self, arrived_ns: int) -> list[Reading]:
         """Readings over the reading time, none of them from before the axis arrived."""
-        for _ in range(2):  # the first look after an arrival without a dwell may bring nothing but what waited on the line
+        for _ in range(2):  # without a dwell the first look may bring nothing but what waited on the line
             readings = [reading for reading in self.watch(self.how.reading_s) if reading.earliest_ns >= arrived_ns]
             if readings:
                 return readings
