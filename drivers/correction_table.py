@@ -152,6 +152,10 @@ class CorrectionTable(ABC):
     def read(self) -> RawTable:
         """What the drive holds now."""
 
+    def changes_left(self) -> int | None:
+        """How many changes the memory of its contents is still allowed; None where writing does not wear it."""
+        return None
+
     def write(self, table: RawTable, present: RawTable | None = None) -> None:
         """Write what differs from `present`, everything without it. Does not read back: whoever writes a table does.
 

@@ -53,6 +53,12 @@ class ModbusCorrectionTable(CorrectionTable):
         )
 
     # -- writing -------------------------------------------------------------------------------------------------------
+    def changes_left(self) -> int | None:
+        blocks = self._blocks
+        kept = [each for each in (*blocks.columns.values(), *blocks.scalars.values()) if each.memory is Memory.EEPROM]
+        left = [each.wear_budget - self._wear.writes(self.drive, each.name) for each in kept]
+        return min(left, default=None)
+
     def _write(self, table: RawTable, present: RawTable | None) -> None:
         scalars = {name: getattr(table, name) for name in _PLACES if name in self._blocks.scalars}
         before = {} if present is None else {name: getattr(present, name) for name in scalars}

@@ -40,23 +40,23 @@ start while the drive's is on. Whatever goes wrong, or Ctrl-C, leaves the drive 
 _SHOWN_ROWS = 24
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Registers `table` among the parts of `hil params`."""
-    parser = subparsers.add_parser(
+def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Registers `table` among the jobs of `hil params`."""
+    parser = jobs.add_parser(
         "table",
         help="the correction table that the drive holds itself",
         description="Write the stored correction into the drive's own table, prove it there, or take it out.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
+    parts = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
     for name, text, run in (
         ("show", "what the drive holds", _show),
         ("download", "write the stored tables into the drive, read back, prove, switch on", _download),
         ("prove", "prove that the drive corrects as the bridge does", _prove),
         ("remove", "switch the drive's correction off and empty its table", _remove),
     ):
-        job = jobs.add_parser(
+        job = parts.add_parser(
             name, help=text, description=text, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         add_axis_arguments(job)

@@ -22,6 +22,7 @@ from hil.files import read_text, replace_file
 Tell = Callable[[str], None]
 _POWERED = (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.SWITCHED_ON, DriveState.FAULT_REACTION)
 _TRIES = 3  # at putting something back
+_WRITES = 2  # of a change: there, and back where it cannot stay
 
 
 class NotPutBackError(SafetyError):
@@ -80,10 +81,17 @@ class TableChange:
     def write(self, raw: RawTable) -> None:
         """Switch the drive's correction off, write, read all of it back and compare.
 
-        Raises StateError under power, InputError for what the table cannot hold, ProtocolError for another value read back.
+        Raises StateError under power or where the memory may not be written often enough to take it back, InputError for what the
+        table cannot hold, ProtocolError for another value read back.
         """
         self._require_unpowered()
         self.table.description.check(raw)
+        left = self.table.changes_left()
+        if left is not None and left < _WRITES:
+            raise StateError(
+                f"drive {self.drive.name}: {self.table.description.name} is kept in EEPROM and its budget has {max(0, left)}"
+                f" changes left; one that can be taken back needs {_WRITES} (wear_budget in the register map)"
+            )
         self.table.switch(False)
         start_ns = self.drive.clock.now_ns()
         self.table.write(raw, self.found.raw)

@@ -8,13 +8,14 @@ from __future__ import annotations
 from drivers.drive import ServoDrive
 from drivers.errors import StateError
 
+TWICE = "with the bridge's correction the error would be taken out twice"
 
-def refuse_while_drive_corrects(drive: ServoDrive) -> None:
+
+def refuse_while_drive_corrects(drive: ServoDrive, because: str = TWICE) -> None:
     """Raise StateError while the drive corrects by a table of its own."""
     table = drive.correction_table
     if table is not None and table.enabled():
         raise StateError(
-            f"drive {drive.name} corrects this axis itself, its {table.description.name} is switched on: with the bridge's"
-            " correction the error would be taken out twice; switch the drive's off (hil params table remove) or leave the"
-            " bridge's out"
+            f"drive {drive.name} corrects this axis itself, its {table.description.name} is switched on: {because}; switch the"
+            " drive's off (hil params table remove), or leave it to the drive"
         )

@@ -19,6 +19,7 @@ from hil.axis_backlash import SLIDE_MM, SLIDES, BacklashConfig
 from hil.procedures.bare_axis import STEP_SLICE_S, BareAxis, check_reach
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.neutral_settings import BacklashSettings, Found, Tell, neutral
+from hil.procedures.one_correction import refuse_while_drive_corrects
 from hil.wind_up.fitted import fit_wind_up
 from hil.wind_up.result import NAMES, Reversal, mean_um
 from hil.wind_up.trace import ReversalTrace
@@ -55,7 +56,9 @@ class TorqueBacklash:
 
 
 def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
-    """What the drive cannot do, said before anything is written or moved. Raises CapabilityError, LimitError."""
+    """What the drive cannot do, said before anything is written or moved. Raises CapabilityError, LimitError, and StateError while the
+    drive's own correction table is in force: at a reversal it would turn the motor further than the drive shows."""
+    refuse_while_drive_corrects(drive, "what its table adds at a reversal would be missing from the lost motion")
     drive.require(Capability.PROFILE_POSITION, Capability.TORQUE_ACTUAL)
     sample = drive.sample()
     if how.home and not sample.homed:
