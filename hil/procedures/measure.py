@@ -20,6 +20,7 @@ from hil.journal import Campaign, RowJournal
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.pause import resuming
 from hil.procedures.session import AxisSession, PositionReading
+from hil.reading import RULE
 from hil.records import Records
 
 BASE_COLUMNS = (
@@ -98,6 +99,7 @@ def measure(
         done = _check_plan(journal, steps)
         if 0 < done < len(steps):
             journal.note(f"resumed after {done} rows; homed and datum taken anew")
+        readings: list[PositionReading] = []
         listener(Event(name, done=done, total=len(steps)))
         for index, step in enumerate(steps[done:], start=done):
 
@@ -106,8 +108,11 @@ def measure(
                 listener(Event(name, what, done, len(steps)))
 
             command, reading = resuming(session, partial(_capture, session, step), tell)
+            readings.append(reading)
             journal.append(_row(step, command, reading, session.known(), columns))
             listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps)))
+        if readings:
+            journal.note(_worth(readings))
         records = journal.records()
     if records is None:
         raise ValueError(f"pass {name} has no steps")
@@ -120,6 +125,20 @@ def _capture(session: AxisSession, step: Step) -> tuple[Command, PositionReading
     if step.dwell_s:
         session.watch(step.dwell_s)
     return command, session.read_position()
+
+
+def _worth(readings: Sequence[PositionReading]) -> str:
+    """What the averages of a pass are worth, as a sentence for its file: root mean squares over the points."""
+    one, mean = _rms([r.std_um for r in readings]), _rms([r.mean_std_um for r in readings])
+    return (
+        f"{len(readings)} averages of {min(r.count for r in readings)} or more readings: standard deviation of a reading"
+        f" {one:.4f} um, of an average {mean:.4f} um; {sum(r.left_out for r in readings)} left out ({RULE})"
+    )
+
+
+def _rms(values: Sequence[float]) -> float:
+    """Of those that are numbers."""
+    return float(np.sqrt(np.nanmean(np.square(values)))) if not np.all(np.isnan(values)) else math.nan
 
 
 def _check_plan(journal: RowJournal, steps: Sequence[Step]) -> int:
