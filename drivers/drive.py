@@ -19,7 +19,7 @@ from drivers.correction_table import CorrectionTable
 from drivers.errors import CapabilityError, DriveFaultError, LimitError, MotionTimeoutError, StateError
 from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, ReportedScaling
-from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 from drivers.touch_probe import TouchProbe
 
 
@@ -229,6 +229,17 @@ class ServoDrive(ABC):
 
     def _stream(self, settings: SetPointSettings) -> SetPointStream:
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value}")
+
+    def stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> SetPointGroup:
+        """The same for this drive and others of its kind, in the same periods: axes that move together. Raises CapabilityError, also
+        for drives that no common clock could pace."""
+        for drive in (self, *others):
+            drive.require(Capability.STREAMING)
+        return self._stream_with(others, settings)
+
+    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> SetPointGroup:
+        del others, settings
+        raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value} of several axes")
 
     def _watch_travel(self, position_load_mm: float, velocity_mm_s: float | None) -> None:
         """For a backend whose sample finds a velocity run under way: stop it while it can still stop within the travel."""

@@ -7,14 +7,24 @@ set-point reaches the drive is the backend's.
 from __future__ import annotations
 
 from abc import abstractmethod
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Self
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
-from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, SafetyError, StateError
-from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.errors import (
+    BridgeError,
+    CapabilityError,
+    DriveFaultError,
+    FollowingErrorError,
+    InputError,
+    LimitError,
+    SafetyError,
+    StateError,
+)
+from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 
 
 class PacedStream(SetPointStream):
@@ -28,7 +38,7 @@ class PacedStream(SetPointStream):
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._due_ns = 0  # when the next set-point is due
         self._begun = False
-        self._last_mm = 0.0
+        self._last_mm = self._before_mm = 0.0
         self._running = False
 
     @property
@@ -48,28 +58,37 @@ class PacedStream(SetPointStream):
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if exc_type is not None and self._running:
-            self._stop()
+            self.stop()
         self._running = False
         if exc_type is None:
             self._end()
 
     def cycle(self, position_load_mm: float) -> float:
-        if not self._running:
-            raise StateError("the stream is not running")
         try:
-            self._check(position_load_mm)
-            self._account_for_lateness()
-            self._send(position_load_mm)
-            before_mm, self._last_mm = self._last_mm, position_load_mm
-            sample = self.drive.sample()
-            self._judge(sample, before_mm, position_load_mm)
-            self.drive.clock.sleep_until_ns(self._due_ns)
-            return sample.position_load_mm
+            self.check(position_load_mm)
+            self.give(position_load_mm)
+            return self.settle()
         except BaseException:
-            self._stop()
+            self.stop()
             raise
 
-    def _check(self, position_load_mm: float) -> None:
+    def give(self, position_load_mm: float) -> None:
+        """The first half of a cycle: the set-point, checked before, is with the drive."""
+        self._account_for_lateness()
+        self._send(position_load_mm)
+        self._before_mm, self._last_mm = self._last_mm, position_load_mm
+
+    def settle(self) -> float:
+        """The second half: judge how the axis follows, wait for the set-point's time."""
+        sample = self.drive.sample()
+        self._judge(sample, self._before_mm, self._last_mm)
+        self.drive.clock.sleep_until_ns(self._due_ns)
+        return sample.position_load_mm
+
+    def check(self, position_load_mm: float) -> None:
+        """Before a set-point is given: the stream runs, and the step is allowed."""
+        if not self._running:
+            raise StateError("the stream is not running")
         limits, period_s = self.drive.limits, self.settings.period_s
         limits.check_target(position_load_mm)
         step_mm = abs(position_load_mm - self._last_mm)
@@ -106,7 +125,8 @@ class PacedStream(SetPointStream):
                 f"drive {name}: {off_mm:.3f} mm from its set-point, allowed are {self.settings.following_error_mm:g} mm"
             )
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """Quick-stop the axis; the stream is over."""
         self._running = False
         with suppress(BridgeError):  # the error under way matters more
             self.drive.quick_stop()
@@ -121,3 +141,48 @@ class PacedStream(SetPointStream):
     @abstractmethod
     def _end(self) -> None:
         """Hold the axis where it is, in the mode for profile moves."""
+
+
+class PacedGroup(SetPointGroup):
+    """Several axes by the host's clock: all set-points of a cycle are checked before the first is sent."""
+
+    def __init__(self, drives: Sequence[ServoDrive], settings: SetPointSettings) -> None:
+        """Raises CapabilityError for a drive that is paced otherwise."""
+        self._streams: list[PacedStream] = []
+        for drive in drives:
+            stream = drive.stream(settings)
+            if not isinstance(stream, PacedStream):
+                raise CapabilityError(f"drive {drive.name} cannot stream together with {drives[0].name}")
+            self._streams.append(stream)
+        self._stack = ExitStack()
+
+    @property
+    def missed_cycles(self) -> int:
+        return max(stream.missed_cycles for stream in self._streams)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            for stream in self._streams:
+                stack.enter_context(stream)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(exc_type, exc, traceback)
+
+    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        if len(positions_load_mm) != len(self._streams):
+            raise InputError(f"{len(positions_load_mm)} set-points for {len(self._streams)} axes")
+        pairs = list(zip(self._streams, positions_load_mm, strict=True))
+        try:
+            for stream, position in pairs:
+                stream.check(position)
+            for stream, position in pairs:
+                stream.give(position)
+            return [stream.settle() for stream in self._streams]
+        except BaseException:
+            for stream in self._streams:
+                stream.stop()
+            raise

@@ -1,4 +1,4 @@
-"""SetPointStream: set-points to one axis, one per period, whatever wire it is on.
+"""SetPointStream: set-points to one axis, one per period, whatever wire it is on; SetPointGroup: to several in the same periods.
 
 `drivers.paced_stream` is what wires without a SYNC build theirs from; on CANopen `drivers.canopen.stream` paces several axes at once.
 """
@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -57,3 +58,27 @@ class SetPointStream(ABC):
     @abstractmethod
     def missed_cycles(self) -> int:
         """Periods that went by without a new set-point."""
+
+
+class SetPointGroup(ABC):
+    """A context manager around several enabled axes that move together; leaving it holds them all, an error quick-stops them all."""
+
+    @abstractmethod
+    def __enter__(self) -> Self: ...
+
+    @abstractmethod
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+
+    @abstractmethod
+    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        """Give every axis its set-point, wait for their time; the axes' positions (load mm) as they were in this cycle.
+
+        Raises as `SetPointStream.cycle`, with all axes quick-stopped.
+        """
+
+    @property
+    @abstractmethod
+    def missed_cycles(self) -> int:
+        """Periods that went by without a new set-point for some axis."""

@@ -57,7 +57,7 @@ def read_lost_motion(table: Table, limits: DriveLimits, targets_mm: Sequence[flo
         finest_um=table.take("finest_um", reader.between(0.05, 1000.0), "µm, 0.05 to 1000", 2.0),
         runs=table.take("runs", reader.whole(2, 100), "a whole number, 2 to 100", 3),
         proof_moves=table.take("proof_moves", reader.whole(4, 1000), "a whole number, 4 to 1000", 40),
-        shortest_rise_um=table.take("shortest_rise_um", reader.between(0.01, 1000.0), "µm, 0.01 to 1000", 0.5),
+        shortest_rise_um=table.take("shortest_rise_um", reader.between(0.01, 1000.0), "µm, 0.01 to 1000", 0.25),
     )
     table.finish()
     if not limits.travel_min_mm < config.low_mm < config.high_mm < limits.travel_max_mm:

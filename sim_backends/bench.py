@@ -110,11 +110,18 @@ class Bench:
     """A running bench. Use as a context manager: the laser's terminal is closed at the end.
 
     wait_for_arrival False is for readers in other threads or processes (real time), who may take bytes while they are waited for.
+    clock: of another axis of the same machine.
     """
 
-    def __init__(self, parameters: BenchParameters | None = None, *, wait_for_arrival: bool = True) -> None:
+    def __init__(
+        self,
+        parameters: BenchParameters | None = None,
+        *,
+        wait_for_arrival: bool = True,
+        clock: SimClock | None = None,
+    ) -> None:
         self.parameters = p = parameters or BenchParameters()
-        self.clock = SimClock(p.step_s)
+        self.clock = clock or SimClock(p.step_s)
         self.plant = FeedAxis(p.plant, p.servo.start_counts / p.servo.counts_per_rev)
         self.servo = SimulatedServo(self.plant, p.servo, p.servo_faults)
         self.laser = SimulatedLaser(self.plant, p.laser, p.laser_faults, wait_for_arrival=wait_for_arrival)

@@ -6,12 +6,14 @@ For procedures' tests and for demonstrations of everything but the wire. It keep
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
 from drivers.clock import Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
 from drivers.errors import CapabilityError, DriveFaultError, InputError, LinkLostError, MotionTimeoutError, StateError
+from drivers.paced_stream import PacedGroup
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import TouchProbe
@@ -177,6 +179,9 @@ class VirtualDrive(ServoDrive):
 
     def _stream(self, settings: SetPointSettings) -> VirtualStream:
         return VirtualStream(self, self._servo, settings)
+
+    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> PacedGroup:
+        return PacedGroup([self, *others], settings)
 
     # -- what stands beside the motion -----------------------------------------------------------------------------
     def _touch_probe(self) -> TouchProbe:

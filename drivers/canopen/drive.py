@@ -9,7 +9,7 @@ A sample is asked for: SYNC goes out and the synchronous TPDOs that answer it ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ from drivers.canopen.motion import FAULTS, RUN, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import SYNC, NmtCommand, NodeMonitor
 from drivers.canopen.objects import Entry
-from drivers.canopen.one_axis_stream import OneAxisStream
+from drivers.canopen.one_axis_stream import AxesInStep, OneAxisStream
 from drivers.canopen.parameters import ON_COMMAND
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Finding
@@ -49,6 +49,7 @@ from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, Serv
 from drivers.errors import (
     AbortError,
     BridgeError,
+    CapabilityError,
     DriveFaultError,
     LinkLostError,
     MotionTimeoutError,
@@ -375,6 +376,15 @@ class CanOpenDrive(ServoDrive):
 
     def _stream(self, settings: SetPointSettings) -> OneAxisStream:
         return OneAxisStream(self, settings)
+
+    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> AxesInStep:
+        in_step = [self, *(drive for drive in others if isinstance(drive, CanOpenDrive) and drive.link is self.link)]
+        if len(in_step) <= len(others):
+            names = ", ".join(drive.name for drive in (self, *others))
+            raise CapabilityError(
+                f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
+            )
+        return AxesInStep(in_step, settings)
 
     def begin_streaming(self) -> None:
         """A stream takes over SYNC and the PDOs; it puts the PDOs back before `end_streaming`."""

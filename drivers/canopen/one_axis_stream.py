@@ -1,27 +1,29 @@
-"""A stream to a single axis behind the face that all wires have, over `CyclicStream`."""
+"""Streams to one axis and to several behind the faces that all wires have, over `CyclicStream`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from drivers.canopen.stream import CyclicStream, StreamSettings
-from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 
 if TYPE_CHECKING:
     from drivers.canopen.drive import CanOpenDrive
+
+
+def _by_sync(settings: SetPointSettings) -> StreamSettings:
+    return StreamSettings(
+        settings.period_s, following_error_mm=settings.following_error_mm, missed_limit=settings.missed_limit
+    )
 
 
 class OneAxisStream(SetPointStream):
     """SYNC comes from this process. On entering, the axis must be enabled and the bus be able to carry the cycle."""
 
     def __init__(self, drive: CanOpenDrive, settings: SetPointSettings) -> None:
-        self._stream = CyclicStream(
-            [drive],
-            StreamSettings(
-                settings.period_s, following_error_mm=settings.following_error_mm, missed_limit=settings.missed_limit
-            ),
-        )
+        self._stream = CyclicStream([drive], _by_sync(settings))
 
     def __enter__(self) -> Self:
         self._stream.__enter__()
@@ -39,6 +41,29 @@ class OneAxisStream(SetPointStream):
     @property
     def reached_ns(self) -> int:
         return self._stream.next_sync_ns
+
+    @property
+    def missed_cycles(self) -> int:
+        return self._stream.counters.missed_cycles
+
+
+class AxesInStep(SetPointGroup):
+    """Several axes on one bus, all by one SYNC. Entering it: as of `OneAxisStream`, for all of them."""
+
+    def __init__(self, drives: Sequence[CanOpenDrive], settings: SetPointSettings) -> None:
+        self._stream = CyclicStream(drives, _by_sync(settings))
+
+    def __enter__(self) -> Self:
+        self._stream.__enter__()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stream.__exit__(exc_type, exc, traceback)
+
+    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        return [feedback.position_load_mm for feedback in self._stream.cycle(positions_load_mm)]
 
     @property
     def missed_cycles(self) -> int:

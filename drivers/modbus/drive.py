@@ -7,7 +7,7 @@ drive never acknowledged but is believed to run, a start bit sent twice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -33,6 +33,7 @@ from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.stream import ModbusStream
 from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.wear import WearLedger
+from drivers.paced_stream import PacedGroup
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 
@@ -479,6 +480,9 @@ class ModbusDrive(ServoDrive):
         if self.map.stream is None:
             raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
         return ModbusStream(self, self.map.stream, settings)
+
+    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> PacedGroup:
+        return PacedGroup([self, *others], settings)
 
     def begin_stream(self) -> None:
         """For `ModbusStream`: target := actual, then the mode in which the drive follows it."""

@@ -5,19 +5,14 @@ What may go in: pure functions of reversals. How they are measured is `hil.proce
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from drivers.errors import InputError
-from hil.lost_motion.fit import Contender, MeasuredReversal, compete, refit
+from hil.lost_motion.fit import Contender, MeasuredReversal, compete, uncertainties
 from hil.lost_motion.shapes import RUNNABLE, TWO_TANH, Rise
 
-DRAWS = 60
-"""Bootstrap draws of whole strokes: standard uncertainties to a tenth of themselves."""
 AS_GOOD = 1.1
 """Two tanh terms are taken unless another shape's held-out RMS is smaller by more than this ratio."""
 STILL_RISING = 0.03
@@ -78,10 +73,10 @@ class Estimate:
         }
 
 
-def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float, seed: int) -> Estimate:
+def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float) -> Estimate:
     """The rise of these reversals, of which all that belongs to the place alone has been taken out.
 
-    shortest_mm: no rise is shorter. Raises InputError with fewer than 3 reversals: one has to be left out, and some be drawn.
+    shortest_mm: no rise is shorter. Raises InputError with fewer than 3 reversals: one has to be left out.
     """
     if len(reversals) < 3:
         raise InputError(f"{len(reversals)} reversals, expected at least 3")
@@ -90,8 +85,8 @@ def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float, seed: in
     two_tanh = next(one for one in contenders if one.fitted.shape is TWO_TANH)
     chosen = two_tanh if two_tanh.held_out_rms_um <= AS_GOOD * contenders[0].held_out_rms_um else contenders[0]
     rise = chosen.fitted.rise
-    published = _uncertain(two_tanh, by_load, shortest_mm, seed)
-    parameters = published if chosen is two_tanh else _uncertain(chosen, by_load, shortest_mm, seed)
+    published = _uncertain(two_tanh, by_load, shortest_mm)
+    parameters = published if chosen is two_tanh else _uncertain(chosen, by_load, shortest_mm)
     end_mm = max(float(reversal.travel_mm.max()) for reversal in by_load)
     late_um = rise.risen_um(end_mm) - rise.risen_um(end_mm / 2.0)
     return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um)
@@ -101,29 +96,15 @@ def _plain(parameters: Mapping[str, Uncertain]) -> dict[str, dict[str, float]]:
     return {name: {"value": each.value, "std": each.std} for name, each in parameters.items()}
 
 
-def _named(rise: Rise) -> dict[str, float]:
-    """Parameters under the names people use."""
-    found = {"amount_um": rise.amount_um}
-    shape = rise.shape
+def _uncertain(chosen: Contender, reversals: Sequence[MeasuredReversal], shortest_mm: float) -> dict[str, Uncertain]:
+    """Parameters under the names people use, each with its standard uncertainty; of straight pieces the whole amount alone."""
+    rise = chosen.fitted.rise
+    shape, amounts, lengths = rise.shape, rise.amounts_um, rise.lengths_mm
+    u_whole, u_amounts, u_lengths = uncertainties(rise, reversals, shortest_mm)
+    found = {"amount_um": Uncertain(rise.amount_um, u_whole)}
     if shape.knots:
         return found
-    found |= {f"amount_{k}_um": amount for k, amount in enumerate(rise.amounts_um, start=1) if len(rise.amounts_um) > 1}
-    lengths = rise.lengths_mm
-    found |= {f"rise_{k}_mm": lengths[k - 1] for k in range(1, shape.rises + 1)}
-    return found | ({"onset_2_mm": lengths[shape.rises]} if shape.onsets else {})
-
-
-def _uncertain(
-    chosen: Contender, reversals: Sequence[MeasuredReversal], shortest_mm: float, seed: int
-) -> dict[str, Uncertain]:
-    """Standard uncertainties by a bootstrap over whole strokes; n draws of n spread too little by √((n − 1)/n): made up for."""
-    rng = np.random.default_rng(seed)
-    n = len(reversals)
-    values = _named(chosen.fitted.rise)
-    drawn: dict[str, list[float]] = {name: [] for name in values}
-    for _ in range(DRAWS):
-        some = [reversals[index] for index in rng.integers(0, n, n)]
-        for name, value in _named(refit(chosen.fitted, some, shortest_mm, table=False).rise).items():
-            drawn[name].append(value)
-    more = math.sqrt(n / (n - 1.0))
-    return {name: Uncertain(value, more * float(np.std(drawn[name], ddof=1))) for name, value in values.items()}
+    if len(amounts) > 1:
+        found |= {f"amount_{k + 1}_um": Uncertain(amounts[k], u_amounts[k]) for k in range(len(amounts))}
+    found |= {f"rise_{k + 1}_mm": Uncertain(lengths[k], u_lengths[k]) for k in range(shape.rises)}
+    return found | ({"onset_2_mm": Uncertain(lengths[-1], u_lengths[-1])} if shape.onsets else {})

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
 from drivers.errors import InputError
+from hil.lost_motion.at_load import Places, Reach, fit_at_load, standard_uncertainties
 from hil.lost_motion.published import TwoTanh
 from hil.lost_motion.shapes import SHAPES, Floats, Rise, Shape
 
@@ -23,7 +24,7 @@ FOLDS = 5
 FIT_ROWS = 250
 """A search sees about this many rows, evenly picked; what is reported is of all of them."""
 LEAST_WEIGHT = 0.002
-"""Of a row where the load stands still while the motor moves."""
+"""Of a row where the load stands still while the motor moves, where a search begins."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class MeasuredReversal:
 
     direction: of the stroke, +1 or -1. travel_mm: shape (n,), ≥ 0, since the reversal. error_um: shape (n,), actual − commanded; its
     first row is taken before the motion starts. stroke_mm: travel of the stroke before; rows beyond it are left out, as the axis is
-    back on an earlier branch there. weight: shape (n,), > 0, of the rows; None: all alike.
+    back on an earlier branch there. over_load: the travel is the load's own, see `by_load`.
     Raises InputError for anything else, and for fewer than 10 rows.
     """
 
@@ -40,7 +41,7 @@ class MeasuredReversal:
     travel_mm: Floats
     error_um: Floats
     stroke_mm: float = math.inf
-    weight: Floats | None = None
+    over_load: bool = False
 
     def __post_init__(self) -> None:
         rows = len(self.travel_mm)
@@ -50,8 +51,6 @@ class MeasuredReversal:
                 f"reversal in direction {self.direction} with {rows} travels and {len(self.error_um)} errors:"
                 " expected +1 or -1, and as many finite errors as travels, none of which is below 0"
             )
-        if self.weight is not None and (len(self.weight) != rows or not np.all(self.weight > 0.0)):
-            raise InputError(f"reversal with {len(self.weight)} weights for {rows} rows, expected as many, all > 0")
         if int(self._kept.sum()) < 10 or not np.any(self.travel_mm > 0.0):
             raise InputError(
                 f"{int(self._kept.sum())} rows within the stroke: too few, at least 10 are needed, and some travel"
@@ -68,24 +67,25 @@ class MeasuredReversal:
         risen_um = -self.direction * (self.error_um - self.error_um[0])
         return self.travel_mm[kept], risen_um[kept]
 
-    @property
-    def weights(self) -> Floats:
-        """Of the rows of `rise`, shape (m,)."""
-        return np.ones(int(self._kept.sum())) if self.weight is None else self.weight[self._kept]
-
     def by_load(self) -> MeasuredReversal:
         """The same over the load's own travel instead of the motor's: what a correction needs, under which the load is on its target.
 
-        Where the load hardly moves, a row says little of the rise at its place: it weighs as the load's travel per motor travel, by
-        which an error of the rise shows in an error at a given motor travel. Raises InputError unless the travel grows row by row.
+        While the load sticks, its travel tells nothing of the rise, but the rise tells where the load is: such a reversal is fitted by
+        where the load should be after each of the motor's travels. Raises InputError unless the motor's travel grows row by row.
         """
         if np.any(np.diff(self.travel_mm) <= 0.0):
             raise InputError("the travel has to grow from row to row to tell the load's travel")
         risen_um = -self.direction * (self.error_um - self.error_um[0])
-        load_mm = np.maximum(self.travel_mm - risen_um / 1000.0, 0.0)
-        slope = np.diff(load_mm) / np.diff(self.travel_mm)
-        weight = np.clip(np.minimum(np.append(slope, 1.0), np.append(1.0, slope)), LEAST_WEIGHT, 1.0)
-        return replace(self, travel_mm=load_mm, weight=weight)
+        return replace(self, travel_mm=np.maximum(self.travel_mm - risen_um / 1000.0, 0.0), over_load=True)
+
+    @property
+    def start_weights(self) -> Floats:
+        """For a first search, of the rows of `rise`, shape (m,): the load's travel per motor travel, by which errors show."""
+        travel_mm, risen_um = self.rise
+        if not self.over_load:
+            return np.ones(len(travel_mm))
+        slope = np.diff(travel_mm) / np.diff(travel_mm + risen_um / 1000.0)
+        return np.asarray(np.clip(np.minimum(np.append(slope, 1.0), np.append(1.0, slope)), LEAST_WEIGHT, 1.0))
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Contender:
-    """A shape fitted to all rows, its RMS on them, and its RMS on rows it had not seen, µm; weighted where the rows are."""
+    """A shape fitted to all rows, its RMS on them, and its RMS on rows it had not seen, µm; over the load: of its place."""
 
     fitted: Fitted
     rms_um: float
@@ -120,27 +120,38 @@ class Contender:
 
 @dataclass(frozen=True)
 class _Rows:
-    """All rows of some reversals: travel, rise, weight, and which reversal each is of; shape (n,) each."""
+    """All rows of some reversals: travel, rise, weight for a first search, and which reversal each is of; shape (n,) each."""
 
     travel_mm: Floats
     risen_um: Floats
     weight: Floats
     stroke: NDArray[np.int64]
+    over_load: bool
 
     @classmethod
     def of(cls, reversals: Sequence[MeasuredReversal]) -> _Rows:
         if not reversals:
             raise InputError("no reversal was measured")
+        if len({reversal.over_load for reversal in reversals}) > 1:
+            raise InputError("some reversals are over the load's travel and some are not")
         rises = [reversal.rise for reversal in reversals]
         stroke = np.repeat(np.arange(len(rises)), [len(travel) for travel, _ in rises])
-        weight = np.concatenate([reversal.weights for reversal in reversals])
-        return cls(np.concatenate([t for t, _ in rises]), np.concatenate([r for _, r in rises]), weight, stroke)
+        weight = np.concatenate([reversal.start_weights for reversal in reversals])
+        travel, risen = (np.concatenate([pair[k] for pair in rises]) for k in (0, 1))
+        return cls(travel, risen, weight, stroke, reversals[0].over_load)
 
     def where(self, rows: NDArray[np.bool_] | slice) -> _Rows:
-        return _Rows(self.travel_mm[rows], self.risen_um[rows], self.weight[rows], self.stroke[rows])
+        return _Rows(self.travel_mm[rows], self.risen_um[rows], self.weight[rows], self.stroke[rows], self.over_load)
+
+    @property
+    def places(self) -> Places:
+        return Places(self.travel_mm + self.risen_um / 1000.0, self.travel_mm, self.stroke)
 
     def residual_um(self, fitted: Fitted) -> Floats:
-        return np.asarray(self.weight * (fitted.rise_um(self.travel_mm) - self.risen_um), dtype=np.float64)
+        """Rise less measured rise, at the same travel; over the load's travel, at the same travel of the motor."""
+        if self.over_load:
+            return self.places.residual_um(fitted.rise)
+        return np.asarray(fitted.rise_um(self.travel_mm) - self.risen_um, dtype=np.float64)
 
 
 def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True) -> Fitted:
@@ -178,24 +189,30 @@ def compete(
     return tuple(sorted(found, key=lambda contender: contender.held_out_rms_um))
 
 
-def refit(
-    fitted: Fitted, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True
-) -> Fitted:
-    """The same shape on other reversals, searched from where it was found before."""
-    return _fit(fitted.shape, _Rows.of(reversals), shortest_mm, table, start=fitted.rise.lengths_mm)
+def reach_of(span_mm: float, shortest_mm: float = 0.0) -> Reach:
+    """How far lengths may go over a travel. Slower or later, and a rise could not be told from the table."""
+    longest = span_mm / 4.0
+    return Reach(min(shortest_mm if shortest_mm > 0.0 else span_mm / 200.0, longest / 2.0), longest, span_mm / 2.0)
+
+
+def uncertainties(
+    rise: Rise, reversals: Sequence[MeasuredReversal], shortest_mm: float
+) -> tuple[float, list[float], list[float]]:
+    """Standard uncertainties of a rise that was fitted to these reversals over the load's travel: see `standard_uncertainties`."""
+    rows = _Rows.of(reversals)
+    return standard_uncertainties(rise, rows.places, reach_of(float(rows.travel_mm.max()), shortest_mm))
 
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _fit(
-    shape: Shape, rows: _Rows, shortest_mm: float, table: bool = True, start: tuple[float, ...] | None = None
-) -> Fitted:
+def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool = True) -> Fitted:
     seen = rows.where(slice(None, None, max(1, len(rows.travel_mm) // FIT_ROWS)))
     s, y, w = seen.travel_mm, seen.risen_um, seen.weight
     span = float(s.max())
     slope = s if table else np.zeros_like(s)
+    reach = reach_of(span, shortest_mm)
 
     def solved(lengths: Sequence[float]) -> tuple[Floats, Floats]:
         columns = [shape.columns(s, lengths), slope, -slope]  # the slope may have either sign
@@ -203,45 +220,40 @@ def _fit(
         amounts, _ = nnls(matrix, w * y)
         return amounts, np.asarray(matrix @ amounts - w * y, dtype=np.float64)
 
-    high, last = span / 4.0, span / 2.0  # slower or later, and it could not be told from the table
-    low = min(shortest_mm if shortest_mm > 0.0 else span / 200.0, high / 2.0)
     if shape.knots:
-        lengths = tuple(np.geomspace(low, span, shape.knots).tolist()) if start is None else start
+        lengths = tuple(np.geomspace(reach.shortest_mm, span, shape.knots).tolist())
     else:
-        bounds = ([low] * shape.rises + [0.0] * shape.onsets, [high] * shape.rises + [last] * shape.onsets)
-        starts = _starts(shape, solved, (low, high, last)) if start is None else [start]
-        best = min(
-            (
-                least_squares(
-                    lambda v: solved(v)[1], np.clip(one, *_inside(bounds)), bounds=bounds, x_scale=span / 10.0
-                )
-                for one in starts
-            ),
-            key=lambda result: float(result.cost),
-        )
-        lengths = tuple(float(v) for v in best.x)
+        lengths = _lengths(shape, solved, reach, span)
     amounts = solved(lengths)[0]
-    return Fitted(Rise(shape, tuple(float(a) for a in amounts[:-2]), lengths), float(amounts[-2] - amounts[-1]))
+    found = Rise(shape, tuple(float(a) for a in amounts[:-2]), lengths)
+    if seen.over_load:
+        return Fitted(fit_at_load(found, seen.places, reach))
+    return Fitted(found, float(amounts[-2] - amounts[-1]))
 
 
-def _inside(bounds: tuple[list[float], list[float]]) -> tuple[Floats, Floats]:
-    """A little within bounds: where a search may start."""
-    low, high = np.array(bounds[0]), np.array(bounds[1])
+def _lengths(
+    shape: Shape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], reach: Reach, span: float
+) -> tuple[float, ...]:
+    """The lengths with the least squares: from the best start of each onset, as there are several hollows."""
+    low = np.array([reach.shortest_mm] * shape.rises + [0.0] * shape.onsets)
+    high = np.array([reach.longest_mm] * shape.rises + [reach.onset_mm] * shape.onsets)
     edge = 1e-6 * (high - low)
-    return low + edge, high - edge
-
-
-def _starts(
-    shape: Shape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], reach: tuple[float, float, float]
-) -> list[tuple[float, ...]]:
-    """The best of each onset: the search falls into the nearest of several hollows. reach: shortest, longest rise, last onset."""
-    low, high, last = reach
-    rises = np.geomspace(1.01 * low, 0.8 * high, 6).tolist()
-    onsets = np.linspace(0.0, 0.8 * last, 5).tolist()
-    return [
+    rises = np.geomspace(1.01 * reach.shortest_mm, 0.8 * reach.longest_mm, 6).tolist()
+    onsets = np.linspace(0.0, 0.8 * reach.onset_mm, 5).tolist()
+    starts = [
         min(
             ((*lengths, *onset) for lengths in itertools.product(rises, repeat=shape.rises)),
             key=lambda lengths: float(np.sum(solved(lengths)[1] ** 2)),
         )
         for onset in itertools.product(onsets, repeat=shape.onsets)
     ]
+    best = min(
+        (
+            least_squares(
+                lambda v: solved(v)[1], np.clip(one, low + edge, high - edge), bounds=(low, high), x_scale=span / 10.0
+            )
+            for one in starts
+        ),
+        key=lambda result: float(result.cost),
+    )
+    return tuple(float(v) for v in best.x)

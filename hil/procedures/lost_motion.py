@@ -204,14 +204,13 @@ def measure_lost_motion(
 ) -> LostMotionResult:
     """On a prepared session; `present` is what was in force until now, None for nothing. Nothing is stored here.
 
-    The session's compensation is what it was before, on every way out. A campaign that was interrupted goes on with its first
+    The session has no compensation in force afterwards, on every way out. A campaign that was interrupted goes on with its first
     missing row. Raises InputError where no lost motion shows above the noise, or the tables are those of another machine.
     """
-    was = session.compensation
     try:
         session.compensation = None
         records = measure(session, campaign, "strokes", stroke_steps(how), listener)
-        found = estimate(reversals_of(records, how), how.shortest_rise_um / 1000.0, seed)
+        found = estimate(reversals_of(records, how), how.shortest_rise_um / 1000.0)
         stretch = stretch_of(records, how, found.amount_um)
         if found.amount_um < NOISE_REACH * stretch.noise_um:
             raise InputError(
@@ -229,7 +228,7 @@ def measure_lost_motion(
         proof = Proof(before, after, before_um, after_um, found.amount_um, stretch.noise_um)
         return LostMotionResult(records, found, stretch, extended, proof)
     finally:
-        session.compensation = was
+        session.compensation = None
 
 
 def verdict(result: LostMotionResult) -> Sequence[str]:

@@ -89,7 +89,10 @@ class AxisSession:
         self.conditions: Conditions = NoConditions() if conditions is None else conditions
         self._compensation: Compensation | None = None
         self.history: MotionHistory | None = None
-        self.resume_within_s: float | None = None  # how long a lost signal is waited for before the axis moves again by itself
+        self.beside: tuple[AxisSession, ...] = ()  # other axes of the machine, looked at and stopped with this one
+        self.resume_within_s: float | None = (
+            None  # how long a lost signal is waited for before the axis moves again by itself
+        )
         self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
         self._stale_ns = round(stale_after_s * NS_PER_S)
         self._start_ns = self.clock.now_ns()
@@ -134,13 +137,14 @@ class AxisSession:
 
         Where the axis comes to rest nobody knows, so neither is the direction it came from.
         """
-        self.history = None
-        with suppress(BridgeError):  # the link is gone or the drive is in a fault: there is nothing left to tell it
-            self.drive.quick_stop()
+        for axis in (self, *self.beside):
+            axis.history = None
+            with suppress(BridgeError):  # the link is gone or the drive is in a fault: there is nothing left to tell it
+                axis.drive.quick_stop()
 
     @contextmanager
-    def _stopping_on_error(self) -> Iterator[None]:
-        """Whatever goes wrong inside, an interrupt from the keyboard too, stops the axis before anyone hears of it."""
+    def stopping_on_error(self) -> Iterator[None]:
+        """Whatever goes wrong inside, an interrupt from the keyboard too, stops the axis, and those beside it, at once."""
         try:
             yield
         except BaseException as error:
@@ -183,17 +187,20 @@ class AxisSession:
 
     def look(self) -> tuple[DriveSample, Sequence[Reading]]:
         """One look at drive and instrument; stops the axis and raises on whatever makes motion unsafe or readings worthless."""
-        with self._stopping_on_error():
-            sample = self.drive.sample()
-            readings = self._poll()
-            if sample.state in _FAULTS:
-                code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
-                raise DriveFaultError(
-                    f"drive {self.drive.name} went into {sample.state.value}{code}", sample.fault_code
-                )
-            self._take(readings)
-            self._check_fresh(sample)
-            return sample, readings
+        with self.stopping_on_error():
+            for other in self.beside:
+                other._look_alone()
+            return self._look_alone()
+
+    def _look_alone(self) -> tuple[DriveSample, Sequence[Reading]]:
+        sample = self.drive.sample()
+        readings = self._poll()
+        if sample.state in _FAULTS:
+            code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
+            raise DriveFaultError(f"drive {self.drive.name} went into {sample.state.value}{code}", sample.fault_code)
+        self._take(readings)
+        self._check_fresh(sample)
+        return sample, readings
 
     def _poll(self) -> Sequence[Reading]:
         """A port of the instrument's that went away is a lost measurement, not a lost drive."""
@@ -215,7 +222,7 @@ class AxisSession:
 
         The axis stops on a bad or an old reading.
         """
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             number, numbered = self._samples, []
             readings = self._poll()
             self._take(readings)
@@ -228,7 +235,7 @@ class AxisSession:
     def await_instrument(self) -> None:
         """Before anything moves: wait for the instrument's first reading, which may take longer than those after it."""
         deadline = self.clock.deadline(FIRST_READING_S)
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             while self._latest is None:
                 self._take(self._poll())
                 if self._latest is None and deadline.expired:
@@ -242,7 +249,7 @@ class AxisSession:
         deadline = self.clock.deadline(duration_s)
         slice_s = SLICE_S if self.instrument.answers_when_asked else REST_SLICE_S
         arrived: list[Reading] = []
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             while not deadline.expired:
                 slice_end_ns = self.clock.now_ns() + round(slice_s * NS_PER_S)
                 self.clock.sleep_until_ns(min(slice_end_ns, deadline.end_ns))
@@ -255,7 +262,7 @@ class AxisSession:
         A drive that is no longer enabled fulfils nothing: standing still is not having arrived.
         """
         deadline = self.clock.deadline(timeout_s)
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             while True:
                 sample, _ = self.look()
                 self._require_enabled(sample, what)
@@ -420,7 +427,7 @@ class AxisSession:
 
     def _wait_arrived(self, command_mm: float, travel_mm: float, velocity_mm_s: float) -> None:
         expected_s = travel_mm / velocity_mm_s + velocity_mm_s / self.drive.limits.max_acceleration_mm_s2
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             sample = self.watch_until(lambda sample: sample.target_reached, 5.0 + 3.0 * expected_s, "move")
             if abs(sample.position_load_mm - command_mm) > ARRIVED_WITHIN_MM:
                 raise FollowingErrorError(
@@ -435,18 +442,30 @@ class AxisSession:
 
         path_mm: targets and the velocities (mm/s) there, from where the axis stands.
         """
+        known = self.known_in_stream()
+        with self.stopping_on_error(), self.drive.stream(settings) as stream:
+            for target_mm, velocity_mm_s in path_mm:
+                command = self.set_point(target_mm, velocity_mm_s, known)
+                stream.cycle(command.command_mm)
+                self.given(command)
+                at(stream)
+
+    def known_in_stream(self) -> dict[str, float]:
+        """What `set_point` needs to know, read once before a stream. Raises as refusing a correction that the drive makes too."""
         if self._compensation is not None:
             refuse_while_drive_corrects(self.drive)
-        known = self.known()
-        with self._stopping_on_error(), self.drive.stream(settings) as stream:
-            for target_mm, velocity_mm_s in path_mm:
-                self.drive.limits.check_target(target_mm)
-                known["velocity_mm_s"] = velocity_mm_s
-                known["time_s"] = self.elapsed_s() + self.time_offset_s
-                command = self._command_of(target_mm, known)
-                stream.cycle(command.command_mm)
-                self.history, self._commanded_mm = command.history, command.command_mm
-                at(stream)
+        return self.known()
+
+    def set_point(self, target_mm: float, velocity_mm_s: float, known: dict[str, float]) -> Command:
+        """One set-point of a stream with the correction in force; once the drive has it, tell it by `given`. Raises LimitError."""
+        self.drive.limits.check_target(target_mm)
+        known["velocity_mm_s"] = velocity_mm_s
+        known["time_s"] = self.elapsed_s() + self.time_offset_s
+        return self._command_of(target_mm, known)
+
+    def given(self, command: Command) -> None:
+        """The drive has this set-point: the axis's history goes on from there."""
+        self.history, self._commanded_mm = command.history, command.command_mm
 
     @property
     def commanded_mm(self) -> float:
@@ -481,7 +500,7 @@ class AxisSession:
         arrived_ns = self.clock.now_ns()
         self.watch(how.dwell_s)
         settle = self.clock.deadline(how.settle_within_s or SETTLE_WITHIN_S)
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             while True:
                 readings = self._fresh(arrived_ns)
                 self._require_enabled(self.look()[0], "holding the position while it was read")

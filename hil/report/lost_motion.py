@@ -193,7 +193,7 @@ def _proof_data(proof: Proven) -> str:
 
 def _footer() -> str:
     return (
-        "<footer>Uncertainties are standard ones, from drawing whole strokes anew: how well these strokes repeat. A shape is fitted"
-        " over the load's own travel, where a row weighs as the load moves with the motor; a weighted RMS is an error at the load. The"
-        " data are inside this file as JSON.</footer>"
+        "<footer>Uncertainties are standard ones, by the scatter of whole strokes: how well these repeat. A shape is fitted"
+        " over the load's own travel, and its RMS is that of the load's place at each place of the motor. The data"
+        " are inside this file as JSON.</footer>"
     )

@@ -1,0 +1,151 @@
+"""The circle that shows lost motion: its path in time, the deviation of what was driven, and the bump after each quadrant.
+
+What may go in: pure functions of angles and positions. Angles are in degrees, counter-clockwise from the first axis's + direction; at
+0 and 180° the first axis turns around, at 90 and 270° the second.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputError
+
+Floats = NDArray[np.float64]
+
+QUADRANTS_DEG = (0.0, 90.0, 180.0, 270.0)
+BETWEEN_DEG = (45.0, 135.0, 225.0, 315.0)
+"""Where no axis turns around: the same figure there is what noise and all else make of it."""
+BEFORE_DEG, AFTER_DEG = 12.0, 10.0
+"""The circle is called undisturbed so far before a quadrant, and its bump is looked for so far after it."""
+NEAR_DEG = 1.0
+"""Not so close to the quadrant: the set-point's time and the samples' agree to less, and both axes' noise is in the angle."""
+START_DEG, LEAD_DEG = -60.0, 30.0
+"""Where the first full turn begins, and the arc before it, on which the feed is reached and both axes wind up; as much follows it."""
+
+
+@dataclass(frozen=True)
+class Circle:
+    """centre_mm: of both axes; feed_mm_s along the path; sense: +1 counter-clockwise; ramp_mm_s2: tangential."""
+
+    centre_mm: tuple[float, float]
+    radius_mm: float = 10.0
+    feed_mm_s: float = 100.0 / 60.0
+    sense: int = 1
+    ramp_mm_s2: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not (self.radius_mm > 0.0 and self.feed_mm_s > 0.0 and self.ramp_mm_s2 > 0.0 and self.sense in (1, -1)):
+            raise InputError(
+                f"circle of {self.radius_mm:g} mm at {self.feed_mm_s:g} mm/s, sense {self.sense}: expected > 0, and 1 or -1"
+            )
+        if self._ramp_mm > 0.5 * self._lead_mm:
+            raise InputError(
+                f"a feed of {self.feed_mm_s:g} mm/s needs {self._ramp_mm:.3f} mm to be reached, the arc before the turn"
+                f" has {self._lead_mm:.3f} mm"
+            )
+
+    @property
+    def _lead_mm(self) -> float:
+        return self.radius_mm * math.radians(LEAD_DEG)
+
+    @property
+    def _ramp_mm(self) -> float:
+        return 0.5 * self.feed_mm_s**2 / self.ramp_mm_s2
+
+    @property
+    def length_mm(self) -> float:
+        return 2.0 * math.pi * self.radius_mm + 2.0 * self._lead_mm
+
+    @property
+    def duration_s(self) -> float:
+        return self.length_mm / self.feed_mm_s + self.feed_mm_s / self.ramp_mm_s2
+
+    def at(self, way_mm: float) -> tuple[float, float]:
+        """Both axes' targets after so much of the path, mm."""
+        angle = self.sense * (math.radians(START_DEG - LEAD_DEG) + way_mm / self.radius_mm)
+        return (
+            self.centre_mm[0] + self.radius_mm * math.cos(angle),
+            self.centre_mm[1] + self.radius_mm * math.sin(angle),
+        )
+
+    def starting(self) -> tuple[int, int]:
+        """Directions in which both axes set off."""
+        here, soon = self.at(0.0), self.at(1e-3 * self.radius_mm)
+        return (1 if soon[0] > here[0] else -1), (1 if soon[1] > here[1] else -1)
+
+    def path(self, period_s: float) -> Iterator[tuple[tuple[float, float], float]]:
+        """Targets of both axes and the feed of every period: feed up, a turn and its arcs, feed down to rest."""
+        ramp_s = self.feed_mm_s / self.ramp_mm_s2
+        for index in range(1, math.ceil(self.duration_s / period_s) + 1):
+            t = min(index * period_s, self.duration_s)
+            up, left = min(t, ramp_s), self.duration_s - t
+            feed = min(self.feed_mm_s, self.ramp_mm_s2 * min(t, left))
+            if left < ramp_s:
+                way = self.length_mm - 0.5 * self.ramp_mm_s2 * left * left
+            else:
+                way = 0.5 * self.ramp_mm_s2 * up * up + self.feed_mm_s * (t - up)
+            yield self.at(way), feed
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What was driven: angle_deg, (n,), of each pair of positions about the fitted centre, along the sense and growing with time;
+    deviation_um, (n,): radius there less the radius commanded."""
+
+    angle_deg: Floats
+    deviation_um: Floats
+
+    def bump_um(self, at_deg: float) -> float:
+        """Peak over the undisturbed circle within `AFTER_DEG` after an angle: over the straight line through the deviations of the
+        `BEFORE_DEG` before it. Raises InputError where the trace is not there."""
+        for at in (at_deg, at_deg - 360.0):
+            past = self.angle_deg - at
+            before = (past >= -BEFORE_DEG) & (past <= -NEAR_DEG)
+            after = (past >= 0.0) & (past <= AFTER_DEG)
+            if np.count_nonzero(before) >= 5 and np.count_nonzero(after) >= 5:
+                line = np.polyfit(past[before], self.deviation_um[before], 1)
+                return float(np.max(np.abs(self.deviation_um[after] - np.polyval(line, past[after]))))
+        raise InputError(f"the trace has no samples around {at_deg:g}°")
+
+    @property
+    def bumps_um(self) -> tuple[float, ...]:
+        """After 0, 90, 180 and 270°."""
+        return tuple(self.bump_um(at) for at in QUADRANTS_DEG)
+
+    @property
+    def bump_mean_um(self) -> float:
+        return float(np.mean(self.bumps_um))
+
+    @property
+    def floor_um(self) -> float:
+        """The same figure half-way between the quadrants, where nothing turns around; mean of four."""
+        return float(np.mean([self.bump_um(at) for at in BETWEEN_DEG]))
+
+    @property
+    def roundness_um(self) -> float:
+        """Largest less smallest deviation."""
+        return float(np.ptp(self.deviation_um))
+
+
+def trace_of(first_mm: Floats, second_mm: Floats, circle: Circle) -> Trace:
+    """Positions of both axes at the same moments, (n,) each, in order of time, as deviation over angle for the turn from `START_DEG`.
+
+    The centre is fitted: where it lies is no matter of roundness. Angles of a clockwise circle are mirrored, so that they grow.
+    """
+    u, v = first_mm - circle.centre_mm[0], circle.sense * (second_mm - circle.centre_mm[1])
+    angle = np.degrees(np.unwrap(np.arctan2(v, u)))
+    angle += 360.0 * round((START_DEG - LEAD_DEG - angle[0]) / 360.0)
+    turn = (angle >= START_DEG) & (angle <= START_DEG + 360.0)
+    u, v = u[turn], v[turn]
+    radius = np.hypot(u, v)
+    design = np.column_stack([u / radius, v / radius, np.ones(len(u))])
+    centre = np.linalg.lstsq(design, radius - circle.radius_mm, rcond=None)[0]
+    u, v = u - centre[0], v - centre[1]
+    around = np.degrees(np.unwrap(np.arctan2(v, u)))
+    around += 360.0 * round((START_DEG - around[0]) / 360.0)
+    return Trace(around, 1000.0 * (np.hypot(u, v) - circle.radius_mm))
