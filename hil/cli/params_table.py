@@ -302,6 +302,7 @@ def _form(axis: DriveAxis, proof: Proof | None) -> dict[str, Any]:
             "worst_um": proof.worst.difference_um,
             "u95_um": proof.u95_um,
             "tolerance_um": proof.tolerance_um,
+            "share": proof.share,
             "places": [vars(place) for place in proof.places],
         }
     return form

@@ -24,7 +24,7 @@ from hil.procedures.drive_table import held_table
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.measure import bidirectional_steps, measure
 from hil.procedures.session import AxisSession
-from hil.records import Floats, Records
+from hil.records import UM_PER_MM, Floats, Records
 from hil.tables import DirectionalTable
 
 TOLERANCE_UM = 1.0
@@ -35,11 +35,13 @@ _SETTLE_S = 0.1  # after a motion, before a drive is asked what it adds
 
 @dataclass(frozen=True)
 class Agreement:
-    """One position in one direction. difference_um: what the drive makes of it minus what the bridge makes of it."""
+    """One position in one direction. difference_um: what the drive makes of it minus what the bridge makes of it, which adds
+    bridge_um there."""
 
     target_mm: float
     direction: int
     difference_um: float
+    bridge_um: float
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,14 @@ class Proof:
         return float(np.mean([place.difference_um for place in self.places]))
 
     @property
+    def share(self) -> float:
+        """What the drive adds as a share of what the bridge adds, over all places; NaN where the bridge adds nothing."""
+        bridge = np.array([place.bridge_um for place in self.places])
+        added = bridge + np.array([place.difference_um for place in self.places])
+        size = float(bridge @ bridge)
+        return float(added @ bridge) / size if size else math.nan
+
+    @property
     def good(self) -> bool:
         """Every difference, its uncertainty added, is inside the tolerance."""
         return abs(self.worst.difference_um) + self.u95_um <= self.tolerance_um
@@ -75,8 +85,11 @@ class Proof:
         if self.good:
             return f"the drive corrects as the bridge does: at most {place}, {spread}, inside ±{self.tolerance_um:g} µm"
         if abs(worst.difference_um) - self.u95_um > self.tolerance_um:
+            share = self.share
+            hint = " (in force? homed?)" if abs(share) < 0.2 else " (the sign?)" if share < 0 else ""
             return (
-                f"the drive does not correct as the bridge does: {place}, {spread}, allowed ±{self.tolerance_um:g} µm"
+                f"the drive does not correct as the bridge does: {place}, {spread}, allowed ±{self.tolerance_um:g} µm; it adds"
+                f" {share:.2f} times what the bridge adds{hint}"
             )
         return (
             f"not proven: {place}, {spread}, is too uncertain for ±{self.tolerance_um:g} µm; measure more runs, or allow"
@@ -149,9 +162,10 @@ def judged(blocks: dict[str, Records], tolerance_um: float) -> Proof:
     squares, degrees, counts = 0.0, 0, math.inf
     for target in targets:
         for direction in (1, -1):
-            mine = _errors(blocks, "bridge", float(target), direction)
-            theirs = _errors(blocks, "drive", float(target), direction)
-            places.append(Agreement(float(target), direction, float(theirs.mean() - mine.mean())))
+            mine, commanded = _errors(blocks, "bridge", float(target), direction)
+            theirs, _ = _errors(blocks, "drive", float(target), direction)
+            difference = float(theirs.mean() - mine.mean())
+            places.append(Agreement(float(target), direction, difference, float(commanded.mean())))
             for found in (mine, theirs):
                 squares += float(np.sum((found - found.mean()) ** 2))
                 degrees += len(found) - 1
@@ -161,13 +175,15 @@ def judged(blocks: dict[str, Records], tolerance_um: float) -> Proof:
     return Proof(tuple(places), quantile * std_um / math.sqrt(counts), tolerance_um, measured=True)
 
 
-def _errors(blocks: dict[str, Records], who: str, target_mm: float, direction: int) -> Floats:
-    found = [
-        block.error_um[(np.round(block.target_mm, 6) == target_mm) & (block.direction == direction)]
-        for name, block in blocks.items()
-        if name.startswith(who)
-    ]
-    return np.concatenate(found)
+def _errors(blocks: dict[str, Records], who: str, target_mm: float, direction: int) -> tuple[Floats, Floats]:
+    """Measured minus target, and command minus target, of one place in the blocks of one of the two, µm."""
+    errors, added = [], []
+    for name, block in blocks.items():
+        if name.startswith(who):
+            here = (np.round(block.target_mm, 6) == target_mm) & (block.direction == direction)
+            errors.append(block.error_um[here])
+            added.append((block.command_mm - block.target_mm)[here] * UM_PER_MM)
+    return np.concatenate(errors), np.concatenate(added)
 
 
 # -- by the drive's own word -------------------------------------------------------------------------------------------
@@ -210,7 +226,8 @@ def prove_by_drive(
             if direction is not None:
                 axis.rest(_SETTLE_S)
                 added_um = curve.value_um(table.applied() or 0)
-                places.append(Agreement(place_mm, direction, added_um - float(wanted.at(place_mm, direction))))
+                bridge_um = float(wanted.at(place_mm, direction))
+                places.append(Agreement(place_mm, direction, added_um - bridge_um, bridge_um))
     except BaseException:
         with suppress(BridgeError):  # the error under way says more
             drive.disable()

@@ -1,0 +1,153 @@
+"""Proof that drive and bridge correct alike: found where they do, and not where the drive's map is wrong, on every wire."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.table_axis import FACES, lay_out_table_axis
+
+from drivers.correction_table import CorrectionTable, RawTable
+from hil.axis import AxisConfig
+from hil.compensation import Compensation
+from hil.drive_tables import drive_table, wanted_of
+from hil.journal import Campaign
+from hil.procedures.bare_axis import BareAxis
+from hil.procedures.drive_table import held_table
+from hil.procedures.prove_drive_table import Agreement, Proof, Way, prove_by_drive, prove_by_instrument
+from hil.tables import TableSet
+from hil.wiring import connected, connected_drive
+
+TARGETS = (47.3, 201.9)
+Spoil = Callable[[RawTable], RawTable]
+
+
+def right(raw: RawTable) -> RawTable:
+    return raw
+
+
+def measured(axis: AxisConfig, tables: TableSet, spoil: Spoil = right) -> Proof:
+    """Written as a map that is wrong in some way would have it, and proven by the laser."""
+    compensation = Compensation(tables)
+    with connected(axis) as machine:
+        drive = machine.session.drive
+        table = held_table(drive)
+        made = drive_table(wanted_of(compensation), table.description, axis.scaling, axis.limits)
+        table.write(spoil(made.raw))
+        campaign = Campaign.numbered(axis.store.directory, {"kind": "proof"}, resume=False)
+        proof = prove_by_instrument(machine.session, campaign, compensation, TARGETS, runs=1)
+        assert not table.enabled()
+        assert machine.session.compensation is None
+    return proof
+
+
+SPOILT: dict[str, Spoil] = {
+    "sign": lambda raw: replace(raw, plus=tuple(-v for v in raw.plus), minus=tuple(-v for v in raw.minus)),
+    "directions swapped": lambda raw: replace(raw, plus=raw.minus, minus=raw.plus),
+    "a tenth of the unit": lambda raw: replace(raw, plus=tuple(v // 10 for v in raw.plus)),
+    "nothing": lambda raw: replace(raw, plus=(0,) * len(raw.plus), minus=(0,) * len(raw.minus)),
+    "nodes elsewhere": lambda raw: replace(raw, origin=raw.origin + 4_000_000),
+}
+
+
+def test_drive_and_bridge_correct_alike(tmp_path: Path) -> None:
+    proof = measured(*lay_out_table_axis(tmp_path, "in process"))
+    assert proof.good, proof.verdict
+    assert proof.u95_um < 0.1
+    assert {(place.target_mm, place.direction) for place in proof.places} == {(t, d) for t in TARGETS for d in (1, -1)}
+    assert abs(proof.worst.difference_um) < 0.5
+    assert "the drive corrects as the bridge does" in proof.verdict
+
+
+@pytest.mark.parametrize("wrong", [pytest.param(w, marks=pytest.mark.slow if w != "sign" else ()) for w in SPOILT])
+def test_a_map_that_is_wrong_is_found_out(wrong: str, tmp_path: Path) -> None:
+    axis, tables = lay_out_table_axis(tmp_path, "in process")
+    proof = measured(axis, tables, SPOILT[wrong])
+    assert not proof.good
+    assert "the drive does not correct as the bridge does" in proof.verdict
+    if wrong == "sign":
+        for place in proof.places:
+            assert place.bridge_um == pytest.approx(
+                float(tables.correction_um(place.target_mm, place.direction)), abs=1e-3
+            )
+            assert place.difference_um == pytest.approx(-2.0 * place.bridge_um, abs=0.6)
+        assert "it adds -1.00 times what the bridge adds (the sign?)" in proof.verdict
+    if wrong == "directions swapped":
+        assert [place.difference_um for place in proof.places] == pytest.approx([-12.0, 12.0] * 2, abs=0.6)
+    if wrong == "nothing":
+        assert proof.share == pytest.approx(0.0, abs=0.03)
+        assert "in force? homed?" in proof.verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("face", [face for face in FACES if face != "in process"])
+def test_on_every_wire(face: str, tmp_path: Path) -> None:
+    proof = measured(*lay_out_table_axis(tmp_path, face))
+    assert proof.good, proof.verdict
+
+
+@pytest.mark.parametrize(
+    "face",
+    [
+        "in process",
+        pytest.param("canopen, domain", marks=pytest.mark.slow),
+        pytest.param("canopen, array", marks=pytest.mark.slow),
+        pytest.param("modbus tcp, error map", marks=pytest.mark.slow),
+    ],
+)
+def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
+    axis, tables = lay_out_table_axis(tmp_path, face)
+    wanted = wanted_of(Compensation(tables))
+    how = Way(axis.measurement.velocity_mm_s, axis.measurement.overrun_mm, home=True)
+    with connected_drive(axis) as drive:
+        table = held_table(drive)
+        made = drive_table(wanted, table.description, axis.scaling, axis.limits)
+        table.write(made.raw)
+        for raw, good in ((made.raw, True), (replace(made.raw, plus=made.raw.minus), False)):
+            table.write(raw)
+            with BareAxis(drive) as moving:
+                proof = prove_by_drive(moving, wanted, TARGETS, how)
+            assert proof.good is good, proof.verdict
+            assert not proof.measured
+            assert not table.enabled()
+    assert abs(max(place.difference_um for place in proof.places if place.direction < 0)) < 0.5
+
+
+@pytest.mark.slow
+def test_an_error_while_it_is_measured_leaves_the_switch_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    axis, tables = lay_out_table_axis(tmp_path, "canopen, array")
+    with connected(axis) as machine:
+        table = held_table(machine.session.drive)
+        made = drive_table(wanted_of(Compensation(tables)), table.description, axis.scaling, axis.limits)
+        table.write(made.raw)
+        campaign = Campaign.numbered(axis.store.directory, {"kind": "proof"}, resume=False)
+        switch = CorrectionTable.switch
+
+        def interrupted(self: CorrectionTable, on: bool) -> None:
+            switch(self, on)
+            if on:
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(CorrectionTable, "switch", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            prove_by_instrument(machine.session, campaign, Compensation(tables), TARGETS, runs=1)
+        assert not table.enabled()
+
+
+def test_too_noisy_is_not_proven() -> None:
+    tight = Proof((), 0.2, 1.0, measured=True)
+
+    near = replace(tight, places=(Agreement(1.0, 1, 0.3, 5.0), Agreement(1.0, -1, -0.7, -6.0)))
+    assert near.good
+    assert near.mean_um == pytest.approx(-0.2)
+    unsure = replace(near, u95_um=0.4)
+    assert not unsure.good
+    assert "not proven: -0.700 µm at 1.000 mm, direction -1, ± 0.400" in unsure.verdict
+    assert "measure more runs" in unsure.verdict
+    unknown = replace(near, u95_um=float("nan"))
+    assert not unknown.good
+    assert "does not correct" in replace(near, u95_um=0.1, tolerance_um=0.5).verdict
