@@ -60,17 +60,18 @@ class Drawing:
     """The records, and what each cause made of them; `discrimination` draws a run behind them."""
 
     def __init__(self, records: Records, declared: Model | None, causes: Sequence[Hypothesis], means: Means) -> None:
-        self.declared, self.causes, self.means = declared, causes, means
+        self.declared, self.means = declared, means
         base = segments(records)[-1]
         searcher = searcher_of(base, declared, [cause.effect for cause in causes])
         self.base = searcher.bench.campaign
+        self.causes = [_as_in(self.base, cause) for cause in causes]
         self.noise = Noise(offset=TYPICAL_OFFSET)
         if declared is None:
             self.noise = replace(self.noise, even=START_ROUGHNESS, odd=START_ROUGHNESS)
         frame = searcher.frame(self.noise)
         self.so_far: list[Floats] = []
         self.noise_um = np.inf
-        for cause in causes:
+        for cause in self.causes:
             if cause.choice is not None:
                 fit = searcher.fit([cause.choice], self.noise)
                 self.so_far.append(fit.found[0].error_um(self.base.columns))
@@ -80,9 +81,14 @@ class Drawing:
                 solution = frame.solve(design)
                 self.so_far.append(design @ solution.coefficients)
                 self.noise_um = min(self.noise_um, float(np.sqrt(solution.variance)))
+            else:
+                self.so_far.append(np.zeros(len(self.base)))
+        if not np.isfinite(self.noise_um):
+            self.noise_um = float(np.sqrt(frame.solve(np.zeros((len(self.base), 0))).variance))
         self.shape: Shape | None = None if declared is None else DeclaredShape.of(declared.table, self.noise_um)
         self.terms = [
-            searcher.fit([cause.choice], self.noise).found[0] if cause.choice is not None else None for cause in causes
+            searcher.fit([cause.choice], self.noise).found[0] if cause.choice is not None else None
+            for cause in self.causes
         ]
         self.apart_so_far = self._misfits(self.base, np.column_stack(self.so_far), None)
 
@@ -265,6 +271,24 @@ class Drawing:
                 after = response(effect, unseen.form, name, new, course)
                 designs.append(_apart(before, after))
         return designs
+
+
+def _as_in(base: Campaign, cause: Hypothesis) -> Hypothesis:
+    """A cause as it is in these rows: what other rows of the records said of it may have been by a column that is not there here.
+
+    Without any form where these rows say nothing of it.
+    """
+    choice, unseen = cause.choice, cause.unseen
+    if choice is not None and all(name in base.columns for name in choice.form.inputs):
+        return cause
+    alike = [
+        other
+        for other in imagined(base, [cause.effect])
+        if unseen is None
+        or (other.column, other.form.name, other.design.shape[1])
+        == (unseen.column, unseen.form.name, unseen.design.shape[1])
+    ]
+    return replace(cause, choice=None, unseen=alike[0] if alike else None)
 
 
 def _apart(before: Floats, after: Floats) -> Floats:

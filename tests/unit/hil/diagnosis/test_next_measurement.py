@@ -118,3 +118,16 @@ def test_campaigns_join_with_what_was_set_and_without_what_was_not_read() -> Non
     first, second = segments(both)
     assert "temp_screw_c" not in first
     assert len(first) == len(second) == len(old)
+
+
+def test_a_cause_that_only_earlier_rows_show_is_drawn_by_what_the_last_rows_have() -> None:
+    """A level nobody read, in rows without sensors; then rows with a thermometer, and fewer of them."""
+    old = one_feed()
+    short = one_feed(10)
+    new = short.with_column("temp_screw_c", 20.0 + 0.01 * np.arange(len(short)))
+    causes = [cause for cause in weigh(old, FLAT, ALL) if cause.weight > 0.01]
+    assert any(cause.unseen is not None for cause in causes)
+    drawing = Drawing(joined([old, new]), FLAT, causes, Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0)))
+    assert [len(so_far) for so_far in drawing.so_far] == [len(new)] * len(causes)
+    runs = feasible_runs(Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0)), first_run=5)
+    assert all(np.all(np.isfinite(drawing.discrimination(run))) for run in runs[:3])
