@@ -26,6 +26,7 @@ VERBS = (
     "verify",
     "backlash",
     "lost_motion",
+    "circle",
     "probe",
     "params",
     "close_loop",
