@@ -25,8 +25,10 @@ from hil.axis_connections import BENCH_MACHINES, DriveConfig, HomingConfig, read
 from hil.axis_instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis_lost_motion import LostMotionConfig, read_lost_motion
 from hil.axis_reader import Table
+from hil.axis_uncertainty import read_uncertainty
 from hil.files import read_text
 from hil.tables import Band, TableMode
+from hil.uncertainty import UncertaintyInputs
 
 __all__ = [
     "BENCH_MACHINES",
@@ -117,6 +119,7 @@ class AxisConfig(DriveAxis):
     correction: CorrectionConfig
     conditions: ConditionsConfig
     lost_motion: LostMotionConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
+    uncertainty: UncertaintyInputs | None = field(default=None, kw_only=True)
 
     @property
     def tables_path(self) -> Path:
@@ -204,13 +207,17 @@ def _axis(root: Table) -> AxisConfig:
     lost_motion = None
     if "lost_motion" in root.keys_left():
         lost_motion = read_lost_motion(root.child("lost_motion"), limits, measurement.targets_mm)
+    uncertainty = None
+    if "uncertainty" in root.keys_left():
+        uncertainty = read_uncertainty(root.child("uncertainty"))
     known = ("axis", "scaling", "drive", "instrument", "measurement", "correction", "store", "conditions")
-    root.finish((*known, "backlash", "lost_motion"))
+    root.finish((*known, "backlash", "lost_motion", "uncertainty"))
     return AxisConfig(
         *(root.path, name, limits, scaling, drive, store),
         *(instrument, measurement, correction, conditions),
         backlash=backlash,
         lost_motion=lost_motion,
+        uncertainty=uncertainty,
     )
 
 

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hil import axis_reader as reader
+from hil.alignment import Alignment
 from hil.axis_reader import Table
+from hil.material import Material
 
 KINDS = ("umd", "nd2xx", "ascii", "replay")
 THERMOMETERS = (3, 4)
@@ -61,7 +63,8 @@ class InstrumentConfig:
 
     resume_within_s: after a lost signal the axis, stopped, waits so long for it and goes on by itself; None: the job ends.
     Of umd: wavelength_fraction, the optics, one count is λ/2, λ/4 or λ/8; place_temps, place -> temperature channel;
-    air_temp_channel None, the air's temperature is fixed_air's; axis, 1 to 3 of a display with several.
+    air_temp_channel None, the air's temperature is fixed_air's; axis, 1 to 3 of a display with several; air_equation, ciddor, None
+    for the modified Edlén equation. alignment: how the beam was found to lie; material: lengths are brought to 20 °C by it.
     """
 
     kind: str
@@ -80,6 +83,9 @@ class InstrumentConfig:
     dead_path_mm: float = 0.0
     air_temp_channel: int | None = None
     fixed_air: FixedAirConfig = FixedAirConfig()
+    air_equation: str | None = None
+    alignment: Alignment | None = None
+    material: Material | None = None
 
 
 def read_instrument(table: Table, *, has_port: bool) -> InstrumentConfig:
@@ -115,6 +121,9 @@ def _umd(table: Table, common: dict[str, Any]) -> InstrumentConfig:
         phase_sign=table.take("phase_sign", reader.choice(1, -1), "1 or -1", 1),
         dead_path_mm=table.take("dead_path_mm", reader.between(-10_000.0, 10_000.0), "mm, -10000 to 10000", 0.0),
         air_temp_channel=air_channel or None,
+        air_equation=table.take("air_equation", _air_equation, "edlen or ciddor", None),
+        alignment=_alignment(table),
+        material=_material(table),
     )
     _check_thermometers(table, config)
     return config
@@ -178,6 +187,45 @@ def _fixed_air(table: Table) -> FixedAirConfig:
     return config
 
 
+def _air_equation(value: Any) -> str | None:
+    chosen: str = reader.choice("edlen", "ciddor")(value)
+    return None if chosen == "edlen" else chosen
+
+
+def _alignment(table: Table) -> Alignment | None:
+    if "alignment" not in table.keys_left():
+        return None
+    part = table.child("alignment")
+    near, far = "near_mm", "far_mm"
+    config = Alignment(
+        part.take(near, reader.finite, "a position in mm"),
+        part.take(far, reader.finite, "a position in mm, 10 mm or more from near_mm"),
+        part.take("height_mm", _near_and_far, "[near, far] in mm"),
+        part.take("side_mm", _near_and_far, "[near, far] in mm"),
+        part.take("read_within_mm", reader.positive, "a number > 0 in mm", 0.5),
+        part.take("returning", reader.flag, "true or false", False),
+    )
+    part.finish()
+    return config
+
+
+def _near_and_far(value: Any) -> tuple[float, float]:
+    near, far = reader.numbers(value)
+    return near, far
+
+
+def _material(table: Table) -> Material | None:
+    if "material" not in table.keys_left():
+        return None
+    part = table.child("material")
+    config = Material(
+        part.take("expansion_ppm_per_k", reader.between(0.0, 100.0), "ppm/K, 0 to 100"),
+        part.take("place", reader.name, 'a place of place_temps, or "air"'),
+    )
+    part.finish()
+    return config
+
+
 def _channels(value: Any) -> dict[str, int]:
     if not isinstance(value, dict):
         raise TypeError
@@ -189,5 +237,9 @@ def _check_thermometers(table: Table, config: InstrumentConfig) -> None:
     for place, channel in config.place_temps.items():
         if channel == config.air_temp_channel:
             raise table.fail("place_temps", f"gives {place} channel {channel}, which is the air's (air_temp_channel)")
+    if config.material is not None and config.material.place not in ("air", *config.place_temps):
+        raise table.fail(
+            "material", f"is by the temperature of {config.material.place}, expected a place of place_temps"
+        )
     if config.compensate_air and config.air_temp_channel is None and config.fixed_air.temp_c is None:
         raise table.fail("air_temp_channel", "is 0 and fixed_air has no temp_c, expected one of them to compensate air")

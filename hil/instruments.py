@@ -7,6 +7,7 @@ from dataclasses import replace
 from drivers.clock import Clock
 from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument
+from drivers.instruments import air, ciddor
 from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
 from drivers.instruments.gauge import Gauge
 from drivers.instruments.link import PatientLink
@@ -51,7 +52,7 @@ def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: C
 
 
 def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
-    air = config.fixed_air
+    fixed = config.fixed_air
     settings = UmdSettings(
         optics=Optics(config.wavelength_fraction),
         vacuum_wavelength_nm=config.vacuum_wavelength_nm,
@@ -59,10 +60,11 @@ def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
         phase_sign=config.phase_sign,
         axis=config.axis,
         compensate_air=config.compensate_air,
-        fixed_air=FixedAir(air.temp_c, air.pressure_hpa, air.humidity_percent),
+        fixed_air=FixedAir(fixed.temp_c, fixed.pressure_hpa, fixed.humidity_percent),
         air_temp_code=config.air_temp_channel,
         places=config.place_temps,
         dead_path_mm=config.dead_path_mm,
+        air_equation=ciddor.refractive_index if config.air_equation == "ciddor" else air.refractive_index,
     )
     return UmdLaser(PatientLink(SerialLink(port), clock), clock, settings)
 

@@ -272,6 +272,7 @@ def session_of(
     stale_after_s = axis.instrument.stale_after_s
     session = AxisSession(drive, looking, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
     session.resume_within_s = axis.instrument.resume_within_s
+    session.material = axis.instrument.material
     return session
 
 

@@ -25,13 +25,8 @@ def saturation_vapour_pressure_pa(temperature_c: float) -> float:
     return 1e6 * (2.0 * c / x) ** 4
 
 
-def refractive_index(
-    temperature_c: float,
-    pressure_hpa: float,
-    humidity_percent: float,
-    vacuum_wavelength_nm: float = HELIUM_NEON_VACUUM_NM,
-) -> float:
-    """n of air with 450 ppm CO₂. Raises InputError outside −10…50 °C, 500…1200 hPa, 0…100 %."""
+def check_air(temperature_c: float, pressure_hpa: float, humidity_percent: float) -> None:
+    """Raises InputError for air that no workshop has."""
     for name, value, low, high in (
         ("air temperature", temperature_c, -10.0, 50.0),
         ("air pressure", pressure_hpa, 500.0, 1200.0),
@@ -39,6 +34,16 @@ def refractive_index(
     ):
         if not low <= value <= high:
             raise InputError(f"{name} is {value:g}, expected {low:g} to {high:g}")
+
+
+def refractive_index(
+    temperature_c: float,
+    pressure_hpa: float,
+    humidity_percent: float,
+    vacuum_wavelength_nm: float = HELIUM_NEON_VACUUM_NM,
+) -> float:
+    """n of air with 450 ppm CO₂. Raises InputError outside −10…50 °C, 500…1200 hPa, 0…100 %."""
+    check_air(temperature_c, pressure_hpa, humidity_percent)
     s = (1000.0 / vacuum_wavelength_nm) ** 2  # µm⁻²
     standard = 1.0 + 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
     pressure_pa = 100.0 * pressure_hpa

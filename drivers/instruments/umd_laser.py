@@ -7,7 +7,7 @@ increments, so once the beam was lost, or the port was away, the zero is gone: w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -20,6 +20,10 @@ from drivers.instruments.link import ByteLink
 from drivers.instruments.umd import SLOW_SCALE, SampleState, SlowCode, UmdDecoder, UmdSample, lost_between
 
 NM_PER_MM = 1e6
+
+
+AirEquation = Callable[[float, float, float, float], float]
+"""Index of air from °C, hPa, % and the vacuum wavelength in nm; raises InputError for air that cannot be."""
 
 
 class Optics(IntEnum):
@@ -59,6 +63,7 @@ class UmdSettings:
     places: Mapping[str, int] = field(default_factory=dict)
     dead_path_mm: float = 0.0
     latch_loss: bool = True
+    air_equation: AirEquation = refractive_index
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -211,7 +216,7 @@ class UmdLaser(DistanceInstrument):
         if temp_c is None or pressure_hpa is None or humidity is None:
             return
         try:
-            self._index = refractive_index(temp_c, pressure_hpa, humidity, settings.vacuum_wavelength_nm)
+            self._index = settings.air_equation(temp_c, pressure_hpa, humidity, settings.vacuum_wavelength_nm)
         except InputError:
             return  # a sensor that tells nonsense changes nothing; it shows in environment()
         self._unit_mm = vacuum_mm / self._index

@@ -16,7 +16,16 @@ def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
     if config.display is not None:
         return {"Instrument": f"display on {config.port}, lines by the pattern {config.display.pattern}"}
     facts = {"Instrument": f"µMD interferometer on {config.port}, λ/{config.wavelength_fraction}"}
-    facts["Air compensation"] = "on" if config.compensate_air else "off"
+    equation = "Ciddor" if config.air_equation == "ciddor" else "modified Edlén"
+    facts["Air compensation"] = equation if config.compensate_air else "off"
     if config.dead_path_mm:
         facts["Dead path"] = f"{config.dead_path_mm:g} mm"
+    if (beam := config.alignment) is not None:
+        facts["Beam against motion"] = (
+            f"{beam.angle_mrad:.2f} mrad, reads {beam.short_ppm:.2f} ppm short (at most {beam.short_at_most_ppm:.2f})"
+        )
+    if config.material is not None:
+        facts["Lengths at 20 °C"] = (
+            f"{config.material.expansion_ppm_per_k:g} ppm/K by the temperature of {config.material.place}"
+        )
     return facts

@@ -33,6 +33,7 @@ from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
+from hil.material import Material
 from hil.procedures.conditions import Conditions, NoConditions
 from hil.procedures.one_correction import refuse_while_drive_corrects
 from hil.reading import Average, average, creep
@@ -90,9 +91,8 @@ class AxisSession:
         self._compensation: Compensation | None = None
         self.history: MotionHistory | None = None
         self.beside: tuple[AxisSession, ...] = ()  # other axes of the machine, looked at and stopped with this one
-        self.resume_within_s: float | None = (
-            None  # how long a lost signal is waited for before the axis moves again by itself
-        )
+        self.material: Material | None = None  # what lengths are brought to 20 °C by
+        self.resume_within_s: float | None = None  # for a lost signal, before the axis moves again by itself
         self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
         self._stale_ns = round(stale_after_s * NS_PER_S)
         self._start_ns = self.clock.now_ns()
@@ -481,7 +481,15 @@ class AxisSession:
         """A good reading in the frame of the load. Raises StateError before `prepare()`."""
         if self._datum_mm is None or reading.position_mm is None:
             raise StateError("a position needs a good reading, and prepare() first: the instrument has no datum")
-        return reading.position_mm - self._datum_mm
+        return self._in_load_frame(reading.position_mm, self._datum_mm)
+
+    def _in_load_frame(self, position_mm: float, datum_mm: float) -> float:
+        """Lengths from the reference position are brought to 20 °C where the axis file says of what they are."""
+        load_mm = position_mm - datum_mm
+        if self.material is None:
+            return load_mm
+        reference_mm = self.how.reference_mm
+        return reference_mm + self.material.at_reference_mm(load_mm - reference_mm, self.instrument.environment())
 
     # -- reading -----------------------------------------------------------------------------------------------------
     def read_position(self) -> PositionReading:
@@ -489,10 +497,8 @@ class AxisSession:
         if self._datum_mm is None:
             raise StateError("read_position() needs prepare() first: the instrument has no datum")
         mean = self._average()
-        sample = self.drive.sample()
-        return PositionReading(
-            mean.position_mm - self._datum_mm, mean.std_um, mean.count, sample, mean.mean_std_um, mean.left_out
-        )
+        load_mm = self._in_load_frame(mean.position_mm, self._datum_mm)
+        return PositionReading(load_mm, mean.std_um, mean.count, self.drive.sample(), mean.mean_std_um, mean.left_out)
 
     def _average(self) -> Average:
         """Of what was read after the axis arrived, stood for the dwell, and, where the axis file asks for it, came to rest."""
