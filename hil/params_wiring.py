@@ -46,6 +46,18 @@ def connected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParamete
         yield drives
 
 
+@contextmanager
+def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParameters]]:
+    """The same without a wire: what the drives' files say of their parameters. Work on them is never answered."""
+    with ExitStack() as stack:
+        lines: dict[Bus, CanLine] = {}
+        for axis in axes:
+            bus = axis.drive.interface, axis.drive.channel
+            link = CanLink.open(WallClock(), interface="virtual", channel=f"nobody-{uuid.uuid4().hex}")
+            lines.setdefault(bus, CanLine(stack.enter_context(link)))
+        yield [_canopen(axis, (axis.drive.interface, axis.drive.channel), lines, stack) for axis in axes]
+
+
 def journal_of(axis: DriveAxis) -> Journal:
     """Where an axis's downloads are noted."""
     return Journal(axis.store.directory / "parameters")

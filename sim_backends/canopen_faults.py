@@ -27,6 +27,7 @@ class CanFaultKind(Enum):
     SDO_WRONG_INDEX = "SDO answers name another index"
     SDO_GARBAGE = "SDO answers carry an impossible command"
     SDO_SHORT = "SDO answers are cut short"
+    SDO_WRONG_VALUE = "SDO reads show another value"
     # PDO and SYNC
     TPDO_LOST = "TPDOs are lost"
     TPDO_LATE = "TPDOs come late"  # size: s
@@ -223,6 +224,8 @@ class FaultLayer:
             return b"\xe0" + data[1:]
         if self._strikes(_K.SDO_SHORT):
             return data[:5]
+        if data[0] >> 5 == 2 and data[0] & 0x02 and self._strikes(_K.SDO_WRONG_VALUE):  # an expedited upload's
+            return data[:4] + bytes((data[4] ^ 0x01,)) + data[5:]
         return data
 
     # -- time ----------------------------------------------------------------------------------------------------------

@@ -220,7 +220,8 @@ class WirePort(can.BusABC):
         clock = self._wire.clock
         end_ns = FOREVER_NS if timeout is None else clock.now_ns() + round(timeout * 1e9)
         while not received and clock.now_ns() < end_ns:
-            clock.sleep_until_ns(min(end_ns, self._wire.next_event_ns(), clock.now_ns() + _LOOK_NS))
+            now_ns = clock.now_ns()  # what is due already is handled by time moving on
+            clock.sleep_until_ns(max(now_ns + 1, min(end_ns, self._wire.next_event_ns(), now_ns + _LOOK_NS)))
         return received.popleft() if received else None
 
     def shutdown(self) -> None:

@@ -70,7 +70,7 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
 
     Raises InputError for a file that cannot be read or holds no object at all.
     """
-    text = _decode(Path(path))
+    text = decode_eds(Path(path))
     parsed = parse(text)
     if not any(object_number(name) for name in parsed.sections):
         raise InputError("holds no object, expected sections such as [1000]", path=path)
@@ -98,7 +98,7 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
     )
 
 
-def _decode(path: Path) -> str:
+def decode_eds(path: Path) -> str:
     try:
         raw = path.read_bytes()
     except OSError as error:

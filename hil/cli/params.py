@@ -7,7 +7,7 @@ from importlib import import_module
 
 from hil.cli.params_options import EXAMPLE
 
-JOBS = ("params_download", "params_table")
+JOBS = ("params_files", "params_download", "params_recover", "params_table")
 """Modules of `hil.cli` that bring jobs, in the order of the help; each has `add_jobs(jobs)`."""
 
 

@@ -1,29 +1,147 @@
-"""`hil params download`."""
+"""`hil params download`, `store` and `restore`: what changes drives."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
-from hil.cli.params_options import add_job, load_axes, sets_of, showing
-from hil.cli.params_output import print_reports
+from drivers.errors import InputError
+from hil.axis import DriveAxis
+from hil.cli.output import write_json
+from hil.cli.params_options import add_job, load_axes, sets_of, showing, tell_person
+from hil.cli.params_output import print_costs, print_reports
+from hil.params.compare import compare
+from hil.params.defaults import load_defaults
 from hil.params.download import Target, download
-from hil.params_wiring import connected_parameters, journal_of
+from hil.params.journal import Download
+from hil.params.predict import Prediction, predict
+from hil.params.preflight import Objection, match_set
+from hil.params.recover import set_after, set_before
+from hil.params.report import Ending, JobReport
+from hil.params.set_file import ParameterSet
+from hil.params_wiring import connected_parameters, journal_of, unconnected_parameters
 
 
 def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = add_job(jobs, "download", "write a set to the drive: all or nothing, read back", _download, sets="the set")
-    parser.add_argument("--store", action="store_true", help="have the drive keep it, after all of it was proven")
-    parser.add_argument("--any-version", action="store_true", help="also a set read with another revision or firmware")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="look at the set and the drive's file only, and predict; nothing is sent"
+    )
+    store = add_job(
+        jobs, "store", "have the drive keep what it was last told", _store, sets="what it must hold for that"
+    )
+    restore = add_job(jobs, "restore", "as before the last download, or as a backup has it", _restore, sets="a backup")
+    restore.add_argument("--factory", action="store_true", help="the maker's defaults instead (1011h), and a restart")
+    for job in (parser, restore):
+        job.add_argument("--store", action="store_true", help="have the drive keep it, after all of it was proven")
+    for job in (parser, store, restore):
+        job.add_argument(
+            "--audit", action="store_true", help="after storing, start the drive anew and read all of it again"
+        )
+        job.add_argument("--any-version", action="store_true", help="also a set read with another revision or firmware")
 
 
 def _download(args: argparse.Namespace) -> int:
     """0: every drive holds its set; 1: they were refused, put back, or are unfinished."""
     axes = load_axes(args)
     sets = sets_of(args, axes)
+    if args.dry_run:
+        return _dry_run(args, axes, sets)
+    return _write(args, axes, sets, store=args.store)
+
+
+def _write(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet], *, store: bool) -> int:
+    if args.audit and not store:
+        raise InputError("--audit needs --store: what is not kept is gone after a restart")
     with connected_parameters(axes) as drives, showing() as progress:
         targets = [
             Target(drive, contents, journal_of(axis), args.any_version)
             for drive, contents, axis in zip(drives, sets, axes, strict=True)
         ]
-        reports = download(targets, store=args.store, progress=progress)
+        reports = download(targets, store=store, ask=tell_person if args.audit else None, progress=progress)
     return print_reports(reports, args.json)
+
+
+def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet]) -> int:
+    predictions: list[Prediction] = []
+    objections: list[list[Objection]] = []
+    with unconnected_parameters(axes) as drives:
+        for drive, contents in zip(drives, sets, strict=True):
+            wanted, against = match_set(drive, contents)
+            predictions.append(predict(drive, wanted))
+            objections.append(against)
+            print(
+                f"{drive.name}: would look at {len(wanted)} parameters and write those that differ, then read them back"
+            )
+            for objection in against:
+                print(f"{drive.name}: would be refused: {objection}")
+    for prediction in predictions:
+        print_costs(prediction.drive, "looking", [prediction.look])
+        print_costs(prediction.drive, "writing all and reading back", [prediction.write])
+    if len(predictions) > 1:
+        print_costs("together", "all of it", [prediction.whole for prediction in predictions])
+    if args.store:
+        print("would have the drives keep it")
+    if args.json:
+        forms = [
+            {**prediction.as_json(), "objections": [vars(each) for each in against]}
+            for prediction, against in zip(predictions, objections, strict=True)
+        ]
+        write_json(args.json, {"good": not any(objections), "drives": forms})
+    return 1 if any(objections) else 0
+
+
+# -- store -------------------------------------------------------------------------------------------------------------
+def _store(args: argparse.Namespace) -> int:
+    """0: every drive held its set and stored it; 1: one does not hold it, or did not store."""
+    axes = load_axes(args)
+    sets = sets_of(args, axes) if args.sets else [set_after(_last(axis)) for axis in axes]
+    with connected_parameters(axes) as drives, showing() as progress:
+        compared = compare(list(zip(drives, sets, strict=True)), any_version=args.any_version, progress=progress)
+    differing = [each for each in compared if not each.same]
+    for each in differing:
+        why = each.error or "; ".join(str(objection) for objection in each.objections) or "it holds other values"
+        print(f"{each.drive.name}: not stored, as it does not hold {each.contents.name}: {why} (`hil params diff`)")
+    if differing:
+        if args.json:
+            write_json(args.json, {"good": False, "drives": [each.as_json() for each in compared]})
+        return 1
+    return _write(args, axes, sets, store=True)
+
+
+def _last(axis: DriveAxis) -> Download:
+    """The axis's last download. Raises InputError where there is none that ended with the drive holding its set."""
+    last = journal_of(axis).last()
+    if last is None:
+        raise InputError(
+            f"has no download of {axis.name} in its journal, expected --set FILE", path=journal_of(axis).folder
+        )
+    if last.finished and last.ending not in (Ending.WRITTEN.name, Ending.UNCHANGED.name):
+        raise InputError("ended with everything put back, expected --set FILE", path=last.path)
+    return last
+
+
+# -- restore -----------------------------------------------------------------------------------------------------------
+def _restore(args: argparse.Namespace) -> int:
+    """0: every drive holds what it held before; 1: they were refused, put back, or are unfinished."""
+    axes = load_axes(args)
+    if args.factory:
+        return _factory(args, axes)
+    sets = sets_of(args, axes) if args.sets else [set_before(_last(axis)) for axis in axes]
+    return _write(args, axes, sets, store=args.store)
+
+
+def _factory(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> int:
+    if args.sets or args.store or args.audit:
+        raise InputError("--factory stands alone: the drive takes its defaults itself, and keeps them")
+    with connected_parameters(axes) as drives:
+        errors = load_defaults(drives, tell_person)
+    reports = [
+        JobReport(drive.name, Ending.UNFINISHED if error else Ending.WRITTEN, error=error)
+        for drive, error in zip(drives, errors, strict=True)
+    ]
+    for report in reports:
+        print(f"{report.drive}: {report.error or 'holds its factory defaults, and was started anew'}")
+    if args.json:
+        write_json(args.json, {"good": not any(errors), "drives": [report.as_json() for report in reports]})
+    return 1 if any(errors) else 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,8 +13,9 @@ from hil.axis import DriveAxis, load_drive_axis
 from hil.cli.output import add_json_option
 from hil.cli.progress import terminal_progress
 from hil.files import naming, read_bytes
-from hil.params.download import Progress
-from hil.params.set_file import ParameterSet, read_set
+from hil.params.formats import read_any
+from hil.params.set_file import ParameterSet
+from hil.params.works import Progress
 from hil.procedures.events import Event
 from hil.sealed import check_detached, load_public_key
 
@@ -72,6 +74,8 @@ def load_axes(args: argparse.Namespace) -> list[DriveAxis]:
 
 def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[ParameterSet]:
     """The set of each axis. Raises InputError where there are neither one nor as many as axes, SealedError for a wrong signature."""
+    if not args.sets:
+        raise InputError("--set FILE is missing, expected the set to work with")
     if len(args.sets) not in (1, len(axes)):
         raise InputError(f"--set is given {len(args.sets)} times, expected once, or once for each of {len(axes)} axes")
     paths = args.sets * len(axes) if len(args.sets) == 1 else args.sets
@@ -81,7 +85,7 @@ def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[Paramet
 def load_set(path: str, axis: DriveAxis, *, signed: bool) -> ParameterSet:
     """A set's file, its builder's signature checked where there is one."""
     check_signature(Path(path), axis, demanded=signed)
-    return read_set(path)
+    return read_any(path)
 
 
 def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
@@ -94,6 +98,11 @@ def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
     public = load_public_key(axis.store.builder_public)
     with naming(beside):
         check_detached(read_bytes(path), read_bytes(beside), public)
+
+
+def tell_person(what: str) -> None:
+    """Ask somebody at the machine for something."""
+    print(f"hil: {what}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from drivers.parameters import ParameterValue
+from drivers.raw_parameters import WireTime
 from hil.cli.output import Align, print_table, write_json
+from hil.params.predict import seconds_together
 from hil.params.report import JobReport, Row, Verdict, slow
 
 _MOST_ROWS = 40  # of parameters that nothing became of
@@ -72,6 +73,16 @@ def _print_slow(report: JobReport) -> None:
         print(f"{report.drive}: slow: {row.address} {row.name}, {', '.join(times)}")
 
 
-def plain(value: ParameterValue | None) -> Any:
-    """A value as JSON has it."""
-    return value.hex() if isinstance(value, bytes) else value
+def print_costs(who: str, what: str, costs: Sequence[WireTime], answer_s: float = 0.0) -> None:
+    """What accesses cost on the bus, and how long they take."""
+    total = sum(costs, WireTime())
+    least, likely, most = seconds_together(costs, answer_s)
+    print(
+        f"{who}: {what} takes {total.frames} frames, {total.bits_likely} bits ({total.bits_least} without stuffing, at most"
+        f" {total.bits_most}): {1e3 * likely:.1f} ms ({1e3 * least:.1f} to {1e3 * most:.1f})"
+        + (
+            f" with {1e3 * answer_s:.2f} ms of the drive's own for each answer"
+            if answer_s
+            else " and what the drives take to answer"
+        )
+    )

@@ -33,12 +33,13 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Noted:
-    """One parameter of a download, in the drive's bytes."""
+    """One parameter of a download, in the drive's bytes. after: addresses that are written before it."""
 
     address: str
     name: str
     old: bytes
     new: bytes
+    after: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,9 @@ def _form(download: Download) -> dict[str, Any]:
         "identity": {
             name: value if isinstance(value, str) else dict(value) for name, value in asdict(download.identity).items()
         },
-        "parameters": [[each.address, each.name, each.old.hex(), each.new.hex()] for each in download.parameters],
+        "parameters": [
+            [each.address, each.name, each.old.hex(), each.new.hex(), list(each.after)] for each in download.parameters
+        ],
     }
 
 
@@ -174,8 +177,8 @@ def _read(path: Path) -> Download | None:
             first["hash"],
             DriveIdentity(**first["identity"]),
             tuple(
-                Noted(address, name, bytes.fromhex(old), bytes.fromhex(new))
-                for address, name, old, new in first["parameters"]
+                Noted(address, name, bytes.fromhex(old), bytes.fromhex(new), tuple(after))
+                for address, name, old, new, after in first["parameters"]
             ),
             bool(first["store"]),
             first["began"],

@@ -6,7 +6,7 @@ What may go in: results as data, and the figures made of them. Printing is `hil.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from statistics import median
 from typing import Any
@@ -60,7 +60,7 @@ class Row:
 class JobReport:
     """One drive's share of a job. stored: the drive was told to keep it, and said that it did; seconds: from first to last access.
 
-    accesses, frames: of this drive, None where they are not counted; journal: where a job that is not finished stands.
+    journal: where a job that is not finished stands.
     """
 
     drive: str
@@ -72,12 +72,15 @@ class JobReport:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     journal: str = ""
+    meant_back: bool = False  # putting back was the job
     audited: bool | None = None  # None: was not asked for
-    lost: tuple[str, ...] = field(default=())  # what the audit found changed after the restart
+    lost: tuple[str, ...] = ()  # what the audit found changed after the restart
 
     @property
     def good(self) -> bool:
-        return self.ending.good and not self.error and self.audited is not False
+        """Whether the job did what it was there for."""
+        reached = self.ending is Ending.PUT_BACK if self.meant_back else self.ending.good
+        return reached and not self.error and self.audited is not False
 
     def as_json(self) -> dict[str, Any]:
         return {

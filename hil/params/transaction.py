@@ -69,15 +69,15 @@ class DriveJob:
         present: Mapping[str, bytes],
         after: Mapping[str, Sequence[str]],
         *,
+        starts: int,
         prove_all: bool = False,
     ) -> Steps[list[str]]:
         """Write those goals that are not present, and prove them by reading back; the addresses written.
 
-        prove_all: read back also what was not written. Raises what the drive gave, ProtocolError for what it took and does not show,
-        LinkLostError when it was heard to start anew meanwhile.
+        starts: how often the drive had been heard to start when `present` was read; prove_all: read back also what was not written.
+        Raises what the drive gave, ProtocolError for what it took and does not show, LinkLostError when it started anew meanwhile.
         """
         drive = self.drive
-        starts = drive.restarts
         differing = [address for address in goals if not self._same(address, present[address], goals[address])]
         ordered = self._ordered(differing, present, goals, after)
         yield from self._write(ordered, goals)
@@ -170,8 +170,9 @@ class DriveJob:
         written: list[str] = []
         while True:
             try:
+                starts = self.drive.restarts
                 present = yield from self.show(list(goals))
-                written += yield from self.bring(goals, present, after, prove_all=True)
+                written += yield from self.bring(goals, present, after, starts=starts, prove_all=True)
             except LinkLostError as error:
                 if self.drive.gone or deadline.expired:
                     raise error

@@ -91,6 +91,7 @@ class ParameterRig:
             )
             for node in nodes
         ]
+        self.bench.clock.sleep_s(0.01)  # boot-up messages are out
         self.journals = [Journal(folder / f"X{node}") for node in nodes]
 
     def values(self, keys: Sequence[tuple[int, int]], node: int = 0) -> list[int]:
