@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import Campaign
-from hil.diagnosis.evidence import Frame, Whitened, bayes_factor, random_gain
+from hil.diagnosis.evidence import Frame, Whitened, bayes_factor, evidence_of_random
 from hil.diagnosis.fit import Choice, grid_choices
 from hil.effects import Effect
 
 Floats = NDArray[np.float64]
+Reals = NDArray[np.floating]
 Ints = NDArray[np.int64]
 
 MOST_BYTES = 120_000_000
@@ -40,26 +41,39 @@ class Blocks:
     @classmethod
     def of(cls, blocks: Sequence[Floats], rows: int) -> Blocks:
         """Blocks (n, k) of free coefficients, none likelier than another."""
-        width = np.array([block.shape[1] for block in blocks], dtype=np.int64)
-        first = (np.cumsum(width) - width).astype(np.int64)
-        columns = np.hstack(blocks) if blocks else np.zeros((rows, 0))
-        return cls(columns, first, width, np.zeros(len(blocks), dtype=np.bool_), np.zeros(len(blocks)))
+        none = np.zeros(len(blocks))
+        return cls._side_by_side(blocks, [block.shape[1] for block in blocks], rows, none > 0, none)
 
     @classmethod
     def of_choices(cls, choices: Sequence[Choice], campaign: Campaign) -> Blocks:
         parts: list[Floats] = []
+        widths: list[int] = []
         for _, same in itertools.groupby(choices, lambda choice: (id(choice.effect), id(choice.form))):
             group = list(same)
             wide = group[0].effect.bases(group[0].form, [choice.theta for choice in group], campaign.columns)
-            parts.extend(np.split(wide, len(group), axis=1))
-        blocks = cls.of(parts, len(campaign))
+            parts.append(wide)
+            widths.extend([wide.shape[1] // len(group)] * len(group))
         shrunk = np.array([choice.form.shrunk for choice in choices], dtype=np.bool_)
-        return replace(blocks, shrunk=shrunk, log_prior=np.array([choice.log_prior for choice in choices]))
+        log_prior = np.array([choice.log_prior for choice in choices])
+        return cls._side_by_side(parts, widths, len(campaign), shrunk, log_prior)
+
+    @classmethod
+    def _side_by_side(
+        cls, parts: Sequence[Floats], widths: Sequence[int], rows: int, shrunk: NDArray[np.bool_], log_prior: Floats
+    ) -> Blocks:
+        """From the columns of all blocks in order, in parts of any width."""
+        width = np.array(widths, dtype=np.int64)
+        columns = np.hstack([np.zeros((rows, 0)), *parts])
+        return cls(columns, (np.cumsum(width) - width).astype(np.int64), width, shrunk, log_prior)
 
     def block(self, index: int) -> Floats:
         """Columns of one block, shape (n, k)."""
+        return self.columns[:, self.where(index)]
+
+    def where(self, index: int) -> slice:
+        """Where the columns of a block are."""
         first = int(self.first[index])
-        return self.columns[:, first : first + int(self.width[index])]
+        return slice(first, first + int(self.width[index]))
 
     def __len__(self) -> int:
         return len(self.width)
@@ -116,15 +130,15 @@ class Stack:
         for size in np.unique(blocks.width[~blocks.shrunk]):
             which = np.flatnonzero((blocks.width == size) & ~blocks.shrunk)
             index = blocks.first[which][:, None] + np.arange(size)
-            self.groups.append((which, index, block_gram(self.w, index) if size > 1 else np.zeros((0, 1, 1))))
+            self.groups.append((which, index, inner_products(self.w, index)))
 
     @cached_property
     def _single(self) -> NDArray[np.float32]:
         return self.w.astype(np.float32)
 
-    def seen_of_many(self, rest: Floats) -> Floats:
+    def seen_of_many(self, rest: Floats) -> Reals:
         """w'rest of many errors (n, b), shape (J, b), in single precision: they are simulated, and only their distribution counts."""
-        return np.asarray(self._single.T @ rest.astype(np.float32), dtype=np.float64)
+        return np.asarray(self._single.T @ rest.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -142,59 +156,70 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
     w = stack.w
     cross = stack.cross
     raw = stack.raw
+    gone = w[:0] if frame.out is None else w[frame.out]
     if frame.out is not None:
-        gone = w[frame.out]
         cross = cross - frame.whitened.table[frame.out].T @ gone
         raw = raw - np.einsum("nj,nj->j", gone, gone)
     if frame.beside.shape[1]:
         cross = np.concatenate([cross, frame.beside.T @ w])
     shadow = frame.solve_lower(cross)
     many = frame.y.ndim == 2
-    zy = stack.seen_of_many(frame.rest) if many else (w.T @ frame.rest)[:, None]
+    zy: Reals = stack.seen_of_many(frame.rest) if many else (w.T @ frame.rest)[:, None]
     left = raw - np.einsum("pj,pj->j", shadow, shadow)
-    explained = np.zeros((len(blocks), zy.shape[1]))
+    explained = np.zeros((len(blocks), zy.shape[1]), dtype=zy.dtype)
     visible = np.zeros(len(blocks))
     for which, index, whole in stack.groups:
         scale = np.maximum(raw[index], 1e-300)
         visible[which] = np.sqrt(np.clip(np.max(left[index] / scale, axis=1), 0.0, 1.0))
-        if index.shape[1] == 1:
-            explained[which] = zy[index[:, 0]] ** 2 / np.maximum(left[index], 1e-9 * scale)
+        size = index.shape[1]
+        if size == 1:
+            explained[which] = zy[index[:, 0]] ** 2 / np.maximum(left[index], 1e-9 * scale).astype(zy.dtype)
             continue
-        gram = whole - block_gram(shadow, index)
-        if frame.out is not None:
-            gram = gram - block_gram(w[frame.out], index)
-        root = np.sqrt(scale)
-        normal = gram / (root[:, :, None] * root[:, None, :]) + 1e-9 * np.eye(index.shape[1])
-        b = zy[index] / root[:, :, None]
-        if index.shape[1] == 2:
-            explained[which] = _pair(normal, b)
+        inner = whole - inner_products(shadow, index) - inner_products(gone, index)
+        if size == 2:
+            explained[which] = _explained_by_pairs(left[index], inner, scale, zy[index])
         else:
-            explained[which] = np.einsum("cib,cib->cb", b, np.linalg.solve(normal, b))
+            explained[which] = _explained_by_blocks(inner, scale, zy[index])
     rss = np.atleast_1d(frame.rss)
     gain = bayes_factor(explained, rss[None, :], frame.dof, blocks.width[:, None], frame.rows)
     variance = np.ones(len(blocks))
     for i in np.flatnonzero(blocks.shrunk):
-        values, ratios = random_gain(frame, blocks.block(int(i)))
-        gain[i], variance[i], visible[i] = values, float(np.ravel(ratios)[0]), 1.0
+        mine = blocks.where(int(i))
+        normal = w[:, mine].T @ w[:, mine] - gone[:, mine].T @ gone[:, mine] - shadow[:, mine].T @ shadow[:, mine]
+        values, ratios = evidence_of_random(normal, zy[mine], rss, frame.dof)
+        gain[i], variance[i], visible[i] = values, float(ratios[0]), 1.0
     gain += blocks.log_prior[:, None]
     gain[visible < blind] = -np.inf
     return Scores(gain if many else gain[:, 0], visible, variance)
 
 
-def _pair(normal: Floats, b: Floats) -> Floats:
-    """b'a⁻¹b of 2 × 2 blocks, shape (c, m)."""
-    a00, a01, a11 = normal[:, 0, 0, None], normal[:, 0, 1, None], normal[:, 1, 1, None]
-    determinant = np.maximum(a00 * a11 - a01**2, 1e-18)
-    b0, b1 = b[:, 0], b[:, 1]
-    return np.asarray((a11 * b0**2 - 2 * a01 * b0 * b1 + a00 * b1**2) / determinant)
+def inner_products(w: Floats, index: Ints) -> Floats:
+    """z'z of each block of columns, shape (c, k, k); of blocks of two columns only that of the one with the other, shape (c,).
+
+    index: of the columns of the blocks, neighbours in w (n, J), shape (c, k)
+    """
+    if index.shape[1] == 1:
+        return np.zeros((0,))
+    if index.shape[1] == 2:  # of all neighbours: that is quicker than to pick the columns out
+        return np.asarray(np.einsum("nj,nj->j", w[:, :-1], w[:, 1:])[index[:, 0]])
+    z = w.T[index]
+    return np.asarray(z @ z.transpose(0, 2, 1))
 
 
-def block_gram(w: Floats, index: Ints) -> Floats:
-    """Z'Z of each block of columns, shape (c, k, k)."""
-    c, size = index.shape
-    gram = np.empty((c, size, size))
-    parts = [w[:, index[:, i]] for i in range(size)]
-    for i in range(size):
-        for j in range(i, size):
-            gram[:, i, j] = gram[:, j, i] = np.einsum("nc,nc->c", parts[i], parts[j])
-    return gram
+def _explained_by_pairs(left: Floats, inner: Floats, scale: Floats, b: Reals) -> Reals:
+    """b'a⁻¹b of 2 × 2 blocks with diagonals left + 1e-9·scale, shape (c, 2), and `inner` (c,) off them; b (c, 2, m), shape (c, m)."""
+    a = left + 1e-9 * scale
+    determinant = np.maximum(a[:, 0] * a[:, 1] - inner**2, 1e-18 * scale[:, 0] * scale[:, 1])
+    first, slope, second = (
+        values[:, None].astype(b.dtype)
+        for values in (1.0 / np.sqrt(a[:, 0]), inner / a[:, 0], np.sqrt(a[:, 0] / determinant))
+    )
+    return np.asarray((first * b[:, 0]) ** 2 + (second * (b[:, 1] - slope * b[:, 0])) ** 2)
+
+
+def _explained_by_blocks(inner: Floats, scale: Floats, b: Reals) -> Floats:
+    """The same of k × k blocks, `inner` whole, shape (c, k, k); b (c, k, m)."""
+    root = np.sqrt(scale)
+    normal = inner / (root[:, :, None] * root[:, None, :]) + 1e-9 * np.eye(inner.shape[1])
+    scaled = b / root[:, :, None]
+    return np.asarray(np.einsum("cib,cib->cb", scaled, np.linalg.solve(normal, scaled)))

@@ -25,6 +25,7 @@ from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.table import Shape, ShapeColumns, SplineShape
 
 Floats = NDArray[np.float64]
+Reals = NDArray[np.floating]
 Ints = NDArray[np.int64]
 
 MOST_OFFSET = 0.8
@@ -298,7 +299,7 @@ def explained_by(a: Floats, b: Floats) -> float:
     return float(c @ np.linalg.solve(scaled, c))
 
 
-def bayes_factor(explained: Floats, rss: Floats, dof: int, width: Ints | int, information: int) -> Floats:
+def bayes_factor(explained: Reals, rss: Floats, dof: int, width: Ints | int, information: int) -> Floats:
     """Log Bayes factor of the g-prior (g = information) for blocks of `width` columns that explain `explained` of `rss`."""
     left = np.clip(1.0 - explained / rss, 1e-12, 1.0)
     g = float(information)
@@ -312,15 +313,20 @@ def random_gain(frame: Frame, design: Floats) -> tuple[Floats, Floats]:
     """
     w = frame.prepared(design)
     shadow = frame.shadow(w)
-    values, vectors = np.linalg.eigh(w.T @ w - shadow.T @ shadow)
-    values = np.maximum(values, 0.0)
     b = w.T @ frame.y - shadow.T @ frame.y_shadow
+    return evidence_of_random(w.T @ w - shadow.T @ shadow, b, frame.rss, frame.dof)
+
+
+def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple[Floats, Floats]:
+    """The same from the normal equations (r, r) and (r,) or (r, b), with the residual sum of squares of none, () or (b,)."""
+    values, vectors = np.linalg.eigh(normal)
+    values = np.maximum(values, 0.0)
     c2 = (vectors.T @ b) ** 2
     gains = []
     for variance in VARIANCES:
         shrink = variance / (1.0 + variance * values)
-        left = np.maximum(1.0 - (shrink @ c2) / frame.rss, 1e-12)
-        gains.append(-0.5 * float(np.sum(np.log1p(variance * values))) - 0.5 * frame.dof * np.log(left) - 1.0)
+        left = np.maximum(1.0 - (shrink @ c2) / rss, 1e-12)
+        gains.append(-0.5 * float(np.sum(np.log1p(variance * values))) - 0.5 * dof * np.log(left) - 1.0)
     table = np.array(gains)
     return np.max(table, axis=0), np.asarray(VARIANCES)[np.argmax(table, axis=0)]
 
