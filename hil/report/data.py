@@ -15,6 +15,7 @@ import numpy as np
 from drivers.errors import InputError
 from hil.iso230 import Iso230, iso230
 from hil.records import Floats, Records
+from hil.uncertainty import UncertaintyInputs
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
@@ -65,6 +66,8 @@ class ReportData:
     diagnosis        the JSON form of `hil diagnose`, None where none was made. A finding may carry
                      "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
     diagnosed        the campaign that the diagnosis was made on; its column residual_um is shown where it has one, else its error
+    uncertainty      what is known of instrument and room; figures then stand with their expanded uncertainty
+    signatures       what of the above is signed: file name -> by whom, or why its signature is not good
     created          date and time to print, as text; nothing is looked up, so the same data give the same bytes
     """
 
@@ -77,6 +80,8 @@ class ReportData:
     diagnosed: NamedCampaign | None = None
     notes: tuple[str, ...] = ()
     created: str = ""
+    uncertainty: UncertaintyInputs | None = None
+    signatures: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.campaigns:

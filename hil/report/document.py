@@ -15,9 +15,11 @@ from hil.iso230 import FIGURES, Iso230
 from hil.records import Floats, Records
 from hil.report import diagnosis as diagnosis_part
 from hil.report import markup, plots
+from hil.report import uncertainty as uncertainty_part
 from hil.report.data import NamedCampaign, ReportData, environment, history
 from hil.report.page import header, page
 from hil.report.svg import LIGHT, PAGE, file_bytes, inline_svg
+from hil.uncertainty import Budget
 
 MAX_UNFOLDED_TARGETS = 60
 """The table per target stands open up to this length."""
@@ -33,11 +35,18 @@ def render_html(data: ReportData) -> str:
         _figures_table(data),
         *(_campaign(index, campaign, data) for index, campaign in enumerate(data.campaigns, start=1)),
         diagnosis_part.section(data.diagnosis, data.diagnosed) if data.diagnosis is not None else "",
+        uncertainty_part.section(budgets(data), [campaign.label for campaign in data.campaigns]),
         _tables_in_force(data),
+        _signatures(data),
         "<h2>Notes</h2>" + markup.paragraph_list(data.notes) if data.notes else "",
         _footer(),
     ]
     return page(data.title, body)
+
+
+def budgets(data: ReportData) -> list[Budget | str | None]:
+    """The uncertainty of each campaign's figures."""
+    return [uncertainty_part.budget_of(campaign, data.uncertainty) for campaign in data.campaigns]
 
 
 def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
@@ -131,6 +140,7 @@ def _comparison(data: ReportData) -> str:
 def _figures_table(data: ReportData) -> str:
     all_figures = [campaign.figures() for campaign in data.campaigns]
     compare = len(data.campaigns) > 1
+    spreads = budgets(data)
     head = ["Figure, µm", *(campaign.label for campaign in data.campaigns), *(["change"] if compare else []), ""]
     rows = []
     for name, meaning in FIGURES.items():
@@ -138,7 +148,8 @@ def _figures_table(data: ReportData) -> str:
         last = [diagnosis_part.change(values[0], values[-1])] if compare else []
         if name == "B_mean" and compare:
             last = ["–"]
-        rows.append([_symbol(name), *map(markup.number, values), *last, meaning])
+        cells = [uncertainty_part.stated(value, name, known) for value, known in zip(values, spreads, strict=True)]
+        rows.append([symbol(name), *cells, *last, meaning])
     spread: list[tuple[str, list[float]]] = [
         ("RMS error", [rms_um(campaign.records) for campaign in data.campaigns]),
         ("largest error", [float(np.max(np.abs(campaign.records.error_um))) for campaign in data.campaigns]),
@@ -215,7 +226,14 @@ def _tables_in_force(data: ReportData) -> str:
     return "<h2>Correction tables in force</h2>" + markup.table(["Table", "What", "SHA-256"], rows, css="hash")
 
 
-def _symbol(name: str) -> str:
+def _signatures(data: ReportData) -> str:
+    if not data.signatures:
+        return ""
+    return "<h2>Signatures</h2>" + markup.table(["File", "Signature"], data.signatures.items(), css="hash")
+
+
+def symbol(name: str) -> str:
+    """A figure's name as it is printed."""
     return "B̄" if name == "B_mean" else name.replace("_up", "↑").replace("_down", "↓")
 
 
