@@ -162,7 +162,7 @@ def _bumps(report: CircleReport) -> str:
 def _footer() -> str:
     return (
         f"<footer>Bump: the largest distance of the deviation, within {AFTER_DEG:g}° after a quadrant, from the straight line through"
-        f" the {BEFORE_DEG:g}° before it, which no reversal has touched. Floor: the same figure half-way between the quadrants, where no"
-        " axis turns around: noise, and what the screws' own errors do to it. Roundness: the largest deviation less the smallest. The"
-        " centre is fitted. The data are inside this file as JSON.</footer>"
+        f" the {BEFORE_DEG:g}° before it, which no reversal has touched. Floor: the same figure half-way between the quadrants, where"
+        " no axis turns around: noise, and what the screws' own errors do to it. Roundness: the largest deviation less the smallest."
+        " The centre is fitted. The data are inside this file as JSON.</footer>"
     )
