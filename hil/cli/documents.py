@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.axis import AxisConfig
-from hil.cli.instrument_identity import instrument_identity
+from hil.cli.instrument_identity import instrument_identity, uncertainty_of
 from hil.diagnosis import Diagnosis
 from hil.procedures.calibrate import Calibration
 from hil.procedures.close_loop import Loop, Turn
@@ -33,6 +33,7 @@ def calibration_report(axis: AxisConfig, result: Calibration) -> str:
             identity(axis),
             _limits(axis.correction.band),
             in_force(result.tables),
+            uncertainty=uncertainty_of(axis),
         )
     )
 
@@ -48,6 +49,7 @@ def verification_report(axis: AxisConfig, tables: TableSet, result: Verification
             identity(axis),
             _limits(axis.correction.band),
             in_force(tables),
+            uncertainty=uncertainty_of(axis),
         )
     )
 
@@ -65,6 +67,7 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
             diagnosis_with_plots(turn.diagnosis, turn.diagnosed),
             NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
             (*notes, *_in_motion_notes(loop.in_motion)),
+            uncertainty=uncertainty_of(axis),
         )
     )
 

@@ -1,10 +1,12 @@
-"""What measured, as lines of a report."""
+"""What measured, and how well, as a report says it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from hil.axis import InstrumentConfig
+from hil.axis import AxisConfig, InstrumentConfig
+from hil.uncertainty import UncertaintyInputs
 
 
 def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
@@ -29,3 +31,12 @@ def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
             f"{config.material.expansion_ppm_per_k:g} ppm/K by the temperature of {config.material.place}"
         )
     return facts
+
+
+def uncertainty_of(axis: AxisConfig) -> UncertaintyInputs | None:
+    """What the axis file says of it; how far the beam may lie off is taken from its alignment unless it is stated."""
+    inputs, beam = axis.uncertainty, axis.instrument.alignment
+    if inputs is None or beam is None or inputs.misalignment_mm:
+        return inputs
+    targets = axis.measurement.targets_mm
+    return replace(inputs, misalignment_mm=beam.lateral_mm(targets[-1] - targets[0]))
