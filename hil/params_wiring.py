@@ -8,6 +8,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import load_eds
@@ -16,6 +17,11 @@ from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import WallClock
 from drivers.errors import CapabilityError, InputError
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
+from drivers.modbus.wear import WearLedger
+from drivers.modbus.wire import Endpoint, parse_endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis import DriveAxis
 from hil.files import held
@@ -28,6 +34,14 @@ Bus = tuple[str, str]
 """python-can's interface and channel."""
 
 
+@dataclass
+class _Lines:
+    """What the drives share."""
+
+    can: dict[Bus, CanLine] = field(default_factory=dict)
+    modbus: dict[Endpoint, ModbusLine] = field(default_factory=dict)
+
+
 @contextmanager
 def connected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParameters]]:
     """The parameters of each axis's drive, in the order of the axes. Reading and writing only; nothing is set up in a drive.
@@ -36,7 +50,7 @@ def connected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParamete
     and whatever connecting raises.
     """
     with ExitStack() as stack:
-        lines: dict[Bus, CanLine] = {}
+        lines = _Lines()
         drives = []
         for axis in axes:
             if any(other.name == axis.name for other in axes if other is not axis):
@@ -50,12 +64,20 @@ def connected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParamete
 def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParameters]]:
     """The same without a wire: what the drives' files say of their parameters. Work on them is never answered."""
     with ExitStack() as stack:
-        lines: dict[Bus, CanLine] = {}
+        lines = _Lines()
+        clock = WallClock()
+        drives: list[RawParameters] = []
         for axis in axes:
+            if axis.drive.backend == "modbus":
+                endpoint = _endpoint(axis)
+                drives.append(_modbus(axis, lines.modbus.setdefault(endpoint, ModbusLine(ModbusLink(endpoint, clock)))))
+                continue
             bus = axis.drive.interface, axis.drive.channel
-            link = CanLink.open(WallClock(), interface="virtual", channel=f"nobody-{uuid.uuid4().hex}")
-            lines.setdefault(bus, CanLine(stack.enter_context(link)))
-        yield [_canopen(axis, (axis.drive.interface, axis.drive.channel), lines, stack) for axis in axes]
+            if bus not in lines.can:
+                link = CanLink.open(clock, interface="virtual", channel=f"nobody-{uuid.uuid4().hex}")
+                lines.can[bus] = CanLine(stack.enter_context(link))
+            drives.append(_canopen(axis, bus, lines, stack))
+        yield drives
 
 
 def journal_of(axis: DriveAxis) -> Journal:
@@ -63,31 +85,62 @@ def journal_of(axis: DriveAxis) -> Journal:
     return Journal(axis.store.directory / "parameters")
 
 
-def _drive(axis: DriveAxis, lines: dict[Bus, CanLine], stack: ExitStack) -> RawParameters:
+def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
     if axis.drive.backend == "canopen":
         return _canopen(axis, (axis.drive.interface, axis.drive.channel), lines, stack)
+    if axis.drive.backend == "modbus":
+        endpoint = _endpoint(axis)
+        if endpoint not in lines.modbus:
+            link = ModbusLink(endpoint, WallClock())
+            link.open()
+            stack.callback(link.close)
+            lines.modbus[endpoint] = ModbusLine(link)
+        return _modbus(axis, lines.modbus[endpoint])
     if axis.drive.backend == "bench" and axis.drive.face == "canopen":
         bench = stack.enter_context(Bench(bench_parameters(axis)))
         channel = f"bench-{uuid.uuid4().hex}"
         bus = stack.enter_context(drives_in_turn(bench.clock, channel))
         bus.add(bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
-        lines["virtual", channel] = CanLine(stack.enter_context(CanLink(bus.master(), bench.clock)))
+        lines.can["virtual", channel] = CanLine(stack.enter_context(CanLink(bus.master(), bench.clock)))
         return _canopen(axis, ("virtual", channel), lines, stack)
     raise CapabilityError(
         f"axis {axis.name}: its drive ({axis.drive.backend}) has no parameters that could be written as a set"
     )
 
 
-def _canopen(axis: DriveAxis, bus: Bus, lines: dict[Bus, CanLine], stack: ExitStack) -> RawParameters:
+def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawParameters:
     config, (interface, channel) = axis.drive, bus
-    if bus not in lines:
+    if bus not in lines.can:
         bitrate = None if interface == "virtual" else config.bitrate
         link = CanLink.open(WallClock(), interface=interface, channel=channel, bitrate=bitrate)
-        lines[bus] = CanLine(stack.enter_context(link))
+        lines.can[bus] = CanLine(stack.enter_context(link))
     eds = None if config.eds is None else load_eds(config.eds, config.node_id)
     table = load_table_map(config.correction_table) if config.correction_table else None
     drive = CanOpenRawParameters(
-        axis.name, lines[bus], config.node_id, eds, table=table, timeout_s=config.sdo_timeout_s, bitrate=config.bitrate
+        axis.name,
+        lines.can[bus],
+        config.node_id,
+        eds,
+        table=table,
+        timeout_s=config.sdo_timeout_s,
+        bitrate=config.bitrate,
     )
     stack.callback(drive.close)
     return drive
+
+
+def _endpoint(axis: DriveAxis) -> Endpoint:
+    try:
+        return parse_endpoint(axis.drive.url, baud=axis.drive.baud)
+    except InputError as error:
+        raise InputError(f"[drive] url: {error.what}", path=axis.path) from error
+
+
+def _modbus(axis: DriveAxis, line: ModbusLine) -> RawParameters:
+    return ModbusRawParameters(
+        axis.name,
+        line,
+        axis.drive.unit,
+        load_drive_map(axis.drive.register_map),
+        wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
+    )

@@ -19,7 +19,7 @@ from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, Pa
 from drivers.scaling import ReportedScaling
 
 
-def _kind(register: Register) -> ParameterKind:
+def kind_of(register: Register) -> ParameterKind:
     """A whole number that has a scale is shown as a number."""
     if register.layout.type is RegisterType.STRING:
         return ParameterKind.TEXT
@@ -65,7 +65,7 @@ class ModbusParameters(DriveParameters):
         low, high = register.bounds
         return ParameterInfo(
             name,
-            _kind(register),
+            kind_of(register),
             register.unit,
             low,
             high,
@@ -95,7 +95,7 @@ class ModbusParameters(DriveParameters):
         if name not in self.writable_names:
             raise CapabilityError(f"drive {self._drive}: {name} cannot be written and read back")
         if isinstance(value, bytes):
-            raise InputError(f"{name} cannot be {value!r}, expected {_kind(register).value}")
+            raise InputError(f"{name} cannot be {value!r}, expected {kind_of(register).value}")
         raw = register.raw_of(value)
         words = encode(raw, register.layout)
         if self._access.words((name,))[name] == words:

@@ -70,12 +70,14 @@ class RegisterAccess:
 
     def write(self, values: Mapping[str, Raw]) -> None:
         """Write raw values in the order given, neighbours together in one request; each is certain when this returns."""
+        self.write_words({name: encode(value, self.registers[name].layout) for name, value in values.items()})
+
+    def write_words(self, values: Mapping[str, tuple[int, ...]]) -> None:
+        """The same for the words themselves."""
         names = list(values)
         places = [self._writable(name).place for name in names]
         for group in group_writes(places, max_registers=self.registers.max_write):
-            words = tuple(
-                word for index in group for word in encode(values[names[index]], self.registers[names[index]].layout)
-            )
+            words = tuple(word for index in group for word in values[names[index]])
             table, first = places[group[0]]
             provable = all(self.registers[names[index]].readable for index in group)
             self.link.write(

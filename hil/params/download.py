@@ -10,7 +10,7 @@ What may go in: these stages. Work on several drives runs side by side as far as
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -71,6 +71,9 @@ def download(
     except KeyboardInterrupt:
         stage(changing, "put back", lambda work: len(work.old), put_back, progress)
         raise
+    for work in changing:
+        if work.drive.restarts != work.starts:
+            work.fail(LinkLostError(f"drive {work.drive.name} started anew before all of it was proven"))
     if any(work.error for work in changing):
         stage(changing, "put back", lambda work: len(work.old), put_back, progress)
         for work in works:
@@ -170,19 +173,32 @@ def put_back(work: Work) -> Steps[None]:
 
 def _keep(work: _Download) -> Steps[None]:
     try:
-        yield from keep(work)
+        yield from keep(work, work.new)
     except (AbortError, CapabilityError, StateError) as error:  # it said no: nothing is uncertain
         work.not_kept = ended_in(error)
 
 
-def keep(work: Work) -> Steps[None]:
-    """Have a drive without power on its motor store what it holds. Raises StateError, and what storing raises."""
-    state: DriveState = yield from work.drive.state()
+def keep(work: Work, goals: Mapping[str, bytes]) -> Steps[None]:
+    """Have a drive without power on its motor store what it holds, the goals. Raises StateError, and what storing raises.
+
+    A drive that started anew since the goals were proven may have stored something else: then they are read again, and ProtocolError
+    is raised where it does not hold them any more.
+    """
+    drive = work.drive
+    state: DriveState = yield from drive.state()
     objection = objection_to_state(state)
     if objection is not None:
-        raise StateError(f"drive {work.drive.name}: {objection.why}; it was not stored")
+        raise StateError(f"drive {drive.name}: {objection.why}; it was not stored")
     work.note(Phase.STORING)
-    yield from work.drive.store()
+    refusal: BridgeError | None = None
+    try:
+        yield from drive.store()
+    except (AbortError, CapabilityError) as error:
+        refusal = error
+    if drive.restarts != work.starts or not drive.hears_restarts:
+        yield from work.job.prove(list(goals), goals)
+    if refusal is not None:
+        raise refusal
     work.stored = True
     work.note(Phase.STORED)
 

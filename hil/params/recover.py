@@ -79,8 +79,9 @@ def _finish(work: Work, forward: bool) -> Steps[None]:
     written = yield from work.job.settle_at(goals, work.after)
     if forward:
         work.note(Phase.PROVEN)
+    work.starts = work.drive.restarts
     if _stores(noted, forward, bool(written)):
-        yield from keep(work)
+        yield from keep(work, goals)
     ending = Ending.WRITTEN if forward else Ending.PUT_BACK
     work.note(Phase.END, ending=ending.name)
     work.ending = ending

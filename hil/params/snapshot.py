@@ -85,4 +85,5 @@ def entry_of(drive: RawParameters, parameter: RawParameter, data: bytes) -> SetE
     """One parameter as a set has it."""
     info = parameter.info
     value = None if info.kind is ParameterKind.BYTES else drive.decode(parameter, data)
-    return SetEntry(parameter.address, value, drive.to_raw(parameter, data), parameter.type, info.unit, info.name)
+    name = "" if info.name == parameter.address else info.name
+    return SetEntry(parameter.address, value, drive.to_raw(parameter, data), parameter.type, info.unit, name)

@@ -82,7 +82,7 @@ class DriveJob:
         ordered = self._ordered(differing, present, goals, after)
         yield from self._write(ordered, goals)
         prove_all = prove_all or (bool(ordered) and not drive.hears_restarts)
-        yield from self._prove(list(goals) if prove_all else ordered, goals)
+        yield from self.prove(list(goals) if prove_all else ordered, goals)
         if drive.restarts != starts:
             raise LinkLostError(f"drive {drive.name} started anew meanwhile")
         return ordered
@@ -130,7 +130,8 @@ class DriveJob:
         if refused:
             raise refused[0][1]
 
-    def _prove(self, addresses: Sequence[str], goals: Mapping[str, bytes]) -> Steps[None]:
+    def prove(self, addresses: Sequence[str], goals: Mapping[str, bytes]) -> Steps[None]:
+        """Read them back until they are the goals. Raises ProtocolError when they are not within `settle_s`."""
         deadline = self.clock.deadline(self.settle_s)
         wrong = list(addresses)
         while True:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import can
+from support.parameter_rigs import ParameterRig, maker_keys, maker_set
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import EdsFile, load_eds
@@ -19,19 +20,16 @@ from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from hil.params.download import Target, download
 from hil.params.recover import Unfinished, recover
-from hil.params.report import Ending, JobReport
-from hil.params.set_file import ParameterSet
+from hil.params.report import Ending
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort
-from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
 
 COUNT = 40
 KEYS = maker_keys(COUNT)
 OLD, NEW = maker_set(COUNT, seed=1), maker_set(COUNT, seed=2)
 TIMEOUT_S = 0.05
 OUTAGE_S = 30.0  # of a cable or a supply: longer than anybody tries
-SAVED_PER_FRAME = "frames"
 
 
 class KilledError(BaseException):
@@ -83,7 +81,7 @@ def old_flash() -> Flash:
 
 @dataclass(frozen=True)
 class Run:
-    """What became of one. said: of the download, None where it died; at_last: after resume or rollback; held: what RAM and flash hold."""
+    """What became of one. said: of the download, None where it died; at_last: after resume or rollback; held, flash: what is in it."""
 
     said: Ending | None
     at_last: Ending | None
@@ -179,6 +177,3 @@ def cases(clean: Run, name: str) -> Iterator[tuple[tuple[CanFault, ...], int]]:
 
 
 KINDS = (*ANSWERED, *TIMED, "process killed")
-
-
-__all__ = ["KINDS", "JobReport", "ParameterSet", "Run", "cases", "maker_eds", "one_run"]

@@ -1,0 +1,295 @@
+"""A Modbus drive's parameters as raw bytes, for whole sets: its registers by the names of its map, their words high byte first.
+
+What may go in: `RawParameters` over one unit. Reads are grouped as the wire is best served with, writes of neighbours go together,
+each write to an EEPROM is counted. A line carries one request at a time: drives on one take turns.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+from drivers.clock import Clock
+from drivers.drive import DriveState
+from drivers.errors import (
+    AbortError,
+    BridgeError,
+    CapabilityError,
+    InputError,
+    ProtocolError,
+    StateError,
+    TransportError,
+)
+from drivers.modbus.codec import RegisterType, decode, encode
+from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.parameters import ModbusParameters, kind_of
+from drivers.modbus.plan import ReadRequest, WireCost, group_writes
+from drivers.modbus.register_access import RegisterAccess
+from drivers.modbus.register_map import Memory, Register
+from drivers.modbus.wear import WearLedger
+from drivers.modbus.wire import RtuEndpoint
+from drivers.parameters import ParameterInfo, ParameterValue
+from drivers.raw_parameters import (
+    Access,
+    DriveIdentity,
+    Line,
+    RawForm,
+    RawParameter,
+    RawParameters,
+    Steps,
+    Tell,
+    WireTime,
+    deaf,
+)
+
+T = TypeVar("T")
+_SPARE_WRITES = 2  # of a register's wear budget: what is written may have to be put back
+
+
+class ModbusLine(Line):
+    """A Modbus line, serial or TCP: one request at a time, so work on it is done one drive after the other."""
+
+    def __init__(self, link: ModbusLink) -> None:
+        self.link = link
+
+    def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
+        return [self._run(job) for job in jobs]
+
+    @staticmethod
+    def _run(job: Steps[T]) -> T | BridgeError:
+        try:
+            next(job)
+        except StopIteration as stop:
+            result: T = stop.value
+            return result
+        except BridgeError as error:
+            return error
+        raise StateError("work for another kind of line")
+
+
+class ModbusRawParameters(RawParameters):
+    """One unit, by its register map."""
+
+    def __init__(
+        self, name: str, line: ModbusLine, unit: int, drive_map: DriveMap, *, wear: WearLedger | None = None
+    ) -> None:
+        self.name = name
+        self.line: ModbusLine = line
+        self.clock: Clock = line.link.clock
+        self.map = drive_map
+        self.wear = wear or WearLedger()
+        self.access = RegisterAccess(line.link, unit, drive_map.registers)
+        self._parameters = ModbusParameters(name, drive_map, self.access, self.clock, self.wear)
+        moving = drive_map.moving()
+        self._entries = {
+            each.name: _parameter(each, each.name in moving)
+            for each in drive_map.registers.registers.values()
+            if each.readable
+        }
+
+    # -- what there is -------------------------------------------------------------------------------------------------
+    @property
+    def entries(self) -> Mapping[str, RawParameter]:
+        return self._entries
+
+    def _register(self, entry: RawParameter) -> Register:
+        return self.map.registers[entry.address]
+
+    def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
+        if isinstance(value, bytes):
+            raise InputError(f"{value!r} is no {entry.info.kind.value}")
+        return _bytes(self._register(entry).encode(value))
+
+    def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
+        return self._register(entry).decode(_words(data))
+
+    def from_raw(self, entry: RawParameter, raw: RawForm) -> bytes:
+        layout = self._register(entry).layout
+        if isinstance(raw, int):
+            if not layout.type.is_integer:
+                raise InputError(f"raw is {raw}, expected hexadecimal digits for a {entry.type}")
+            return _bytes(encode(raw, layout))
+        try:
+            data = bytes.fromhex(raw)
+        except ValueError as error:
+            raise InputError(f"raw is {raw!r}, expected hexadecimal digits") from error
+        if len(data) != 2 * layout.words:
+            raise InputError(
+                f"raw is {len(data)} bytes, a {entry.type} of {layout.words} registers has {2 * layout.words}"
+            )
+        return data
+
+    def to_raw(self, entry: RawParameter, data: bytes) -> RawForm:
+        layout = self._register(entry).layout
+        if layout.type.is_integer:
+            return int(decode(_words(data), layout))
+        return data.hex()
+
+    def objection(self, entry: RawParameter, data: bytes) -> str | None:
+        if entry.refusal is not None:
+            return entry.refusal
+        register = self._register(entry)
+        try:
+            register.raw_of(register.decode(_words(data)))
+        except InputError as error:
+            return error.what
+        if register.memory is Memory.EEPROM:
+            left = register.wear_budget - self.wear.writes(self.name, register.name)
+            if left < _SPARE_WRITES:
+                return (
+                    f"is kept in EEPROM and its budget has {max(0, left)} writes left, expected {_SPARE_WRITES};"
+                    " raise wear_budget in the register map if this is meant"
+                )
+        return None
+
+    def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
+        """By the groups in which it would be done; characters count as the bits that they are on the line."""
+        endpoint = self.line.link.endpoint
+        serial = isinstance(endpoint, RtuEndpoint)
+        cost = WireCost.rtu(endpoint.baud, 0.0) if isinstance(endpoint, RtuEndpoint) else WireCost.tcp(0.0)
+        seconds = [cost.read_s(each.table, each.span.count) for each in self._plan([address for address, _ in reads])]
+        places = [self.map.registers[address].place for address, _ in writes]
+        for group in group_writes(places, max_registers=self.map.registers.max_write):
+            table, first = places[group[0]]
+            seconds.append(cost.write_s(table, places[group[-1]][1].end - first.start))
+        total = sum(seconds)
+        busy = total - len(seconds) * cost.fixed_s
+        bits = round(busy / cost.per_byte_s * (11 if serial else 8))
+        return WireTime(2 * len(seconds), bits, bits, bits, total, total, total, len(seconds))
+
+    # -- on the wire -----------------------------------------------------------------------------------------------------
+    def _plan(self, names: Sequence[str]) -> Sequence[ReadRequest]:
+        return self.access.plan(tuple(names)).requests if names else ()
+
+    def identify(self) -> Steps[DriveIdentity]:
+        """The map's name, and the texts that the drive shows and nobody can write."""
+        yield from ()
+        plates = [
+            each.name
+            for each in self.map.registers.registers.values()
+            if each.layout.type is RegisterType.STRING and each.readable and not each.writable
+        ]
+        texts = {name: str(text) for name, text in self.access.read(plates).items()} if plates else {}
+        return DriveIdentity("modbus", {"register_map": self.map.registers.name, **texts})
+
+    def state(self) -> Steps[DriveState]:
+        yield from ()
+        raw = self.access.integers([rule.condition.register for rule in self.map.states])
+        for rule in self.map.states:
+            if rule.condition.holds(raw[rule.condition.register]):
+                return rule.state
+        return DriveState.UNKNOWN
+
+    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+        yield from ()
+        found: dict[str, Access] = {}
+        for request in self._plan(addresses):
+            inside = [
+                address
+                for address in addresses
+                if address not in found and self._covers(request, self.map.registers[address])
+            ]
+            if not inside:
+                continue
+            accesses = self._read_group(inside)
+            if len(inside) > 1 and isinstance(accesses[0].error, AbortError):  # which of them is it?
+                accesses = [self._read_group([address])[0] for address in inside]
+            found |= {access.address: access for access in accesses}
+            tell(len(inside))
+            silence = accesses[-1].error
+            if isinstance(silence, TransportError):
+                left = [address for address in addresses if address not in found]
+                found |= {address: Access(address, accesses[-1].seconds, error=silence) for address in left}
+                break
+        return [found[address] for address in addresses]
+
+    @staticmethod
+    def _covers(request: ReadRequest, register: Register) -> bool:
+        return request.table is register.table and request.span.covers(register.span)
+
+    def _read_group(self, names: Sequence[str]) -> list[Access]:
+        start_ns = self.clock.now_ns()
+        try:
+            words = self.access.words(names)
+        except (AbortError, ProtocolError, TransportError) as error:
+            return [Access(name, self._since_s(start_ns), error=error) for name in names]
+        seconds = self._since_s(start_ns)
+        return [Access(name, seconds, _bytes(words[name])) for name in names]
+
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+        """Neighbours in one request; where that is refused, one by one, to know which of them it was."""
+        yield from ()
+        accesses: list[Access] = []
+        places = [self.map.registers[address].place for address, _ in items]
+        for group in group_writes(places, max_registers=self.map.registers.max_write):
+            tried = self._write_group([items[index] for index in group])
+            if len(group) > 1 and isinstance(tried[-1].error, AbortError):
+                tried = []
+                for index in group:
+                    tried += self._write_group([items[index]])
+                    if tried[-1].error is not None:
+                        break
+            accesses += tried
+            if accesses[-1].error is not None:
+                break
+            tell(len(group))
+        return accesses
+
+    def _write_group(self, items: Sequence[tuple[str, bytes]]) -> list[Access]:
+        start_ns = self.clock.now_ns()
+        try:
+            for address, _ in items:
+                register = self.map.registers[address]
+                if register.memory is Memory.EEPROM:
+                    self.wear.charge(self.name, address, register.wear_budget)
+            self.access.write_words({address: _words(data) for address, data in items})
+        except BridgeError as error:
+            return [Access(items[0][0], self._since_s(start_ns), error=error)]
+        seconds = self._since_s(start_ns)
+        return [Access(address, seconds) for address, _ in items]
+
+    def _since_s(self, start_ns: int) -> float:
+        return (self.clock.now_ns() - start_ns) * 1e-9
+
+    # -- kept without power ------------------------------------------------------------------------------------------------
+    def objection_to_store(self) -> Steps[str | None]:
+        yield from ()
+        return None if self.map.store is not None else "its register map has no command to store parameters"
+
+    def store(self) -> Steps[None]:
+        state = yield from self.state()
+        self._parameters.store(state)
+
+    def load_defaults(self) -> Steps[None]:
+        yield from ()
+        raise CapabilityError(f"drive {self.name}: its register map has no command to load defaults")
+
+    def restart(self) -> Steps[None]:
+        yield from ()
+        raise CapabilityError(f"drive {self.name}: only its supply starts it anew")
+
+
+def _parameter(register: Register, moving: bool) -> RawParameter:
+    low, high = register.bounds
+    refusal = None
+    if not register.writable:
+        refusal = "is read only"
+    elif moving or register.self_clearing:
+        refusal = "is a command, a target or written as a whole, and no parameter"
+    wears = register.memory is Memory.EEPROM
+    info = ParameterInfo(
+        register.name, kind_of(register), register.unit, low, high, refusal is None, wears, register.description
+    )
+    return RawParameter(register.name, info, register.layout.type.value, refusal)
+
+
+def _bytes(words: Sequence[int]) -> bytes:
+    return struct.pack(f">{len(words)}H", *words)
+
+
+def _words(data: bytes) -> tuple[int, ...]:
+    if len(data) % 2:
+        raise ProtocolError(f"{len(data)} bytes are no registers")
+    return struct.unpack(f">{len(data) // 2}H", data)
