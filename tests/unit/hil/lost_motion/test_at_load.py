@@ -1,0 +1,91 @@
+"""A rise fitted by where the load is: known machines come back, also one that sticks; and the stated uncertainty is the scatter's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputError
+from hil.lost_motion.at_load import load_mm
+from hil.lost_motion.estimate import estimate
+from hil.lost_motion.fit import MeasuredReversal, fit, uncertainties
+from hil.lost_motion.shapes import DEAD_ZONE, TANH, TWO_TANH, Floats, Rise
+
+MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 3.0, 24)])
+STICKS_UM = 40.0
+
+
+def reversal_of(load: Floats, seed: int, direction: int = 1, noise_um: float = 0.05) -> MeasuredReversal:
+    """A stroke in which the load was there after `MOTOR_MM` of the motor, and noise."""
+    noise = np.random.default_rng(seed).normal(0.0, noise_um, len(load))
+    noise[0] = 0.0
+    return MeasuredReversal(direction, MOTOR_MM, direction * 1000.0 * (load - MOTOR_MM) + noise)
+
+
+def test_the_load_stands_still_while_a_steep_rise_is_used_up() -> None:
+    rise = Rise(DEAD_ZONE, (STICKS_UM,), (1e-4,))
+    found = load_mm(rise, np.array([0.0, 0.020, 0.0402, 0.140]))
+    # 1/401 of the motor's travel until 0.1 µm of its own; then one for one
+    assert found == pytest.approx([0.0, 0.020 / 401.0, 0.0002, 0.100], abs=2e-6)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_load_that_sticks_and_then_follows(direction: int) -> None:
+    """No form of ours: the table stands until the motor has gone 40 µm."""
+    stuck = np.maximum(MOTOR_MM - STICKS_UM / 1000.0, 0.0)
+    by_load = [reversal_of(stuck, seed, direction).by_load() for seed in (1, 2, 3)]
+    rise = fit(TWO_TANH, by_load, 0.00025, table=False).rise
+    assert rise.amount_um == pytest.approx(STICKS_UM, abs=0.05)
+    assert rise.risen_um(0.001) > 0.99 * STICKS_UM  # in full at once, as far as the shortest rise lets it
+    left_um = 1000.0 * (load_mm(rise, MOTOR_MM) - stuck)
+    assert np.max(np.abs(left_um)) < 0.5
+
+
+def test_a_smooth_rise_over_the_loads_travel_comes_back() -> None:
+    truth = Rise(TWO_TANH, (9.0, 5.0), (0.02, 0.3, 0.1))
+    by_load = [reversal_of(load_mm(truth, MOTOR_MM), seed, noise_um=0.01).by_load() for seed in (1, 2, 3)]
+    rise = fit(TWO_TANH, by_load, 0.00025, table=False).rise
+    assert rise.amounts_um == pytest.approx(truth.amounts_um, abs=0.1)
+    assert rise.lengths_mm == pytest.approx(truth.lengths_mm, rel=0.06)
+
+
+@pytest.mark.slow
+def test_the_stated_uncertainty_is_that_of_measuring_again() -> None:
+    """Strokes that differ as wholes, as a machine's do: the amount of each is off by a micrometre. 40 measurements of 8 strokes."""
+    amounts, stated = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        strokes = []
+        for number in range(8):
+            load = load_mm(Rise(TANH, (20.0 + rng.normal(0.0, 1.0),), (0.05,)), MOTOR_MM)
+            strokes.append(reversal_of(load, 100 * seed + number).by_load())
+        rise = fit(TANH, strokes, 0.001, table=False).rise
+        amounts.append(rise.amount_um)
+        stated.append(uncertainties(rise, strokes, 0.001)[0])
+    assert np.mean(amounts) == pytest.approx(20.0, abs=0.2)
+    assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.std(amounts, ddof=1), rel=0.35)
+
+
+@pytest.mark.slow
+def test_the_shape_that_is_true_is_chosen_and_strokes_that_were_too_short_are_told() -> None:
+    def strokes(truth: Rise) -> list[MeasuredReversal]:
+        return [reversal_of(load_mm(truth, MOTOR_MM), seed, 1 - 2 * (seed % 2)) for seed in range(4)]
+
+    smooth = estimate(strokes(Rise(TWO_TANH, (9.0, 5.0), (0.02, 0.3, 0.1))), 0.00025)
+    assert smooth.rise.shape is TWO_TANH
+    assert not smooth.still_rising
+    assert smooth.parameters is smooth.published
+    assert set(smooth.parameters) == {
+        *("amount_um", "amount_1_um", "amount_2_um", "rise_1_mm", "rise_2_mm", "onset_2_mm")
+    }
+    assert estimate(strokes(Rise(TANH, (9.0,), (2.5,))), 0.00025).still_rising
+
+
+def test_refusals() -> None:
+    one = reversal_of(MOTOR_MM, 1)
+    with pytest.raises(InputError, match="2 reversals, expected at least 3"):
+        estimate([one, one], 0.001)
+    with pytest.raises(InputError, match="has to grow from row to row"):
+        MeasuredReversal(1, np.append(MOTOR_MM, 3.0), np.zeros(len(MOTOR_MM) + 1)).by_load()
+    with pytest.raises(InputError, match="some reversals are over the load's travel"):
+        fit(TANH, [one, one.by_load()])
