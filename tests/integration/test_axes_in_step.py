@@ -1,0 +1,118 @@
+"""Two axes of one machine that stream together, on every wire: both are where they were sent, and what stops one stops both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.two_axes import lay_out_axes
+
+from drivers.drive import Capability, DriveState, ServoDrive
+from drivers.errors import CapabilityError, InputError, LimitError, StateError
+from drivers.set_points import SetPointSettings
+from hil.axes_wiring import connected_axes
+from hil.axis import AxisConfig, load_axis
+from hil.lost_motion.circle import Circle
+from hil.procedures.circle import check_axes, drive_circle
+from sim_backends.bench import BenchParameters
+from sim_backends.plant.parameters import ideal_axis
+from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+IDEAL = (BenchParameters(plant=ideal_axis()), BenchParameters(plant=ideal_axis()))
+
+
+def axes_of(directory: Path, face: str) -> tuple[AxisConfig, AxisConfig]:
+    x, y = lay_out_axes(directory, face, machine="ideal")
+    return load_axis(x), load_axis(y)
+
+
+@pytest.mark.parametrize(
+    ("face", "period_s"), [("virtual", 0.01), ("canopen", 0.01), ("modbus-tcp", 0.02), ("modbus-rtu", 0.05)]
+)
+def test_both_axes_follow_their_own_path(tmp_path: Path, face: str, period_s: float) -> None:
+    with connected_axes(axes_of(tmp_path, face), IDEAL) as machines:
+        drives = [machine.session.drive for machine in machines]
+        for drive in drives:
+            drive.enable()
+        start = [drive.sample().position_load_mm for drive in drives]
+        with drives[0].stream_with(drives[1:], SetPointSettings(period_s)) as stream:
+            for index in range(1, 26):
+                share = 0.5 * (1.0 - math.cos(math.pi * min(1.0, index / 20)))
+                stream.cycle([start[0] + 2.0 * share, start[1] - 1.0 * share])
+            assert stream.missed_cycles == 0
+        ends = [drive.sample().position_load_mm for drive in drives]
+        assert ends == pytest.approx([start[0] + 2.0, start[1] - 1.0], abs=1e-3)
+        assert all(drive.sample().state is DriveState.ENABLED for drive in drives)
+
+
+def _stream(drives: list[ServoDrive], set_points: list[list[float]]) -> None:
+    with drives[0].stream_with(drives[1:], SetPointSettings(0.01)) as stream:
+        for positions in set_points:
+            stream.cycle(positions)
+
+
+@pytest.mark.parametrize("face", ["virtual", "canopen"])
+def test_a_set_point_that_one_axis_must_not_have_stops_both_before_either_has_it(tmp_path: Path, face: str) -> None:
+    with connected_axes(axes_of(tmp_path, face), IDEAL) as machines:
+        drives = [machine.session.drive for machine in machines]
+        for drive in drives:
+            drive.enable()
+        start = [drive.sample().position_load_mm for drive in drives]
+        with pytest.raises(LimitError, match="outside the travel"):
+            _stream(drives, [start, [start[0] + 0.01, 1000.0]])
+        machines[0].clock.sleep_s(0.5)
+        for drive, at in zip(drives, start, strict=True):
+            assert drive.sample().position_load_mm == pytest.approx(at, abs=2e-3)
+            assert drive.sample().state is not DriveState.ENABLED
+
+
+def test_a_fault_of_the_axis_beside_is_seen_while_this_one_moves(tmp_path: Path) -> None:
+    with connected_axes(axes_of(tmp_path, "virtual"), IDEAL) as (first, second):
+        first.session.await_instrument()
+        second.session.await_instrument()
+        assert second.bench is not None
+        second.bench.servo.raise_fault(0x8611)
+        with pytest.raises(Exception, match="drive Y went into fault"):
+            first.session.prepare()
+        assert first.session.drive.sample().state is not DriveState.ENABLED
+
+
+def test_what_a_drive_cannot_do_is_said_before_anything_moves(tmp_path: Path) -> None:
+    with connected_axes(axes_of(tmp_path, "virtual"), IDEAL) as machines:
+        sessions = [machine.session for machine in machines]
+        drive = sessions[1].drive
+        assert isinstance(drive, VirtualDrive)
+        with pytest.raises(LimitError, match="with its run-in"):
+            check_axes(sessions, Circle((120.0, 5.0)), 0.004)
+        with pytest.raises(InputError, match="no period for this circle"):
+            check_axes(sessions, Circle((120.0, 120.0)), 2.0)
+        drive.settings = replace(VirtualDriveSettings(), missing=frozenset({Capability.STREAMING}))
+        with pytest.raises(CapabilityError, match="drive Y cannot do: cyclic synchronous position"):
+            drive_circle(sessions, Circle((120.0, 120.0)), (None, None))
+        assert all(session.drive.sample().state is not DriveState.ENABLED for session in sessions)
+
+
+def test_axes_that_nothing_paces_together_are_refused(tmp_path: Path) -> None:
+    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
+    with (
+        connected_axes(axes_of(ours, "canopen"), IDEAL) as first,
+        connected_axes(axes_of(theirs, "canopen"), IDEAL) as second,
+    ):
+        one, other = first[0].session.drive, second[0].session.drive
+        with pytest.raises(CapabilityError, match="not all on one CAN bus"):
+            one.stream_with([other], SetPointSettings(0.01))
+    with connected_axes(axes_of(tmp_path / "more", "virtual"), IDEAL) as machines:
+        stream = machines[0].session.drive.stream_with([machines[1].session.drive], SetPointSettings(0.01))
+        with pytest.raises(StateError, match="cannot stream"):
+            stream.__enter__()
+
+
+def test_the_same_axis_twice_or_on_two_kinds_of_machine_is_refused(tmp_path: Path) -> None:
+    x, y = axes_of(tmp_path, "virtual")
+    with pytest.raises(InputError, match="a file and a name for each"), connected_axes((x, x)):
+        pass
+    other = replace(y, drive=replace(y.drive, face="canopen"))
+    with pytest.raises(InputError, match="expected all alike"), connected_axes((x, other)):
+        pass

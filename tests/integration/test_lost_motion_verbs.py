@@ -1,0 +1,187 @@
+"""`hil lost-motion` and `hil circle` as a user types them, on the bench."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.bench_axis import PASSWORDS
+from support.two_axes import lay_out_axes
+
+from hil.axis import load_axis
+from hil.cli.main import main
+from hil.records import read_csv
+from hil.store import SealedStore
+
+Until = Callable[[Callable[[], bool], str], None]
+WORN_UM = 53.0
+
+
+@pytest.fixture(autouse=True)
+def _passwords(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+
+
+def stored(path: Path) -> SealedStore:
+    return SealedStore.of(load_axis(path), PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"])
+
+
+def test_dry_runs_touch_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    x, y = lay_out_axes(tmp_path, "canopen", lost_motion="")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["lost-motion", str(x), "--dry-run"]) == 0
+    plan = capsys.readouterr().out
+    assert (
+        "to and fro between 135.413 and 141.413 mm 3 times at 100 mm/s, uncorrected, at rest at 20 places from 2 µm on"
+        in plan
+    )
+    assert "if it proves itself" in plan
+    assert main(["circle", str(x), str(y), "--dry-run", "--centre", "100", "90", "--clockwise"]) == 0
+    plan = capsys.readouterr().out
+    assert "axis Y over bench: would enable it, home it, take its datum at" in plan
+    assert "move between 80 and 100 mm" in plan
+    assert "10 mm clockwise at 100 mm/min, uncorrected: 44 s each" in plan
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("places = 3", "[lost_motion] places is 3, expected a whole number, 10 to 200"),
+        ("at_mm = 500.0", "[lost_motion] at_mm is 500: strokes of 6 mm around it leave the travel"),
+        ("finest_um = 900.0", "[lost_motion] finest_um is 900 with 20 places"),
+        ("stroke = 3", "stroke"),
+    ],
+)
+def test_a_wrong_axis_file_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], section: str, words: str
+) -> None:
+    x, _ = lay_out_axes(tmp_path, lost_motion=f"[lost_motion]\n{section}\n")
+    assert main(["lost-motion", str(x)]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_without_the_builders_key_nothing_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    x, _ = lay_out_axes(tmp_path)
+    (tmp_path / "builder.key").unlink()
+    assert main(["lost-motion", str(x)]) == 2
+    assert "hil sign --new-key builder" in capsys.readouterr().err
+    assert not (tmp_path / "X-campaign").exists()
+
+
+def test_a_drive_without_set_points_is_said_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axes = lay_out_axes(tmp_path, "modbus-vendor", machine="ideal")
+    assert main(["circle", *map(str, axes)]) == 2
+    assert "drive X cannot do: cyclic synchronous position" in capsys.readouterr().err
+    assert not (tmp_path / "X-campaign" / "circle-001").exists()
+
+
+@pytest.mark.slow
+def test_from_two_worn_axes_to_a_round_circle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Callable[[str, object], None]
+) -> None:
+    """10 mm at 100 mm/min, two drives on one CAN bus, in the drive trains that wind up by 53 µm."""
+    axes = lay_out_axes(tmp_path, "canopen")
+    out, page, round_page = tmp_path / "out.json", tmp_path / "lm.html", tmp_path / "circle.html"
+    for axis in axes:
+        assert main(["lost-motion", str(axis), "--json", str(out), "--report", str(page)]) == 0
+        found = json.loads(out.read_text())
+        assert (found["good"], found["stored"], found["verdict"]) == (True, True, [])
+        assert found["amount_um"] == pytest.approx(WORN_UM, rel=0.01)
+        assert found["proof"]["before"]["rms_um"] > 20.0
+        assert found["proof"]["after"]["rms_um"] < 0.05 * found["proof"]["before"]["rms_um"]
+        assert found["proof"]["over_compensation_um"] <= 0.05 * found["amount_um"]
+        assert set(found["parameters"]["amount_um"]) == {"value", "std"}
+        assert stored(axis).load().rise is not None
+    shown = capsys.readouterr().out
+    assert "proof, after" in shown
+    assert "RMS on strokes held out" in shown
+
+    assert main(["circle", *map(str, axes), "--period-ms", "8", "--json", str(out), "--report", str(round_page)]) == 0
+    found = json.loads(out.read_text())
+    before, after = found["circles"]["uncorrected"], found["circles"]["corrected"]
+    record_property(
+        "bumps before, after, floor, µm", [before["bump_mean_um"], after["bump_mean_um"], after["floor_um"]]
+    )
+    assert before["bump_mean_um"] == pytest.approx(WORN_UM, rel=0.05)
+    assert after["bump_mean_um"] <= 0.05 * before["bump_mean_um"]
+    assert found["fallen_percent"] >= 95.0
+    assert after["missed_set_points"] == 0
+    assert len(list((tmp_path / "X-campaign" / "circle-001").glob("*.csv"))) == 2
+
+    for text, words in (
+        (page.read_text(), ("RMS on strokes held out", "standard uncertainty", "Fresh moves of all lengths")),
+        (round_page.read_text(), ("Around the circle", "Bumps after the quadrants", "Fallen by")),
+    ):
+        assert text.count("<svg") == 2
+        assert not re.search(r"(src|href)=\"https?:", text)
+        for word in words:
+            assert word in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("face", ["modbus-vendor", "modbus-rtu"])
+def test_the_same_over_modbus(tmp_path: Path, face: str) -> None:
+    (x, _), out = lay_out_axes(tmp_path, face), tmp_path / "out.json"
+    assert main(["lost-motion", str(x), "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert found["amount_um"] == pytest.approx(WORN_UM, rel=0.01)
+    assert found["proof"]["after"]["rms_um"] < 0.05 * found["proof"]["before"]["rms_um"]
+
+
+@pytest.mark.slow
+def test_beside_tables_it_is_in_force_for_every_other_verb_and_a_calibration_replaces_it(tmp_path: Path) -> None:
+    (x, _), out = lay_out_axes(tmp_path, machine="geometric"), tmp_path / "out.json"
+    assert main(["calibrate", str(x)]) == 0
+    tables = stored(x).load().tables
+    assert main(["lost-motion", str(x), "--json", str(out)]) == 0
+    together = stored(x).load()
+    assert together.tables == tables  # as they were: the rise goes between their two directions
+    assert together.rise is not None
+    assert main(["verify", str(x), "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["A_um"] < 3.0
+    assert main(["calibrate", str(x)]) == 0
+    assert stored(x).load().rise is None
+
+
+@pytest.mark.slow
+def test_a_correction_that_does_not_prove_itself_is_not_stored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Strokes far too short for this machine's lost motion, which goes on rising over some millimetres."""
+    short = "[lost_motion]\nstroke_mm = 0.5\nplaces = 12\nruns = 2\nproof_moves = 8\n"
+    (x, _), out = lay_out_axes(tmp_path, machine="typical", lost_motion=short), tmp_path / "out.json"
+    assert main(["lost-motion", str(x), "--json", str(out)]) == 1
+    assert json.loads(out.read_text())["stored"] is False
+    assert "the strokes are too short for the whole lost motion (stroke_mm)" in capsys.readouterr().out
+    assert not (tmp_path / "X-campaign" / "tables.sealed").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path, until: Until) -> None:
+    x, _ = lay_out_axes(tmp_path)
+    command = [sys.executable, "-m", "hil.cli", "lost-motion", str(x)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    rows = tmp_path / "X-campaign" / "lost-motion-001" / "strokes.csv"
+    until(lambda: rows.exists() and rows.read_text().count("\n") >= 20, "some places measured")
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == "hil: interrupted; the axis was stopped, what was measured is kept\n"
+    assert not (tmp_path / "X-campaign" / "tables.sealed").exists()
+    kept = rows.read_text()
+    assert main(["lost-motion", str(x), "--resume"]) == 0
+    assert rows.read_text().startswith(kept)
+    assert len(read_csv(rows)) == 5 * 25
+    assert stored(x).load().rise is not None
