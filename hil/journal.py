@@ -2,22 +2,30 @@
 
 A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of `hil.records`), written
 row by row and synced before the axis moves on; a half-written last line, left by a power cut, was never confirmed and is dropped.
-What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused.
+What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. A pass says when it
+was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
 
 from drivers.errors import InputError, StateError
 from hil.files import read_bytes, read_text, replace_file, sync_directory
 from hil.records import Records, format_row, parse_csv
+
+CHECKSUMS = "SHA256SUMS"
+BEGUN = "begun "
+"""Of the comment line that says when a pass was begun."""
 
 
 class RowJournal:
@@ -188,9 +196,23 @@ class Campaign:
 
     @contextmanager
     def rows(self, name: str, columns: Sequence[str], comment: str = "") -> Iterator[RowJournal]:
-        """The journal of one measuring pass, open for appending."""
-        with RowJournal(self.directory / f"{name}.csv", columns, comment) as journal:
-            yield journal
+        """The journal of one measuring pass, open for appending; closed, whatever ended it, its checksum is written."""
+        path = self.directory / f"{name}.csv"
+        try:
+            with RowJournal(path, columns, comment) as journal:
+                if not len(journal):
+                    journal.note(f"{BEGUN}{datetime.now().astimezone().isoformat(timespec='seconds')}")
+                yield journal
+        except BaseException:
+            with suppress(InputError):  # what ended the pass matters more
+                self._write_checksum(path)
+            raise
+        self._write_checksum(path)
+
+    def _write_checksum(self, path: Path) -> None:
+        sums = checksums(self.directory) | {path.name: hashlib.sha256(read_bytes(path)).hexdigest()}
+        text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+        replace_file(self.directory / CHECKSUMS, text.encode())
 
     def columns(self, name: str) -> tuple[str, ...] | None:
         """The columns of a pass that was begun, None for one that was not."""
@@ -219,6 +241,13 @@ class Campaign:
         path = self.directory / name
         replace_file(path, data)
         return path
+
+
+def checksums(directory: Path) -> dict[str, str]:
+    """SHA-256 of each pass as it was when it was last closed, by file name; lines that say something else are passed over."""
+    path = directory / CHECKSUMS
+    lines = read_text(path).splitlines() if path.exists() else []
+    return {match[2]: match[1] for line in lines if (match := re.fullmatch(r"([0-9a-f]{64})  ([^/]+)", line))}
 
 
 def _written_lines(path: Path) -> list[str]:

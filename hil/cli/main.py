@@ -35,6 +35,7 @@ VERBS = (
     "fit",
     "apply",
     "iso230",
+    "records",
     "report",
     "export",
     "import_",

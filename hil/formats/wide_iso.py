@@ -73,6 +73,36 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     return Records.of(dict(zip(names, np.array(measured).T, strict=True)))
 
 
+def dump(records: Records, settings: WideIsoSettings = WideIsoSettings()) -> str:
+    """The same table from records, which reads back as it was to 1 nm.
+
+    Raises InputError where a run lacks a target that another has, or has one twice: such a table has no cell for it.
+    """
+    cells: dict[tuple[int, float], dict[float, float]] = {}
+    scale = CELLS[settings.cells]
+    for run, direction, target, measured in zip(
+        records.run, records.direction, records.target_mm, records.measured_mm, strict=True
+    ):
+        column = cells.setdefault((int(run), float(direction)), {})
+        if float(target) in column:
+            raise InputError(f"run {int(run)} holds target {target:g} mm in direction {direction:+g} twice")
+        column[float(target)] = measured if settings.cells == "position_mm" else (measured - target) / scale
+    targets = sorted(set(records.target_mm.tolist()))
+    columns = sorted(cells, key=lambda key: (key[0], -key[1]))
+    for (run, direction), column in cells.items():
+        if missing := set(targets) - column.keys():
+            raise InputError(
+                f"run {run} lacks target {min(missing):g} mm in direction {direction:+g}, which others have"
+            )
+    delimiter = settings.delimiter or (";" if settings.decimal == "," else ",")
+    decimals = 3 if settings.cells == "deviation_um" else 6
+    lines = [delimiter.join(["target_mm", *(f"{run}{'+' if direction > 0 else '-'}" for run, direction in columns)])]
+    for target in targets:
+        values = [repr(target), *(f"{cells[key][target]:.{decimals}f}" for key in columns)]
+        lines.append(delimiter.join(value.replace(".", settings.decimal) for value in values))
+    return "\n".join(lines) + "\n"
+
+
 def _cells(line: str, delimiter: str) -> list[str]:
     separator = delimiter or next((candidate for candidate in ("\t", ";", ",") if candidate in line), None)
     return [cell.strip() for cell in line.split(separator)]
