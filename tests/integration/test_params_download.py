@@ -1,0 +1,292 @@
+"""A set downloaded into simulated CANopen drives: what is refused, in which order it is written, and what is put back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
+
+from drivers.canopen.eds import EdsFile, load_eds
+from drivers.errors import InputError
+from drivers.raw_parameters import DriveIdentity
+from hil.params.compare import compare
+from hil.params.defaults import load_defaults
+from hil.params.download import Target, download
+from hil.params.journal import Journal
+from hil.params.recover import set_before
+from hil.params.report import Ending, JobReport, Verdict
+from hil.params.set_file import ParameterSet, SetEntry
+from hil.params.snapshot import back_up
+from sim_backends.canopen_dictionary import RefusedError
+from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_store import Flash
+
+COUNT = 8
+KEYS = maker_keys(COUNT)
+NEW = maker_set(COUNT)
+VALUES = [entry.raw for entry in NEW.entries]
+GAIN = SetEntry("2210h:01", 4321)
+K = CanFaultKind
+Make = Callable[..., ParameterRig]
+
+
+@pytest.fixture(scope="module")
+def eds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return maker_eds(tmp_path_factory.mktemp("eds"), COUNT)
+
+
+@pytest.fixture(scope="module")
+def parsed(eds: Path) -> EdsFile:
+    return load_eds(eds, 5)
+
+
+@pytest.fixture
+def make(eds: Path, parsed: EdsFile, tmp_path: Path) -> Iterator[Make]:
+    rigs: list[ParameterRig] = []
+
+    def build(**options: object) -> ParameterRig:
+        rigs.append(ParameterRig(eds, tmp_path, **{"bitrate": None, "file": parsed, **options}))  # type: ignore[arg-type]
+        return rigs[-1]
+
+    yield build
+    for rig in rigs:
+        rig.stack.close()
+
+
+def run(rig: ParameterRig, *sets: ParameterSet, **options: object) -> list[JobReport]:
+    each = sets * len(rig.drives) if len(sets) == 1 else sets
+    targets = [Target(*parts) for parts in zip(rig.drives, each, rig.journals, strict=True)]
+    return download(targets, **options)  # type: ignore[arg-type]
+
+
+def test_everything_is_written_read_back_and_kept(make: Make) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+    report = run(rig, NEW, store=True)[0]
+    assert (report.ending, report.stored, report.good) == (Ending.WRITTEN, True, True)
+    assert [row.verdict for row in report.rows] == [Verdict.WRITTEN] * COUNT
+    assert ([row.old for row in report.rows], [row.new for row in report.rows]) == (before, VALUES)
+    assert rig.values(KEYS) == VALUES
+    again = run(rig, NEW)[0]
+    assert (again.ending, {row.verdict for row in again.rows}) == (Ending.UNCHANGED, {Verdict.SAME})
+    assert len(list(rig.journals[0].folder.iterdir())) == 1  # nothing was to be written: nothing was begun
+
+
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        (SetEntry("607Ah:00", 0), "moves the axis"),
+        (SetEntry("6040h:00", 6), "moves the axis"),
+        (SetEntry("60FFh:00", 0), "moves the axis"),
+        (SetEntry("6060h:00", 1), "moves the axis"),
+        (SetEntry("1010h:01", 0x65766173), "is a command"),
+        (SetEntry("1A00h:01", 0), "belongs to the PDO mapping"),
+        (SetEntry("6041h:00", 0), "read only"),
+        (SetEntry("5000h:00", 1), "has no such parameter"),
+        (SetEntry("2210h:01", 1_000_001), "above its limit"),
+        (SetEntry("2210h:01", -1), "does not fit U32"),
+        (SetEntry("2210h:01", 1.5), "is no whole number"),
+        (SetEntry("2210h:01", 5, 6), "value 5 and raw 6 do not agree"),
+        (SetEntry("2210h:01", 5, type="I16"), "is a I16 in the set, the drive's is a U32"),
+        (SetEntry("2210h:01", 5, after=("2210h:02",)), "is to come after 2210h:02, which is not in the set"),
+        (SetEntry("stiffness", 5), "has no such parameter"),
+    ],
+)
+def test_one_wrong_entry_and_nothing_is_written(make: Make, entry: SetEntry, why: str) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+    report = run(rig, replace(NEW, entries=(*NEW.entries, entry)))[0]
+    assert report.ending is Ending.REFUSED
+    assert any(why in str(objection) and entry.address in str(objection) for objection in report.objections)
+    assert rig.values(KEYS) == before
+    assert rig.journals[0].last() is None
+
+
+def test_all_objections_are_named_at_once(make: Make) -> None:
+    rig = make()
+    rig.bench.servo.power_on()
+    rig.bench.slave.dictionary.on_read(0x6041, 0, lambda: 0x1637)
+    identity = DriveIdentity("canopen", {"vendor_id": 1}, {"firmware": "0.1"})
+    report = run(rig, replace(NEW, identity=identity, entries=(*NEW.entries, SetEntry("5000h:00", 1))))[0]
+    told = "\n".join(map(str, report.objections))
+    for what in ("5000h:00", "vendor id 0x1", "firmware '0.1'", "the drive is operation enabled"):
+        assert what in told
+    assert report.ending is Ending.REFUSED
+
+
+def test_a_set_for_this_model_goes_into_another_drive_of_it_but_not_past_its_firmware(make: Make) -> None:
+    rig = make()
+    identity = back_up(rig.drives)[0].contents.identity  # type: ignore[union-attr]
+    assert identity is not None
+    other = replace(identity, unit={"serial": 99}, version={**identity.version, "firmware": "older"})
+    contents = replace(NEW, identity=other)
+    assert run(rig, contents)[0].ending is Ending.REFUSED
+    target = Target(rig.drives[0], contents, rig.journals[0], any_version=True)
+    assert download([target])[0].ending is Ending.WRITTEN
+
+
+def test_limits_are_written_so_that_they_never_cross(make: Make) -> None:
+    rig = make()
+    dictionary = rig.bench.slave.dictionary
+
+    def bounded(_value: int, *, low: bool) -> None:
+        held = dictionary.number(0x607D, 2 if low else 1)
+        if (_value > held) if low else (_value < held):
+            raise RefusedError(0x06040043)
+
+    dictionary.set_number(0x607D, 1, 0)
+    dictionary.set_number(0x607D, 2, 100)
+    dictionary.on_write(0x607D, 1, lambda value: bounded(value, low=True))
+    dictionary.on_write(0x607D, 2, lambda value: bounded(value, low=False))
+    for low, high in ((200, 300), (-300, -200), (-50, 50)):
+        entries = (SetEntry("607Dh:01", low), SetEntry("607Dh:02", high))
+        assert run(rig, ParameterSet("limits", None, entries))[0].ending is Ending.WRITTEN
+        assert rig.values([(0x607D, 1), (0x607D, 2)]) == [low, high]
+        assert rig.drives[0]._sdo.counters.aborts == 0
+
+
+def test_what_depends_on_another_is_tried_again_after_it(make: Make) -> None:
+    rig = make()
+    dictionary = rig.bench.slave.dictionary
+
+    def after_the_last(_value: int) -> None:
+        if dictionary.number(*KEYS[-1]) != VALUES[-1]:
+            raise RefusedError(0x06040043)
+
+    dictionary.on_write(*KEYS[0], after_the_last)
+    assert run(rig, NEW)[0].ending is Ending.WRITTEN
+    assert rig.values(KEYS) == VALUES
+
+
+@pytest.mark.parametrize("at", [0, 3, COUNT - 1])
+def test_one_refusal_for_good_and_everything_is_as_before(make: Make, at: int) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+
+    def never(value: int) -> None:
+        if value == VALUES[at]:
+            raise RefusedError(0x06090030)
+
+    rig.bench.slave.dictionary.on_write(*KEYS[at], never)
+    report = run(rig, NEW, store=True)[0]
+    assert report.ending is Ending.PUT_BACK
+    assert "invalid value" in report.error
+    assert rig.values(KEYS) == before
+    assert not report.stored
+    assert rig.bench.slave.store.flash.writes == 0
+    assert rig.journals[0].unfinished() is None
+
+
+def test_a_drive_that_keeps_another_value_is_found_out_and_put_back(make: Make) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+    dictionary = rig.bench.slave.dictionary
+    dictionary.on_read(*KEYS[2], lambda: before[2])
+    report = run(rig, NEW)[0]
+    assert report.ending is Ending.PUT_BACK
+    assert "3000h:03 Parameter 3 was written" in report.error
+    assert rig.values(KEYS) == before
+
+
+def test_several_drives_all_or_none(make: Make) -> None:
+    rig = make(nodes=(3, 4, 5))
+    before = rig.values(KEYS)
+    rig.bench.slaves[4].dictionary.on_write(*KEYS[1], _refuse)
+    reports = run(rig, NEW, store=True)
+    assert [report.ending for report in reports] == [Ending.PUT_BACK] * 3
+    assert "because of X4" in reports[0].notes
+    assert [rig.values(KEYS, node) for node in range(3)] == [before] * 3
+
+
+def _refuse(_value: int) -> None:
+    raise RefusedError(0x08000022)
+
+
+def test_an_audit_starts_the_drive_anew_and_finds_what_it_did_not_keep(make: Make) -> None:
+    rig = make(flash=Flash())
+    report = run(rig, NEW, store=True, ask=pytest.fail)[0]
+    assert (report.audited, report.lost) == (True, ())
+    rig.bench.slave.store.flash.image.pop(KEYS[4])
+    rig.bench.slave.store.flash.checksum = rig.bench.slave.store.flash.sealed()
+    other = maker_set(COUNT, seed=2)
+    dictionary = rig.bench.slave.dictionary
+    store = rig.bench.slave.store
+    store.start, honest = (lambda: honest() or dictionary.set_number(*KEYS[4], 1) or 0), store.start  # type: ignore[method-assign]
+    report = run(rig, other, store=True, ask=pytest.fail)[0]
+    assert (report.ending, report.audited, report.lost, report.good) == (Ending.WRITTEN, False, ("3000h:05",), False)
+
+
+def test_a_drive_that_cannot_store_says_so_before_anything_is_written(make: Make) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+    rig.bench.slave.dictionary.on_read(0x1010, 1, lambda: 0)
+    report = run(rig, NEW, store=True)[0]
+    assert report.ending is Ending.REFUSED
+    assert "does not keep its parameters on command" in str(report.objections[0])
+    assert rig.values(KEYS) == before
+
+
+def test_targets_are_harmless_before_a_store(make: Make) -> None:
+    rig = make()
+    rig.bench.slave.dictionary.set_number(0x607A, 0, 1_000_000)
+    assert run(rig, NEW, store=True)[0].stored
+    stored = int.from_bytes(rig.bench.slave.store.flash.image[0x607A, 0], "little", signed=True)
+    assert stored == rig.bench.servo.position_actual_counts
+
+
+def test_before_the_last_download_and_the_makers_defaults(make: Make) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+    run(rig, NEW, store=True)
+    noted = Journal(rig.journals[0].folder).last()
+    assert noted is not None
+    assert run(rig, set_before(noted))[0].ending is Ending.WRITTEN
+    assert rig.values(KEYS) == before
+    run(rig, NEW, store=True)
+    assert load_defaults(rig.drives, pytest.fail) == [""]
+    assert rig.values(KEYS) == before
+
+
+def test_a_backup_brings_everything_back(make: Make) -> None:
+    rig = make()
+    backup = back_up(rig.drives)[0].contents
+    assert backup is not None
+    assert not {"607Ah:00", "6040h:00", "6041h:00", "1010h:01"} & set(backup.addresses)
+    run(rig, NEW)
+    compared = compare([(rig.drives[0], backup)])[0]
+    assert [row.address for row in compared.rows if row.side.value == "differs"] == [
+        entry.address for entry in NEW.entries
+    ]
+    assert run(rig, backup)[0].ending is Ending.WRITTEN
+    assert compare([(rig.drives[0], backup)])[0].same
+
+
+def test_a_download_that_was_cut_off_has_to_be_finished_first(make: Make) -> None:
+    rig = make(faults=(CanFault(K.NODE_DEAD, at_s=0.0165),), bitrate=1_000_000)
+    assert run(rig, NEW)[0].ending is Ending.UNFINISHED
+    with pytest.raises(InputError, match="is not finished, expected `hil params resume`"):
+        run(rig, NEW)
+
+
+def test_a_slow_parameter_is_named(make: Make) -> None:
+    rig = make(faults=(CanFault(K.SDO_LATE, size=0.03, count=1, skip=20),), bitrate=1_000_000)
+    report = run(rig, NEW)[0]
+    assert report.ending is Ending.WRITTEN
+    assert len(report.as_json()["slow"]) == 1
+
+
+def test_ctrl_c_puts_everything_back(make: Make) -> None:
+    rig = make()
+    before = rig.values(KEYS)
+
+    def interrupt(stage: str, _drive: str, done: int, _total: int) -> None:
+        if stage == "write" and done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(rig, NEW, progress=interrupt)
+    assert rig.values(KEYS) == before
+    assert rig.journals[0].unfinished() is None

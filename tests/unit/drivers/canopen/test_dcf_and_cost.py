@@ -1,0 +1,79 @@
+"""DCF and concise DCF against a foreign reader and the standard's bytes; the predicted cost against the simulated bus's own count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import canopen
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.canopen.concise_dcf import pack_concise, unpack_concise
+from drivers.canopen.dcf import render_dcf
+from drivers.canopen.eds import load_eds
+from drivers.canopen.sdo_cost import Frame, download_frames, exact_bits, upload_frames
+from drivers.errors import InputError
+from sim_backends.can_bus_model import frame_bits
+from sim_backends.canopen_dictionary import Dictionary, load_items
+from sim_backends.canopen_drive import EDS
+from sim_backends.canopen_sdo_server import SdoServer
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_predicted_bits_are_those_of_the_bus(cob_id: int, data: bytes) -> None:
+    assert exact_bits(cob_id, data) == frame_bits(cob_id, data)
+
+
+@given(st.binary(min_size=1, max_size=40))
+def test_predicted_frames_are_those_of_a_server(data: bytes) -> None:
+    """The server answers each predicted request with the predicted answer."""
+    server = SdoServer(Dictionary(load_items(EDS, 5)))
+    for frames in (download_frames(0x2101, 0, data), upload_frames(0x2101, 0, data)):
+        answers: list[bytes] = []
+        spoken: list[Frame] = []
+        for of_server, frame in frames:
+            if of_server:
+                spoken.append((True, answers.pop(0)))
+            else:
+                spoken.append((False, frame))
+                answers += server.handle(frame)
+        assert spoken == frames
+
+
+def test_a_dcf_is_read_by_the_canopen_package_and_by_us(tmp_path: Path) -> None:
+    values = [
+        ((0x2210, 1), (4321).to_bytes(4, "little")),
+        ((0x605A, 0), (-2).to_bytes(2, "little", signed=True)),
+        ((0x2101, 0), b"spare drive"),
+    ]
+    path = tmp_path / "x.dcf"
+    path.write_text(render_dcf(EDS, values, 9, 500_000), encoding="utf-8")
+    theirs = canopen.import_od(str(path))
+    assert (theirs[0x2210][1].value, theirs[0x605A].value, theirs[0x2101].value) == (4321, -2, "spare drive")
+    assert (theirs.node_id, theirs.bitrate) == (9, 500_000)
+    ours, eds = load_eds(path), load_eds(EDS, 9)
+    assert (ours.node_id, ours.bitrate) == (9, 500_000)
+    assert {key: found.value for key, found in ours.entries.items() if found.value is not None} == {
+        (0x2210, 1): 4321,
+        (0x605A, 0): -2,
+        (0x2101, 0): "spare drive",
+    }
+    for key, found in eds.entries.items():
+        again = ours.entries[key]
+        assert (again.entry, again.access, again.low, again.high) == (found.entry, found.access, found.low, found.high)
+    with pytest.raises(InputError, match="has no object 5000h:00"):
+        render_dcf(EDS, [((0x5000, 0), b"\0")], 9)
+
+
+def test_concise_dcf_as_the_standard_has_it() -> None:
+    """CiA-302: number of entries, then index, sub-index, size and data of each, little endian."""
+    objects = [((0x6081, 0), b"\x10\x27\0\0"), ((0x1017, 0), b"\xe8\x03"), ((0x2101, 0), b"")]
+    block = bytes.fromhex("03000000 8160 00 04000000 10270000 1710 00 02000000 e803 0121 00 00000000")
+    assert pack_concise(objects) == block
+    assert unpack_concise(block) == objects
+    for cut in range(len(block)):
+        with pytest.raises(InputError):
+            unpack_concise(block[:cut])
+    with pytest.raises(InputError, match="has 1 bytes behind its 3 entries"):
+        unpack_concise(block + b"\0")
