@@ -179,7 +179,7 @@ class _Reader:
 
     def _entry(self, section: Section, name: str) -> Entry:
         index, subindex = section.take("object", _object, "an object such as 2310h:01")
-        kind = section.take("type", lambda value: _TYPES[text(value)], " or ".join(_TYPES))
+        kind = section.take("type", _type, " or ".join(_TYPES))
         section.finish()
         return Entry(index, subindex, kind, name)
 
@@ -237,11 +237,15 @@ def _object(value: Any) -> tuple[int, int]:
     return index, int(match["subindex"] or "0", 16)
 
 
+def _type(value: Any) -> DataType:
+    if text(value) not in _TYPES:
+        raise ValueError
+    return _TYPES[value]
+
+
 def _record(value: Any) -> tuple[tuple[str, DataType], ...]:
     columns = []
     for item in value:
         name, _, kind = text(item).partition(":")
-        if kind not in _TYPES:
-            raise ValueError
-        columns.append((name, _TYPES[kind]))
+        columns.append((name, _type(kind)))
     return tuple(columns)
