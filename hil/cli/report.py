@@ -11,15 +11,21 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
+from hil.axis import AxisConfig, load_axis
+from hil.cli.instrument_identity import instrument_identity, uncertainty_of
 from hil.cli.output import add_json_option, write_json
+from hil.cli.signatures import NOT_GOOD, signatures
 from hil.files import read_bytes, replace_file
 from hil.records import parse_csv
+from hil.sealed import load_public_key
+from hil.uncertainty import Budget
 
 EXAMPLE = """\
 example:
   hil report records.csv --out report.html
   hil report before.csv after.csv --label before --label "after calibration" --identity Axis=X --out report.html
-  hil report left.csv --diagnosis found.json --out report.html --png plots/
+  hil report left.csv --diagnosis found.json --out report.html --png plots/ --pdf report.pdf
+  hil report --compare spring.csv autumn.csv --axis-file X.toml --builder builder.pub --out compared.html
 
 The file stands alone: it can be mailed, archived, printed, and signed with `hil sign report.html --key builder.key`.
 """
@@ -34,8 +40,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "records", metavar="RECORDS.csv", nargs="+", help="record files in the order of time, one campaign each"
+        "records", metavar="RECORDS.csv", nargs="*", help="record files in the order of time, one campaign each"
     )
+    parser.add_argument("--compare", metavar=("A", "B"), nargs=2, help="two record files, set against each other")
     parser.add_argument("--out", metavar="REPORT.html", required=True, help="the report; an older one is replaced")
     parser.add_argument(
         "--label", metavar="TEXT", action="append", help="name of a campaign, once per file (default: file names)"
@@ -56,41 +63,63 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--table", metavar="FILE", action="append", default=[], help="a table in force, named with its hash"
     )
     parser.add_argument("--note", metavar="TEXT", action="append", default=[], help="a remark; may be repeated")
+    parser.add_argument(
+        "--axis-file",
+        metavar="AXIS.toml",
+        help="identity of axis and instrument, band and uncertainty from an axis file",
+    )
+    parser.add_argument(
+        "--builder",
+        metavar="BUILDER.pub",
+        help="whose signatures of the files to show; exit status 1 for one that is not good",
+    )
+    parser.add_argument("--pdf", metavar="FILE", help="also write it as a PDF")
     parser.add_argument("--png", metavar="DIR", help="also write every drawing as a PNG into DIR (made if need be)")
     add_json_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report. Raises InputError for bad files and arguments."""
+    """0: written; 1: written, and a signature is not good. Raises InputError for bad files and arguments."""
     from hil.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (only now: plots are slow to import)
-    from hil.report.document import render_files, render_html  # noqa: PLC0415
+    from hil.report.document import budgets, render_files, render_html  # noqa: PLC0415
 
-    labels = args.label or _default_labels(args.records)
-    if len(labels) != len(args.records):
-        raise InputError(f"{len(labels)} --label for {len(args.records)} record files, expected one for each")
+    paths = _record_files(args)
+    labels = args.label or _default_labels(paths)
+    if len(labels) != len(paths):
+        raise InputError(f"{len(labels)} --label for {len(paths)} record files, expected one for each")
+    axis = None if args.axis_file is None else load_axis(args.axis_file)
+    signed = {} if args.builder is None else signatures([*paths, *args.table], load_public_key(args.builder))
     campaigns = []
-    for label, path in zip(labels, args.records, strict=True):
+    for label, path in zip(labels, paths, strict=True):
         data = read_bytes(path)
         campaigns.append(NamedCampaign(label, parse_csv(_text(data, path), path), "", Path(path).name, _sha256(data)))
     diagnosis = None if args.diagnosis is None else _read_diagnosis(args.diagnosis)
     document = ReportData(
         title=args.title,
         campaigns=tuple(campaigns),
-        identity=dict(_identity(line) for line in args.identity),
-        band_um=None if args.band is None else (args.band[0], args.band[1]),
+        identity=_axis_identity(axis) | dict(_identity(line) for line in args.identity),
+        band_um=_band(args, axis),
         tables=tuple(TableInForce(Path(path).name, _sha256(read_bytes(path))) for path in args.table),
         diagnosis=diagnosis,
         diagnosed=None if diagnosis is None else campaigns[-1],
         notes=tuple(args.note),
+        compare=args.compare is not None,
+        uncertainty=None if axis is None else uncertainty_of(axis),
+        signatures=signed,
         created=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
     )
     page = render_html(document).encode("utf-8")
     replace_file(args.out, page)
     print(args.out)
+    if args.pdf:
+        from hil.report.pdf import render_pdf  # noqa: PLC0415
+
+        replace_file(args.pdf, render_pdf(document))
+        print(args.pdf)
     drawings = [] if args.png is None else _write_drawings(Path(args.png), render_files(document))
     if args.json:
-        figures = [
+        figures: list[dict[str, Any]] = [
             {
                 "label": campaign.label,
                 "source": campaign.source,
@@ -99,8 +128,34 @@ def run(args: argparse.Namespace) -> int:
             }
             for campaign in campaigns
         ]
-        write_json(args.json, {"report": args.out, "sha256": _sha256(page), "drawings": drawings, "campaigns": figures})
-    return 0
+        for form, known in zip(figures, budgets(document), strict=True):
+            form["uncertainty_um"] = dict(known.figures_um) if isinstance(known, Budget) else None
+        result = {"report": args.out, "sha256": _sha256(page), "drawings": drawings, "campaigns": figures}
+        write_json(args.json, {**result, "signatures": signed})
+    bad = {name: said for name, said in signed.items() if said.startswith(NOT_GOOD)}
+    for name, said in bad.items():
+        print(f"{name}: signature {said}")
+    return 1 if bad else 0
+
+
+def _record_files(args: argparse.Namespace) -> list[str]:
+    if bool(args.records) == (args.compare is not None):
+        raise InputError("expected record files, or --compare A B, and not both")
+    return list(args.compare or args.records)
+
+
+def _axis_identity(axis: AxisConfig | None) -> dict[str, str]:
+    if axis is None:
+        return {}
+    travel = f"{axis.limits.travel_min_mm:g} to {axis.limits.travel_max_mm:g} mm"
+    return {"Axis": axis.name, "Travel": travel, **instrument_identity(axis.instrument)}
+
+
+def _band(args: argparse.Namespace, axis: AxisConfig | None) -> tuple[float, float] | None:
+    if args.band is not None:
+        return args.band[0], args.band[1]
+    band = None if axis is None else axis.correction.band
+    return None if band is None else (band.low_um, band.high_um)
 
 
 def _plain(figures: Any) -> Any:

@@ -66,6 +66,7 @@ class ReportData:
     diagnosis        the JSON form of `hil diagnose`, None where none was made. A finding may carry
                      "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
     diagnosed        the campaign that the diagnosis was made on; its column residual_um is shown where it has one, else its error
+    compare          the first two campaigns are set against each other, target by target
     uncertainty      what is known of instrument and room; figures then stand with their expanded uncertainty
     signatures       what of the above is signed: file name -> by whom, or why its signature is not good
     created          date and time to print, as text; nothing is looked up, so the same data give the same bytes
@@ -82,6 +83,7 @@ class ReportData:
     created: str = ""
     uncertainty: UncertaintyInputs | None = None
     signatures: Mapping[str, str] = field(default_factory=dict)
+    compare: bool = False
 
     def __post_init__(self) -> None:
         if not self.campaigns:
@@ -89,6 +91,8 @@ class ReportData:
         labels = [campaign.label for campaign in self.campaigns]
         if len(set(labels)) != len(labels):
             raise InputError(f"campaigns share a label: {', '.join(labels)}")
+        if self.compare and len(self.campaigns) != 2:
+            raise InputError(f"a comparison is of two campaigns, not of {len(self.campaigns)}")
         if self.band_um is not None and not self.band_um[0] < self.band_um[1]:
             raise InputError(f"band is {self.band_um[0]:g} to {self.band_um[1]:g} µm, expected low < high")
 

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from hil.iso230 import FIGURES, Iso230
 from hil.records import Floats, Records
+from hil.report import compare, markup, plots
 from hil.report import diagnosis as diagnosis_part
-from hil.report import markup, plots
 from hil.report import uncertainty as uncertainty_part
 from hil.report.data import NamedCampaign, ReportData, environment, history
 from hil.report.page import header, page
@@ -33,6 +33,7 @@ def render_html(data: ReportData) -> str:
         _identity(data),
         _comparison(data) if len(data.campaigns) > 1 else "",
         _figures_table(data),
+        compare.section(*data.campaigns) if data.compare else "",
         *(_campaign(index, campaign, data) for index, campaign in enumerate(data.campaigns, start=1)),
         diagnosis_part.section(data.diagnosis, data.diagnosed) if data.diagnosis is not None else "",
         uncertainty_part.section(budgets(data), [campaign.label for campaign in data.campaigns]),
@@ -51,6 +52,11 @@ def budgets(data: ReportData) -> list[Budget | str | None]:
 
 def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
     """Every drawing of the report as a file of its own on a white ground, by file name; `kind` is "png" or "svg"."""
+    return {f"{name}.{kind}": file_bytes(figure, kind) for name, figure in drawings(data).items()}
+
+
+def drawings(data: ReportData) -> dict[str, Figure]:
+    """Every drawing of the report by name, for a white ground."""
     drawn: dict[str, Figure] = {}
     if len(data.campaigns) > 1:
         drawn["before-after"] = plots.before_after_plot(data.campaigns, LIGHT, data.band_um)
@@ -59,7 +65,11 @@ def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
         drawn[f"campaign-{index}-time"] = plots.history_plot(campaign, LIGHT)
     if data.diagnosis is not None:
         drawn |= diagnosis_part.finding_figures(data.diagnosis, data.diagnosed, LIGHT)
-    return {f"{name}.{kind}": file_bytes(figure, kind) for name, figure in drawn.items()}
+    if data.compare:
+        found = compare.difference(data.campaigns[0].records, data.campaigns[1].records)
+        if len(found.target_mm):
+            drawn["difference"] = compare.difference_figure(found, LIGHT)
+    return drawn
 
 
 def before_after_image(
