@@ -6,7 +6,8 @@ back to them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -103,9 +104,12 @@ class Run:
 
 
 def one_run(
-    eds: Path, folder: Path, *faults: CanFault, dies_at: int = 0, forward: bool = True, store: bool = True
+    eds: Path, folder: Path, *faults: CanFault, dies_at: int = 0, forward: bool = True, deaths: Sequence[int] = ()
 ) -> Run:
-    """A download with these faults, in a new folder; then whatever finishes it, when the fault is over."""
+    """A download with these faults, in a new folder; then whatever finishes it, when the fault is over.
+
+    deaths: frames at which attempts to finish it die, one after the other.
+    """
     flash = old_flash()
     rig = ParameterRig(eds, folder, faults=faults, flash=flash, timeout_s=TIMEOUT_S, file=parsed(eds))
     port = DyingPort(rig.bench.wire, dies_at)
@@ -113,11 +117,14 @@ def one_run(
     with CanLink(port, rig.bench.clock) as link:
         drive = _drive(link, eds)
         try:
-            report = download([Target(drive, NEW, rig.journals[0])], store=store)[0]
+            report = download([Target(drive, NEW, rig.journals[0])], store=True)[0]
             said, stored = report.ending, report.stored
         except KilledError:
             drive.clock.sleep_s(0.5)
     at_last = None
+    for death in deaths:
+        with CanLink(DyingPort(rig.bench.wire, death), rig.bench.clock) as link, suppress(KilledError):
+            recover([Unfinished(_drive(link, eds), rig.journals[0])], forward=forward)
     if rig.journals[0].unfinished() is not None:
         rig.bench.clock.sleep_s(OUTAGE_S)
         with CanLink(rig.bench.port(), rig.bench.clock) as link:
