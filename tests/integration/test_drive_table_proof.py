@@ -6,10 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.table_axis import FACES, lay_out_table_axis
 
 from drivers.correction_table import CorrectionTable, RawTable
+from drivers.drive import DriveLimits
+from drivers.scaling import AxisScaling
 from hil.axis import AxisConfig
 from hil.compensation import Compensation
 from hil.drive_tables import drive_table, wanted_of
@@ -17,8 +20,13 @@ from hil.journal import Campaign
 from hil.procedures.bare_axis import BareAxis
 from hil.procedures.drive_table import held_table
 from hil.procedures.prove_drive_table import Agreement, Proof, Way, prove_by_drive, prove_by_instrument
-from hil.tables import TableSet
+from hil.tables import DirectionalTable, TableSet
 from hil.wiring import connected, connected_drive
+from sim_backends.canopen_bench import SMALL_SERVO
+from sim_backends.clock import SimClock
+from sim_backends.own_table import ARRAY, TableForm, error_domain
+from sim_backends.servo import SimulatedServo
+from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
 TARGETS = (47.3, 201.9)
 Spoil = Callable[[RawTable], RawTable]
@@ -52,6 +60,7 @@ SPOILT: dict[str, Spoil] = {
 }
 
 
+@pytest.mark.slow
 def test_drive_and_bridge_correct_alike(tmp_path: Path) -> None:
     proof = measured(*lay_out_table_axis(tmp_path, "in process"))
     assert proof.good, proof.verdict
@@ -136,6 +145,44 @@ def test_an_error_while_it_is_measured_leaves_the_switch_as_it_was(
         with pytest.raises(KeyboardInterrupt):
             prove_by_instrument(machine.session, campaign, Compensation(tables), TARGETS, runs=1)
         assert not table.enabled()
+
+
+class Shaft:
+    """What the motor turns, and where it stands."""
+
+    friction_permille = 0.0
+    motor_rev = 0.0
+
+    def step(self, motor_rev: float, dt_s: float) -> None:
+        self.motor_rev = motor_rev
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("form", [ARRAY, error_domain(10.0)], ids=["array", "domain"])
+def test_the_load_stands_where_the_bridge_would_have_put_it(form: TableForm, direction: int) -> None:
+    """A whole axis in which counts may fall as the table advances: what the shaft does, whatever anyone says of it."""
+    clock, shaft = SimClock(), Shaft()
+    servo = SimulatedServo(shaft, replace(SMALL_SERVO, position_window_counts=0.5))
+    clock.attach(servo.advance, bearable=servo.bearable)
+    scaling = AxisScaling(100_000, 10.0, direction=direction)
+    limits = DriveLimits(-3.0, 300.0, 200.0, 2000.0)
+    settings = VirtualDriveSettings(homing_method=37, home_position_mm=0.0)
+    drive = VirtualDrive(servo, scaling, limits, clock, settings=settings, table=form)
+    wanted = DirectionalTable(
+        np.array([0.0, 55.0, 140.0, 290.0]), np.array([3.0, -20.0, 8.0, 31.0]), np.array([-4.0, -33.0, 1.0, 5.0])
+    )
+    with drive:
+        table = held_table(drive)
+        made = drive_table(wanted, table.description, scaling, limits)
+        table.write(made.raw)
+        table.switch(True)
+        with BareAxis(drive) as axis:
+            axis.get_ready(home=True)
+            for place_mm, way in ((20.0, 1), (100.0, 1), (250.0, 1), (180.0, -1), (30.0, -1), (60.0, 1)):
+                axis.move_to(place_mm, 150.0)
+                axis.rest(0.2)
+                load_um = direction * shaft.motor_rev * 10_000.0 - place_mm * 1000.0
+                assert load_um == pytest.approx(float(wanted.at(place_mm, way)), abs=made.deviation_um + 0.2)
 
 
 def test_too_noisy_is_not_proven() -> None:
