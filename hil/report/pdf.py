@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+import unicodedata
 from collections.abc import Iterator
 
 import matplotlib as mpl
@@ -11,6 +12,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from hil.iso230 import FIGURES, Iso230
+from hil.report.compare import difference, verdict
 from hil.report.data import ReportData, environment, plain
 from hil.report.document import budgets, drawings, symbol
 from hil.report.svg import LIGHT, RC
@@ -18,7 +20,7 @@ from hil.report.uncertainty import stated
 from hil.uncertainty import Budget
 
 _A4_IN = (8.27, 11.69)
-_WIDE, _LINES = 98, 74  # characters of a line, lines of a page
+_WIDE, _LINES = 124, 74  # characters of a line, lines of a page
 
 
 def render_pdf(data: ReportData) -> bytes:
@@ -63,13 +65,17 @@ def _text(data: ReportData) -> Iterator[str]:
     yield data.created
     yield from _block("Identity", dict(data.identity) | environment(data.campaigns[-1].records))
     yield from _figures(data)
+    if data.compare:
+        first, second = data.campaigns
+        found = difference(first.records, second.records)
+        yield from _list(f"{second.label} against {first.label}", [verdict(found)] if len(found.target_mm) else [])
     for campaign, known in zip(data.campaigns, budgets(data), strict=True):
         if isinstance(known, Budget):
             parts = {one.name: f"{one.expanded_um:6.2f} µm  {one.how}" for one in known.contributions}
             yield from _block(f"Uncertainty (k = 2) of {campaign.label}", parts)
     for campaign in data.campaigns:
-        found = campaign.figures()
-        notes = list(found.notes) if isinstance(found, Iso230) else [f"No ISO 230-2 figures: {found}."]
+        figures = campaign.figures()
+        notes = list(figures.notes) if isinstance(figures, Iso230) else [f"No ISO 230-2 figures: {figures}."]
         source = [f"{campaign.source} SHA-256 {campaign.sha256}"] if campaign.source else []
         yield from _list(campaign.label, [campaign.note, *source, *notes])
     if data.diagnosis is not None:
@@ -84,8 +90,9 @@ def _text(data: ReportData) -> Iterator[str]:
 
 
 def _figures(data: ReportData) -> Iterator[str]:
+    """A line per figure, a column per campaign."""
     yield ""
-    yield "FIGURES OF ISO 230-2:2014, µm"
+    yield "Figures of ISO 230-2:2014, µm:"
     yield f"{'':6}" + "".join(f"{plain(campaign.label)[:20]:>22}" for campaign in data.campaigns)
     all_figures = [campaign.figures() for campaign in data.campaigns]
     for name, meaning in FIGURES.items():
@@ -93,13 +100,16 @@ def _figures(data: ReportData) -> Iterator[str]:
             stated(found.figures()[name] if isinstance(found, Iso230) else None, name, known)
             for found, known in zip(all_figures, budgets(data), strict=True)
         ]
-        yield f"{symbol(name):6}" + "".join(f"{cell:>22}" for cell in cells) + f"  {meaning}"
+        width = 6 + sum(
+            unicodedata.combining(letter) > 0 for letter in symbol(name)
+        )  # a bar over a letter takes no room of its own
+        yield f"{symbol(name):{width}}" + "".join(f"{cell:>22}" for cell in cells) + f"  {meaning}"
 
 
 def _block(title: str, facts: dict[str, str]) -> Iterator[str]:
     if facts:
         yield ""
-        yield title.upper()
+        yield f"{title}:"
         for name, value in facts.items():
             yield f"{name:24} {value}"
 
@@ -108,5 +118,5 @@ def _list(title: str, items: list[str]) -> Iterator[str]:
     kept = [item for item in items if item]
     if kept:
         yield ""
-        yield title.upper()
+        yield f"{title}:"
         yield from kept
