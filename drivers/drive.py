@@ -100,9 +100,13 @@ class DriveSample:
 
 
 class ServoDrive(ABC):
-    """One axis's drive. notes: what `open` found worth telling an engineer, one sentence each."""
+    """One axis's drive. notes: what `open` found worth telling an engineer, one sentence each.
+
+    corrected_outside: whoever commands it adds a correction of its own at present; its own table is then not switched on.
+    """
 
     notes: Sequence[str] = ()
+    corrected_outside = False
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
         self.name = name

@@ -18,6 +18,7 @@ from drivers.correction_table import CorrectionTable, RawTable
 from drivers.drive import DriveState, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from hil.files import read_text, replace_file
+from hil.procedures.one_correction import switch_table
 
 Tell = Callable[[str], None]
 _POWERED = (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.SWITCHED_ON, DriveState.FAULT_REACTION)
@@ -101,7 +102,7 @@ class TableChange:
     def switch(self, on: bool) -> None:
         """Switch the drive's correction; it reads back so, or ProtocolError."""
         self._require_unpowered()
-        self.table.switch(on)
+        switch_table(self.drive, self.table, on)
 
     def undo(self) -> None:
         """Contents and switch as they were found, read back. Raises what access raises."""
@@ -179,7 +180,7 @@ def put_back(drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None
         table.switch(False)
         table.write(found.raw, present)
         require_same(drive.name, found.raw, table.read())
-    table.switch(found.enabled)
+    switch_table(drive, table, found.enabled)
 
 
 def require_same(drive: str, wanted: RawTable, kept: RawTable) -> None:

@@ -5,6 +5,7 @@ The drive is asked, never remembered: another master, a stored switch or an oper
 
 from __future__ import annotations
 
+from drivers.correction_table import CorrectionTable
 from drivers.drive import ServoDrive
 from drivers.errors import StateError
 
@@ -19,3 +20,13 @@ def refuse_while_drive_corrects(drive: ServoDrive, because: str = TWICE) -> None
             f"drive {drive.name} corrects this axis itself, its {table.description.name} is switched on: {because}; switch the"
             " drive's off (hil params table remove), or leave it to the drive"
         )
+
+
+def switch_table(drive: ServoDrive, table: CorrectionTable, on: bool) -> None:
+    """Switch a drive's table. Raises StateError for switching it on while the bridge's correction is in force."""
+    if on and drive.corrected_outside:
+        raise StateError(
+            f"drive {drive.name}: the bridge's correction is in force, and with {table.description.name} switched on the error"
+            " would be taken out twice; take the bridge's out first"
+        )
+    table.switch(on)

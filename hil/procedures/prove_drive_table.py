@@ -23,6 +23,7 @@ from hil.procedures.bare_axis import BareAxis
 from hil.procedures.drive_table import held_table
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.measure import bidirectional_steps, measure
+from hil.procedures.one_correction import switch_table
 from hil.procedures.session import AxisSession
 from hil.records import UM_PER_MM, Floats, Records
 from hil.tables import DirectionalTable
@@ -133,7 +134,7 @@ def _hand_over(
     """The correction to the one or the other; the axis ends without power, as a drive's table is switched that way."""
     session.compensation = None
     session.drive.disable()
-    table.switch(by_drive)
+    switch_table(session.drive, table, by_drive)
     session.compensation = compensation
 
 
@@ -217,7 +218,7 @@ def prove_by_drive(
     was_on = table.enabled()
     places: list[Agreement] = []
     try:
-        table.switch(True)
+        switch_table(drive, table, True)
         axis.get_ready(home=way.home)
         stops = bidirectional_targets(targets_mm, way.overrun_mm)
         for index, (place_mm, direction) in enumerate(stops, start=1):

@@ -115,6 +115,7 @@ class AxisSession:
             self.drive.close()
             raise
         self._entered = True
+        self.drive.corrected_outside = self._compensation is not None
         self._start_ns = self.clock.now_ns()
         return self
 
@@ -128,7 +129,7 @@ class AxisSession:
                 stack.callback(self._disable_if_reachable, raising=exc_type is None)
             if exc_type is not None:
                 stack.callback(self._stop_whatever_happens)
-            self._entered = False
+            self._entered = self.drive.corrected_outside = False
             self._stopped_for = None
             self.history = None
 
@@ -179,6 +180,7 @@ class AxisSession:
         if compensation is not None and self._entered:
             refuse_while_drive_corrects(self.drive)
         self._compensation = compensation
+        self.drive.corrected_outside = compensation is not None
 
     # -- watching ----------------------------------------------------------------------------------------------------
     def elapsed_s(self) -> float:

@@ -15,7 +15,7 @@ from drivers.set_points import SetPointSettings
 from hil.cli.main import main
 from hil.compensation import Compensation
 from hil.drive_tables import drive_table, wanted_of
-from hil.procedures.drive_table import held_table
+from hil.procedures.drive_table import changing, held_table
 from hil.procedures.session import AxisSession
 from hil.tables import TableSet
 from hil.wiring import connected
@@ -53,6 +53,16 @@ def test_a_session_asks_the_drive_first(face: str, tmp_path: Path) -> None:
         assert (after.state, after.position_load_mm) == (before.state, before.position_load_mm)
         held_table(session.drive).switch(False)
         session.compensation = Compensation(tables)
+        with (
+            pytest.raises(StateError, match="the bridge's correction is in force"),
+            changing(session.drive, tmp_path / "note.json", pytest.fail) as change,
+        ):
+            change.switch(True)
+        assert not held_table(session.drive).enabled()
+        session.compensation = None
+        with changing(session.drive, tmp_path / "note.json", pytest.fail) as change:
+            change.switch(True)
+        assert held_table(session.drive).enabled()
 
 
 def test_a_table_switched_on_meanwhile_stops_the_next_corrected_motion(
