@@ -93,6 +93,17 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.choices)
 
+    def of_one_place(self, campaign: Campaign) -> Candidates:
+        """Those of the effects that refinement may make a feature of one place, at the lowest of their parameters."""
+        lowest = (
+            (c.effect, c.form, [p.lower for p in c.form.nonlinear])
+            for c in (self.choices[int(index[0])] for index in self.forms)
+        )
+        local = {effect.id for effect, form, theta in lowest if effect.is_local(form, theta, campaign.survey)}
+        index = [i for i, choice in enumerate(self.choices) if choice.effect.id in local]
+        choices = tuple(self.choices[i] for i in index)
+        return Candidates(choices, Blocks.of_choices(choices, campaign), self.effects, self.effect[index], ())
+
     def stack(self, whitened: Whitened) -> Stack:
         """The candidates whitened, made once per whitening."""
         key = id(whitened)

@@ -17,7 +17,7 @@ from hil.diagnosis.evidence import Bench, Extra, Noise
 from hil.diagnosis.fit import JointFit, Known, Setting, start_noise, static_part
 from hil.diagnosis.judge import FoldJudge, FoldScout, NullJudge, Scout
 from hil.diagnosis.noise_fit import fit_noise
-from hil.diagnosis.search import FULL, LIGHT, Searcher
+from hil.diagnosis.searcher import FULL, LIGHT, Searcher
 from hil.diagnosis.select import Selected, select
 from hil.diagnosis.structure import Catalogue, static_structures, structures
 from hil.diagnosis.table import DeclaredShape

@@ -13,7 +13,8 @@ from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.fit import Choice, Setting, fit_model, start_noise
-from hil.diagnosis.search import Searcher
+from hil.diagnosis.rank import rank
+from hil.diagnosis.searcher import Searcher
 from hil.effects import Action, Effect
 from hil.model import Model
 from hil.records import Records
@@ -39,7 +40,7 @@ def fit_with(records: Records, wanted: Sequence[Effect]) -> Model:
         missing = {effect.id for effect in wanted}
         while missing:
             searcher.tame(chosen, noise)
-            best = next((r for r in searcher.rank(chosen, noise) if r.effect in missing), None)
+            best = next((r for r in rank(searcher, chosen, noise) if r.effect in missing), None)
             if best is None:
                 names = ", ".join(sorted(missing))
                 raise InputError(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.choose import Chosen, Problem, choose_without
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.refine import refine
-from hil.diagnosis.search import LIGHT, Searcher, View
+from hil.diagnosis.searcher import LIGHT, Searcher, View
 from hil.diagnosis.select import Selected
 from hil.diagnosis.thin import AllRows
 

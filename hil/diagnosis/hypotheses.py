@@ -22,7 +22,8 @@ from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.choose import problem_of
 from hil.diagnosis.evidence import Bench, Noise
 from hil.diagnosis.fit import START_ROUGHNESS, Choice, JointFit, start_noise
-from hil.diagnosis.search import GRID, Effort, Searcher, View
+from hil.diagnosis.rank import rank
+from hil.diagnosis.searcher import GRID, Effort, Searcher, View
 from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import complete, time_column
 from hil.model import Model
@@ -168,7 +169,7 @@ def _weigh_part(
     noise = searcher.fit_noise(rest, start_noise(campaign))
     before, _ = searcher.profiled_evidence(rest, noise)
     found: dict[str, Hypothesis] = {}
-    for ranked in searcher.rank(rest, noise):
+    for ranked in rank(searcher, rest, noise):
         if declared is not None and _stands_still(campaign, ranked.choice, searcher.fit([ranked.choice], noise)):
             continue
         found[ranked.effect] = Hypothesis(ranked.choice.effect, 0.0, ranked.evidence - before, ranked.choice, None)

@@ -17,7 +17,9 @@ from hil.diagnosis.candidates import score
 from hil.diagnosis.evidence import MOST_OFFSET, Bench, Extra, Frame, Noise, random_gain
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.null import CAMPAIGNS, Null, null_maxima, simulate, tail_probability
-from hil.diagnosis.search import Searcher, Stage, smoother
+from hil.diagnosis.rank import smoother
+from hil.diagnosis.search import Stage
+from hil.diagnosis.searcher import Searcher
 from hil.diagnosis.structure import Catalogue, Structure
 
 Floats = NDArray[np.float64]
@@ -70,9 +72,10 @@ class NullJudge:
             typical = replace(noise, offset=float(np.median(offsets)))
             far = abs(typical.offset - noise.offset) > NEAR_OFFSET
             smooth = smoother(noise) if searcher.bench.rough else ()
-            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()), *smooth)))
+            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
+            beside = searcher.extra(chosen)
             self.asked[key] = null_maxima(
-                searcher.bench, searcher.candidates, noises, offsets, searcher.extra(chosen), seed=self.seed
+                searcher.bench, searcher.candidates, noises, offsets, beside, seed=self.seed, smooth=smooth
             )
         null = self.null = self.asked[key]
         values = [

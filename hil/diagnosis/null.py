@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from hil.diagnosis.candidates import Candidates, score
-from hil.diagnosis.evidence import Bench, Extra, Noise
+from hil.diagnosis.evidence import Bench, Extra, Frame, Noise
 
 Floats = NDArray[np.float64]
 
@@ -75,28 +75,35 @@ def simulate(bench: Bench, noise: Noise, offsets: Floats, seed: int) -> Floats:
 
 
 def null_maxima(
-    bench: Bench, candidates: Candidates, noises: Sequence[Noise], offsets: Floats, beside: Extra, *, seed: int
+    bench: Bench,
+    candidates: Candidates,
+    noises: Sequence[Noise],
+    offsets: Floats,
+    beside: Extra,
+    *,
+    seed: int,
+    smooth: Sequence[Noise] = (),
 ) -> Null:
     """The null distribution for noise model noises[0], profiled over all of `noises`, with the columns `beside` in every fit.
 
     offsets: standard deviation of the run offsets of each simulated campaign, shape (b,)
+    smooth: noise models over which effects that may be a feature of one place are profiled too, and none beside them
     """
     y = simulate(bench, noises[0], offsets, seed)
     count = len(offsets)
     best_null = np.full(count, -np.inf)
     best = np.full((len(candidates.effects), count), -np.inf)
     for noise in noises:
-        frame = bench.frame(noise, y, beside)
-        gains = score(frame, candidates.stack(frame.whitened)).gain
-        log_null = frame.log_null
-        best_null = np.maximum(best_null, log_null)
-        for index in range(len(candidates.effects)):
-            mine = gains[candidates.effect == index]
-            best[index] = np.maximum(best[index], log_null + np.max(mine, axis=0))
+        best_null = _raise(best, best_null, bench.frame(noise, y, beside), candidates)
+    best_null = np.tile(best_null, (len(best), 1))
+    local = candidates.of_one_place(bench.campaign)
+    mine = np.unique(local.effect)
+    for noise in smooth if len(local) else ():
+        best_null[mine] = _raise(best, best_null[mine], bench.frame(noise, y, beside), local)
     maxima, floor, narrowest = {}, {}, {}
     log_rows = float(np.log1p(len(y)))
     for index, name in enumerate(candidates.effects):
-        values = best[index] - best_null
+        values = best[index] - best_null[index]
         if np.all(np.isfinite(values)):
             maxima[name] = values
             widths = np.where(candidates.blocks.shrunk, 4, candidates.blocks.width)
@@ -104,3 +111,11 @@ def null_maxima(
             floor[name] = -0.5 * float(np.max(mine)) * log_rows
             narrowest[name] = int(np.min(mine))
     return Null(maxima, floor, narrowest, log_rows)
+
+
+def _raise(best: Floats, best_null: Floats, frame: Frame, candidates: Candidates) -> Floats:
+    """Raise the best evidence of each effect, shape (e, b), to that in a frame; the best evidence of none, shape (…, b)."""
+    gains = score(frame, candidates.stack(frame.whitened)).gain
+    for index in np.unique(candidates.effect):
+        best[index] = np.maximum(best[index], frame.log_null + np.max(gains[candidates.effect == index], axis=0))
+    return np.asarray(np.maximum(best_null, frame.log_null))

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.candidates import Blocks, Stack, score
 from hil.diagnosis.evidence import Frame
 from hil.diagnosis.fit import Choice
@@ -26,14 +27,27 @@ FIRST = 0.6
 OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}
 
 
+class Trials:
+    """Some choices as columns made once, to be scored under one frame after the other."""
+
+    def __init__(self, choices: Sequence[Choice], campaign: Campaign) -> None:
+        self.choices, self.blocks = choices, Blocks.of_choices(choices, campaign)
+        self._stack: Stack | None = None
+
+    def score(self, frame: Frame) -> tuple[Floats, list[Choice]]:
+        """Gain of the choices under a frame, shape (c,), and the choices with the variance of the shrunk ones set."""
+        if self._stack is None or self._stack.whitened is not frame.whitened:
+            self._stack = Stack(frame.whitened, self.blocks)
+        scores = score(frame, self._stack)
+        return scores.gain, [
+            replace(choice, variance=float(v)) if choice.form.shrunk else choice
+            for choice, v in zip(self.choices, scores.variance, strict=True)
+        ]
+
+
 def score_choices(frame: Frame, choices: Sequence[Choice]) -> tuple[Floats, list[Choice]]:
-    """Gain of some choices under a frame, shape (c,), and the choices with the variance of the shrunk ones set."""
-    blocks = Blocks.of_choices(choices, frame.whitened.campaign)
-    scores = score(frame, Stack(frame.whitened, blocks))
-    return scores.gain, [
-        replace(choice, variance=float(v)) if choice.form.shrunk else choice
-        for choice, v in zip(choices, scores.variance, strict=True)
-    ]
+    """The same of some choices under one frame."""
+    return Trials(choices, frame.whitened.campaign).score(frame)
 
 
 def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> list[tuple[Choice, float]]:

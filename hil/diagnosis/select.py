@@ -15,7 +15,9 @@ from hil.diagnosis.candidates import score
 from hil.diagnosis.evidence import Noise
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.judge import FoldScout, Hit, Scout, hit_of
-from hil.diagnosis.search import Judge, Searcher, Stage, search
+from hil.diagnosis.rank import rank
+from hil.diagnosis.search import Judge, Stage, search
+from hil.diagnosis.searcher import Searcher
 from hil.diagnosis.serial import Memory, memory
 from hil.diagnosis.structure import Catalogue
 
@@ -169,7 +171,7 @@ def _foreign(
             top = int(np.argmax(gains))
             total = searcher.evidence(rest, trial) + float(gains[top])
             if total > worth + REPLACE / len(group) and total > base + REPLACE:
-                ranking = searcher.rank(rest, noise)
+                ranking = rank(searcher, rest, noise)
                 if ranking and ranking[0].evidence > max(total - REPLACE, worth):
                     return odds, rest, Stage(base, ranking, True)
                 return odds, rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0)
@@ -191,7 +193,7 @@ def _contests(
         if chosen[i].effect.id not in known:
             rest = [*chosen[:i], *chosen[i + 1 :]]
             base, _ = searcher.profiled_evidence(rest, noise)
-            yield Stage(base, searcher.rank(rest, noise), True, chosen[i].effect.id)
+            yield Stage(base, rank(searcher, rest, noise), True, chosen[i].effect.id)
 
 
 def _groups(chosen: Sequence[Choice], fixed: int) -> list[tuple[int, ...]]:

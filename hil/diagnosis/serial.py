@@ -12,7 +12,7 @@ from itertools import product
 
 from hil.diagnosis.evidence import Noise
 from hil.diagnosis.fit import Choice
-from hil.diagnosis.search import Searcher
+from hil.diagnosis.searcher import Searcher
 
 ORDINARY = tuple(product((0.35, 0.6, 0.85), (0.3, 0.5, 0.7, 0.85, 0.95)))
 STRONG = tuple(product((1.2, 1.7, 2.5, 4.0), (0.5, 0.7, 0.85)))

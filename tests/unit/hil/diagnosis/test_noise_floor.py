@@ -13,7 +13,7 @@ from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.evidence import Bench, Extra, Noise
 from hil.diagnosis.fit import Setting, start_noise
 from hil.diagnosis.noise_fit import CORRELATIONS, fit_noise
-from hil.diagnosis.search import Searcher
+from hil.diagnosis.searcher import Searcher
 from hil.diagnosis.spline import TableBasis
 from hil.records import Records
 

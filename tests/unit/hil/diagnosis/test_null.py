@@ -13,9 +13,11 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.candidates import enumerate_candidates, score
 from hil.diagnosis.evidence import Bench, Extra, Noise
 from hil.diagnosis.null import CAMPAIGNS, null_maxima, simulate, tail_probability
+from hil.diagnosis.rank import smoother
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep
+from hil.effects.local_wear import LocalWear
 from hil.effects.lost_motion import LostMotion
 from hil.effects.velocity_lag import VelocityLag
 
@@ -61,6 +63,18 @@ def test_a_search_over_more_candidates_goes_farther_in_noise() -> None:
     for name, values in null.maxima.items():
         assert np.min(values) >= null.floor[name] - 1e-6
         assert np.all(np.diff(null.probability(name, np.linspace(-3.0, 30.0, 50))) <= 1e-12)
+
+
+def test_only_what_may_be_a_feature_of_one_place_is_profiled_over_smoother_tables() -> None:
+    candidates = enumerate_candidates(CAMPAIGN, (Cyclic(), LocalWear()))
+    offsets, smooth = np.full(CAMPAIGNS, 0.3), smoother(NOISE)
+    rough, both, all_in_both = (
+        null_maxima(BENCH, candidates, noises, offsets, Extra.none(N), seed=1, smooth=more).maxima
+        for noises, more in (((NOISE,), ()), ((NOISE,), smooth), ((NOISE, *smooth), ()))
+    )
+    np.testing.assert_array_equal(both["cyclic"], rough["cyclic"])
+    np.testing.assert_allclose(both["local_wear"], all_in_both["local_wear"], atol=1e-3)
+    assert np.quantile(np.abs(both["local_wear"] - rough["local_wear"]), 0.9) > 0.1
 
 
 def test_simulated_campaigns_have_the_covariance_of_their_noise() -> None:

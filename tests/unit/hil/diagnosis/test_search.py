@@ -12,7 +12,8 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.fit import Setting, start_noise
 from hil.diagnosis.judge import FoldJudge, NullJudge
-from hil.diagnosis.search import LIGHT, Searcher, Selection, search
+from hil.diagnosis.search import Selection, search
+from hil.diagnosis.searcher import LIGHT, Searcher
 from hil.diagnosis.select import drop
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic

@@ -11,7 +11,7 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.fit import Setting, start_noise
 from hil.diagnosis.judge import NullJudge, Scout
-from hil.diagnosis.search import LIGHT, Searcher
+from hil.diagnosis.searcher import LIGHT, Searcher
 from hil.diagnosis.select import Selected, select
 from hil.diagnosis.structure import structures
 from hil.effects.load_deflection import LoadDeflection

@@ -9,7 +9,7 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.candidates import enumerate_candidates
 from hil.diagnosis.evidence import Noise
 from hil.diagnosis.fit import START_ROUGHNESS, Setting
-from hil.diagnosis.search import Searcher
+from hil.diagnosis.searcher import Searcher
 from hil.diagnosis.serial import Memory, memory
 from hil.records import Records
 
