@@ -95,14 +95,15 @@ class Candidates:
 
     def of_one_place(self, campaign: Campaign) -> Candidates:
         """Those of the effects that refinement may make a feature of one place, at the lowest of their parameters."""
-        lowest = (
-            (c.effect, c.form, [p.lower for p in c.form.nonlinear])
-            for c in (self.choices[int(index[0])] for index in self.forms)
-        )
-        local = {effect.id for effect, form, theta in lowest if effect.is_local(form, theta, campaign.survey)}
-        index = [i for i, choice in enumerate(self.choices) if choice.effect.id in local]
-        choices = tuple(self.choices[i] for i in index)
-        return Candidates(choices, Blocks.of_choices(choices, campaign), self.effects, self.effect[index], ())
+        local = set()
+        for index in self.forms:
+            first = self.choices[int(index[0])]
+            lowest = [parameter.lower for parameter in first.form.nonlinear]
+            if first.effect.is_local(first.form, lowest, campaign.survey):
+                local.add(first.effect.id)
+        kept = [i for i, choice in enumerate(self.choices) if choice.effect.id in local]
+        choices = tuple(self.choices[i] for i in kept)
+        return Candidates(choices, Blocks.of_choices(choices, campaign), self.effects, self.effect[kept], ())
 
     def stack(self, whitened: Whitened) -> Stack:
         """The candidates whitened, made once per whitening."""
