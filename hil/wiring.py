@@ -35,7 +35,7 @@ from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.machine import modbus_face
 from sim_backends.modbus_drive import rtu_slave, tcp_server
-from sim_backends.own_table import ARRAY, TableForm, error_domain
+from sim_backends.own_table import TableForm, known_table
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
 BENCH_PATIENCE_S = 10.0
@@ -261,8 +261,7 @@ def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
 
 def bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:
     """The correction table that the bench's drive holds itself."""
-    per_um = bench.parameters.scaling.counts_per_load_mm / 1000.0
-    return {"simulated_array": ARRAY, "simulated_domain": error_domain(per_um)}.get(axis.drive.correction_table)
+    return known_table(axis.drive.correction_table, bench.parameters.scaling.counts_per_load_mm / 1000.0)
 
 
 # -- session -------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from sim_backends.modbus_drive import ModbusServer
 from sim_backends.modbus_faults import WireFault
 from sim_backends.modbus_registers import Face
 from sim_backends.modbus_vendor import VendorRegisters
+from sim_backends.own_table import TableForm
 from sim_backends.serve import Pace
 from sim_backends.slcan import SlcanDevice
 
@@ -48,13 +49,20 @@ class CanDrive:
     """
 
     def __init__(
-        self, bench: Bench, pace: Pace, bus: can.BusABC, node_id: int, *, faults: tuple[CanFault, ...] = ()
+        self,
+        bench: Bench,
+        pace: Pace,
+        bus: can.BusABC,
+        node_id: int,
+        *,
+        faults: tuple[CanFault, ...] = (),
+        table: TableForm | None = None,
     ) -> None:
         self._bus = bus
         self._clock = bench.clock
         self._pace = pace
         self.slave, self._layer = with_faults(
-            bench.servo, node_id, self._send, faults, parameters=bench.parameters.objects
+            bench.servo, node_id, self._send, faults, parameters=bench.parameters.objects, table=table
         )
         bench.clock.attach(lambda now_ns, _dt_s: self._layer.tick(now_ns), bearable=self._bearable)
         self.slave.boot(bench.clock.now_ns())

@@ -43,6 +43,11 @@ def error_domain(counts_per_um: float) -> TableForm:
     return TableForm(points=2000, explicit=True, value_counts=0.1 * counts_per_um, negated=True)
 
 
+def known_table(name: str, counts_per_um: float) -> TableForm | None:
+    """A simulated drive's table by the name of its map, None for another name."""
+    return {"simulated_array": ARRAY, "simulated_domain": error_domain(counts_per_um)}.get(name)
+
+
 @dataclass
 class OwnTable:
     """Contents and switch, raw. backlash: what one curve is less by for falling demands."""

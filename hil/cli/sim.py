@@ -17,7 +17,7 @@ from typing import Any
 
 from drivers.clock import WallClock
 from drivers.errors import InputError
-from hil.axis_connections import BENCH_MACHINES
+from hil.axis_connections import BENCH_MACHINES, BENCH_TABLES
 from hil.cli.sim_axis_file import axis_text, instrument_text
 from hil.files import replace_file
 from sim_backends.bench import Bench, BenchParameters, known_bench
@@ -27,6 +27,7 @@ from sim_backends.faults import FaultKind
 from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
 from sim_backends.modbus_faults import WireFaultKind
+from sim_backends.own_table import known_table
 from sim_backends.reach import check_can, parse_tcp
 from sim_backends.serve import Pace, run_in_real_time
 from sim_backends.shuttle import Shuttle
@@ -75,6 +76,9 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     drive.add_argument("--channel", default="vcan0", help="default vcan0")
     drive.add_argument("--bitrate", type=int, help="bit/s, for interfaces that set it")
     drive.add_argument("--node", type=int, default=1, help="node id, 1 to 127 (default 1)")
+    drive.add_argument(
+        "--table", choices=BENCH_TABLES, default="", help="a correction table that the drive holds itself"
+    )
     _add_surroundings(drive)
     _add_machine(drive)
     drive.set_defaults(run=_run_drive)
@@ -193,11 +197,14 @@ def _run_drive(args: argparse.Namespace) -> int:
         stack.callback(bus.shutdown)
         wall = WallClock()
         pace = Pace(bench.clock, wall)
-        drive = CanDrive(bench, pace, bus, args.node, faults=faults.can)
+        table = known_table(args.table, bench.parameters.scaling.counts_per_load_mm / 1000.0)
+        drive = CanDrive(bench, pace, bus, args.node, faults=faults.can, table=table)
         place: dict[str, Any] = {"backend": "canopen", "interface": args.interface, "channel": args.channel}
         if args.interface == "slcan-pty":
             place |= {"interface": "slcan", "channel": bus.channel_info}
         place["node_id"] = args.node
+        if args.table:
+            place["correction_table"] = args.table
         _run(args, bench, place, pace, drive.serve)
     return 0
 
