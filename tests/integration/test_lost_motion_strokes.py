@@ -22,7 +22,7 @@ from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from sim_backends.plant.drive_train import DriveTrain, Guide, WindUp
 from sim_backends.plant.hysteresis import Backlash, LostMotion, Reversal
 
-MACHINES, SEQUENCES, STROKES = 50, 10, 30
+MACHINES, SEQUENCES, STROKES = 50, 10, 20
 TRAINS = int(os.environ.get("HIL_DRIVE_TRAINS", "1"))
 """Machines of the second kind, ten sequences each; 50 make the 500 sequences that the figures in the README are of."""
 
@@ -48,7 +48,7 @@ def measured(lost: LostMotion, distance_mm: float) -> MeasuredReversal:
 
 @pytest.mark.slow
 def test_no_over_compensation_after_any_strokes(record_property: Callable[[str, object], None]) -> None:
-    """500 sequences of 30 strokes each, from a thirtieth of the rise to sixteen times it."""
+    """500 sequences of 20 strokes each, from a thirtieth of the rise to sixteen times it."""
     over, off, forgetful = dict.fromkeys(("two tanh", "straight pieces"), 0.0), {}, 0.0
     off = dict(over)
     for seed in range(MACHINES):
@@ -142,7 +142,7 @@ def lost_motion_alone(rise: Rise) -> Compensation:
 
 @pytest.mark.slow
 def test_a_drive_train_under_the_correction_after_any_strokes(record_property: Callable[[str, object], None]) -> None:
-    """Thirty moves a sequence, from a tenth of the lost motion to a hundred times it: where the table comes to rest against its
+    """Twenty moves a sequence, from a tenth of the lost motion to a hundred times it: where the table comes to rest against its
     target. Uncorrected it is off by the whole lost motion."""
     over, off, before = 0.0, 0.0, 1.0
     for seed in range(TRAINS):
