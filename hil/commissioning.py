@@ -3,23 +3,29 @@
 Nothing is defined here: what the verbs call is what a script calls.
 """
 
+from hil.axes_wiring import connected_axes
 from hil.axis import AxisConfig, DriveAxis, load_axis, load_drive_axis
 from hil.axis_backlash import BacklashConfig, default_backlash
+from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
 from hil.backlash_settings import backlash_settings
 from hil.compensation import Compensation
 from hil.diagnosis import Diagnosis, diagnose, fit_model
 from hil.iso230 import Iso230, iso230
 from hil.journal import Campaign
+from hil.lost_motion.circle import Circle
 from hil.lost_motion.fit import MeasuredReversal
 from hil.lost_motion.fit import compete as compete_lost_motion
 from hil.manual import read_manual_tables, read_straightness
 from hil.probe_machine import ProbeMachineConfig, load_probe_machine
 from hil.probe_wiring import connected_probe, probe_bench
 from hil.procedures.calibrate import Calibration, calibrate
+from hil.procedures.circle import CircleRun, drive_circle
+from hil.procedures.circle import prepare as prepare_axes
 from hil.procedures.close_loop import Loop, Turning, close_loop
 from hil.procedures.doctor import Check, doctor
 from hil.procedures.events import Event
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.procedures.lost_motion import LostMotionResult, measure_lost_motion
 from hil.procedures.measure import Step, measure
 from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
 from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
@@ -41,6 +47,8 @@ __all__ = [
     "Calibration",
     "Campaign",
     "Check",
+    "Circle",
+    "CircleRun",
     "Compensation",
     "CorrectionCode",
     "Diagnosis",
@@ -50,6 +58,8 @@ __all__ = [
     "Iso230",
     "Loop",
     "LostMotion",
+    "LostMotionConfig",
+    "LostMotionResult",
     "Machine",
     "MeasuredReversal",
     "ProbeMachineConfig",
@@ -69,12 +79,15 @@ __all__ = [
     "close_loop",
     "compete_lost_motion",
     "connected",
+    "connected_axes",
     "connected_drive",
     "connected_probe",
     "correct",
     "default_backlash",
+    "default_lost_motion",
     "diagnose",
     "doctor",
+    "drive_circle",
     "fit_model",
     "fitted_lost_motion",
     "iso230",
@@ -87,9 +100,11 @@ __all__ = [
     "measure_and_store",
     "measure_backlash",
     "measure_in_motion",
+    "measure_lost_motion",
     "measure_run_out",
     "new_key",
     "plan_passes",
+    "prepare_axes",
     "probe_bench",
     "read_csv",
     "read_manual_tables",

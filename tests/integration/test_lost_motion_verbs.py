@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -185,4 +186,16 @@ def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path,
     assert main(["lost-motion", str(x), "--resume"]) == 0
     assert rows.read_text().startswith(kept)
     assert len(read_csv(rows)) == 5 * 25
+    assert stored(x).load().rise is not None
+
+
+@pytest.mark.slow
+def test_the_example_stores_and_proves_the_correction(tmp_path: Path) -> None:
+    x, _ = lay_out_axes(tmp_path, machine="geometric")
+    command = [sys.executable, "-m", "hil.examples.lost_motion", str(x)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "LC_ALL": "C.UTF-8"})
+    assert (done.returncode, done.stderr) == (0, "")
+    found = re.search(r"fresh moves: ([\d.]+) µm off at worst before, ([\d.]+) µm with", done.stdout)
+    assert found is not None
+    assert float(found[2]) < 0.1 * float(found[1])
     assert stored(x).load().rise is not None
