@@ -7,19 +7,33 @@ import logging
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
 
 import canopen
 import pytest
+from support.parameter_faults import KilledError
 
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
+from drivers.canopen.eds import load_eds
 from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, configure, read_image, same, wanted_image
+from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.side_by_side import CanLine
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError
+from hil.params.compare import compare
+from hil.params.download import Target, download
+from hil.params.formats import read_any, write_any
+from hil.params.journal import Journal
+from hil.params.recover import Unfinished, recover
+from hil.params.report import Ending
+from hil.params.set_file import ParameterSet, SetEntry
+from hil.params.snapshot import back_up
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave, served
 from sim_backends.servo import SimulatedServo
@@ -202,3 +216,52 @@ def test_we_hear_their_heartbeat_boot_up_and_emergency(ours: Ours) -> None:
     assert link.wait(lambda: len(monitor.log) == 1, 1.0)
     assert str(monitor.log[0]) == "following error (0x8611), register 20h, extra 0102030405"
     node.nmt.stop_heartbeat()
+
+
+def test_a_parameter_set_goes_into_their_node_and_out_again(ours: Ours, tmp_path: Path) -> None:
+    """Written and read back; cut off in the middle and finished both ways; put back when they refuse one entry; as DCF."""
+    link, node = ours
+    node.sdo[0x6041].raw = 0x0250  # switch on disabled
+    node.sdo[0x2101].raw = "as found"  # theirs has no value where its EDS has no default, and says so when it is read
+    drive = CanOpenRawParameters("theirs", CanLine(link), NODE, load_eds(EDS, NODE))
+    journal = Journal(tmp_path)
+    backup = back_up([drive])[0].contents
+    assert backup is not None
+    assert len(backup.entries) > 30
+    keys = {
+        "2210h:01": 4321,
+        "605Ah:00": 6,
+        "6065h:00": 12_345,
+        "2101h:00": "spare drive",
+        "607Ch:00": -77,
+        "6067h:00": 5,
+    }
+    new = ParameterSet("new", None, tuple(SetEntry(address, value) for address, value in keys.items()))
+    before = replace(backup, entries=tuple(entry for entry in backup.entries if entry.address in keys), hash=None)
+    assert download([Target(drive, new, journal)])[0].ending is Ending.WRITTEN
+    assert (node.sdo[0x2210][1].raw, node.sdo[0x607C].raw, node.sdo[0x2101].raw) == (4321, -77, "spare drive")
+
+    def cut_off(stage: str, _drive: str, done: int, _total: int) -> None:
+        if stage == "write" and done >= 3:
+            raise KilledError
+
+    for forward, held in ((False, new), (True, before)):
+        with pytest.raises(KilledError):
+            download([Target(drive, before, journal)], progress=cut_off)
+        drive.clock.sleep_s(0.01)
+        assert recover([Unfinished(drive, journal)], forward=forward)[0].good
+        assert compare([(drive, held)])[0].same
+
+    def refuse(index: int, subindex: int, od: object, data: bytes) -> None:
+        if (index, subindex) == (0x607C, 0) and data == (-77).to_bytes(4, "little", signed=True):
+            raise canopen.SdoAbortedError(0x06090030)
+
+    node.add_write_callback(lambda index, subindex, od, data: refuse(index, subindex, od, bytes(data)))
+    assert download([Target(drive, new, journal)])[0].ending is Ending.PUT_BACK
+    assert compare([(drive, before)])[0].same
+    path = tmp_path / "theirs.dcf"
+    write_any(path, before, drive, None, EDS)
+    assert {(entry.address, entry.value) for entry in read_any(path).entries} == {
+        (entry.address, entry.value) for entry in before.entries
+    }
+    drive.close()

@@ -23,6 +23,8 @@ from pathlib import Path
 import pytest
 import serial
 from pyModbusTCP.server import DataBank, ModbusServer
+from support.modbus_parameters import NEW, OLD, place, write_map
+from support.parameter_faults import KilledError
 from umodbus.server.serial import get_server as umodbus_serial_server
 from umodbus.server.serial.rtu import RTUServer
 from umodbus.server.tcp import RequestHandler
@@ -35,8 +37,15 @@ from drivers.modbus.codec import Layout, Order, RegisterType, decode, encode
 from drivers.modbus.link import Doubt, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.plan import Span, Table
+from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
+from hil.params.compare import compare
+from hil.params.download import Target, download
+from hil.params.journal import Journal
+from hil.params.recover import Unfinished, recover
+from hil.params.report import Ending
+from hil.params.snapshot import back_up
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server
@@ -318,6 +327,36 @@ def test_a_register_map_reads_a_foreign_server_in_one_request_per_table(link: Mo
     assert raw["in_position"] == DISCRETE[3]
     access.write({"target": -5, "target_speed": 70_000, "ramp": 9})
     assert link.read(UNIT, Table.HOLDING, Span(0, 6)) == (0xFFFB, 0xFFFF, 70_000 - 65_536, 1, 9, 0)
+
+
+@pytest.mark.slow
+def test_a_parameter_set_goes_into_a_foreign_server_and_out_again(link: ModbusLink, tmp_path: Path) -> None:
+    """Written, read back and stored; cut off in the middle and finished both ways; put back as it was."""
+    drive = ModbusRawParameters("Z", ModbusLine(link), UNIT, load_drive_map(write_map(tmp_path)))
+    journal = Journal(tmp_path / "journal")
+    backup = back_up([drive])[0].contents
+    assert backup is not None
+    found = {entry.address: entry.raw for entry in backup.entries}
+    assert found["p0"] == HOLDING[place(0)]
+    report = download([Target(drive, NEW, journal)], store=True)[0]
+    assert (report.ending, report.stored, report.good) == (Ending.WRITTEN, True, True)
+    assert link.read(UNIT, Table.HOLDING, Span(place(0), 1)) == (NEW.entries[0].raw,)
+    assert compare([(drive, NEW)])[0].same
+
+    def cut_off(stage: str, _drive: str, done: int, _total: int) -> None:
+        if stage == "write" and done > 12:
+            raise KilledError
+
+    for forward, held in ((False, NEW), (True, OLD)):
+        with pytest.raises(KilledError):
+            download([Target(drive, OLD, journal)], progress=cut_off)
+        assert not compare([(drive, OLD)])[0].same
+        assert recover([Unfinished(drive, journal)], forward=forward)[0].good
+        assert compare([(drive, held)])[0].same
+    assert download([Target(drive, backup, journal)])[0].ending is Ending.WRITTEN
+    again = back_up([drive])[0].contents
+    assert again is not None
+    assert {entry.address: entry.raw for entry in again.entries} == found
 
 
 def test_another_unit_on_a_serial_line_stays_silent(c_slave: Path) -> None:

@@ -1,0 +1,236 @@
+"""A Modbus drive with 40 parameters, its register map, and a line in simulated time on which anything can go wrong at any request."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from support.parameter_faults import KilledError
+
+from drivers.errors import AbortError, NoAnswerError
+from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.link import LinkPolicy, ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
+from drivers.modbus.wire import Endpoint, Request, RtuEndpoint
+from hil.params.set_file import ParameterSet, SetEntry
+from sim_backends.clock import SimClock
+from sim_backends.modbus_registers import Bank, Cell, Space, Value, answer
+
+BAUD = 115_200
+TYPES = (("u16", "H"), ("i16", "h"), ("u32", "I"), ("i32", "i"))
+COUNT = 40
+STORE = 250
+
+
+def place(number: int) -> int:
+    """Address of a parameter: groups of five neighbours of three registers at most, with gaps."""
+    return 10 + 20 * (number // 5) + sum(2 if each % 4 >= 2 else 1 for each in range(5 * (number // 5), number))
+
+
+_HEAD = """
+[map]
+name = "forty parameters"
+description = "40 parameters, four inputs, a command to store"
+address_base = "pdu0"
+word_order = "big"
+byte_order = "big"
+gaps_readable = false
+max_read_registers = 32
+max_write_registers = 16
+
+[registers.position]
+address = 0
+table = "input"
+type = "u16"
+unit = "counts"
+"""
+_DRIVE = """
+[drive]
+position = "position"
+state = [
+    { register = "alarm", value = 1, state = "fault" },
+    { register = "is_on", value = 1, state = "operation enabled" },
+    { register = "ready", value = 1, state = "switch on disabled" },
+]
+enable = [{ from = ["switch on disabled"], write = [{ register = "on", value = 1 }], to = ["operation enabled"] }]
+disable = [{ from = ["operation enabled"], write = [{ register = "on", value = 0 }], to = ["switch on disabled"] }]
+reset_fault = [{ from = ["fault"], write = [{ register = "on", value = 0 }], to = ["switch on disabled"] }]
+quick_stop = { write = [{ register = "on", value = 0 }] }
+halt = { write = [{ register = "on", value = 0 }] }
+store = { write = [{ register = "store", value = 1 }] }
+
+[drive.move]
+handshake = "trigger"
+target = "target"
+velocity = "speed"
+acceleration = "ramp"
+idle = [{ register = "go", value = 0 }]
+start = [{ register = "go", value = 1 }]
+accepted = [{ register = "go", value = 0 }]
+reached = [{ register = "arrived", value = 1 }]
+"""
+
+
+def write_map(folder: Path) -> Path:
+    """The drive's register map as a file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = [_HEAD]
+    for address, name in enumerate(("ready", "is_on", "alarm", "arrived")):
+        parts.append(f'[registers.{name}]\naddress = {address}\ntable = "discrete"\n')
+    parts.append('[registers.on]\naddress = 0\ntable = "coil"\n')
+    for name, address, unit in (
+        ("target", 251, "counts"),
+        ("speed", 252, "rpm"),
+        ("ramp", 253, "rpm/s"),
+        ("go", 254, ""),
+    ):
+        told = f'unit = "{unit}"\n' if unit else "self_clearing = true\n"
+        parts.append(f'[registers.{name}]\naddress = {address}\ntable = "holding"\ntype = "u16"\n{told}')
+    parts.append(f'[registers.store]\naddress = {STORE}\ntable = "holding"\ntype = "u16"\naccess = "wo"\n')
+    for number in range(COUNT):
+        parts.append(
+            f'[registers.p{number}]\naddress = {place(number)}\ntable = "holding"\ntype = "{TYPES[number % 4][0]}"\n'
+        )
+    path = folder / "forty.toml"
+    path.write_text("\n".join(parts) + _DRIVE, encoding="utf-8")
+    return path
+
+
+def forty(seed: int) -> ParameterSet:
+    """Values for all of them."""
+    values = [1 + (seed * 7919 + number * 104_729) % 30_000 for number in range(COUNT)]
+    return ParameterSet(
+        "forty", None, tuple(SetEntry(f"p{number}", value, value) for number, value in enumerate(values))
+    )
+
+
+OLD, NEW = forty(1), forty(2)
+
+
+class FortyFace:
+    """The drive: RAM and flash, a command to store. a store counts in `stores`."""
+
+    max_read, max_write, single_writes = 32, 16, True
+
+    def __init__(self) -> None:
+        self.ram = [int(entry.raw or 0) for entry in OLD.entries]
+        self.flash = list(self.ram)
+        self.stores = 0
+        holding = [self._cell(number) for number in range(COUNT)]
+        holding.append(Cell(STORE, "H", lambda: 0, self._store, write_only=True))
+        inputs = [Cell(address, "?", lambda address=address: address == 0) for address in range(4)]
+        self.banks: Mapping[Space, Bank] = {
+            Space.DISCRETE_INPUTS: Bank(inputs, gaps_readable=False),
+            Space.HOLDING_REGISTERS: Bank(holding, gaps_readable=False),
+        }
+
+    def _cell(self, number: int) -> Cell:
+        def write(value: Value) -> None:
+            self.ram[number] = int(value)
+
+        return Cell(place(number), TYPES[number % 4][1], lambda: self.ram[number], write)
+
+    def _store(self, _value: Value) -> None:
+        self.flash = list(self.ram)
+        self.stores += 1
+
+    def reboot(self) -> None:
+        self.ram = list(self.flash)
+
+    def tick(self, now_ns: int) -> None: ...
+
+    def bearable(self, now_ns: int) -> int:
+        return 1_000_000_000
+
+
+@dataclass
+class Fault:
+    """What happens at the n-th exchange (0: never); `for_s` how long a line or a supply is gone."""
+
+    kind: str = ""
+    at: int = 0
+    for_s: float = 0.0
+
+
+class FaultyLine:
+    """A serial line in simulated time: 11 bits a character, what the drive takes to answer, and one fault."""
+
+    connected = True
+
+    def __init__(self, face: FortyFace, clock: SimClock, fault: Fault, turnaround_s: float = 0.001) -> None:
+        self.face, self.clock, self.fault, self.turnaround_s = face, clock, fault, turnaround_s
+        self.exchanges = 0
+        self.busy_s = 0.0
+        self._gone_until_ns = 0
+
+    def connect(self) -> None: ...
+    def disconnect(self) -> None: ...
+    def discard(self, silence_s: float) -> None: ...
+
+    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+        self.exchanges += 1
+        struck = self.fault.kind if self.exchanges == self.fault.at else ""
+        if struck == "process killed":
+            self.fault.at = self.exchanges + 1  # a dead process stays dead
+            raise KilledError
+        if struck in ("cable pulled", "power cut"):
+            self._gone_until_ns = self.clock.now_ns() + round(1e9 * self.fault.for_s)
+        if struck in ("node reboot", "power cut"):
+            self.face.reboot()
+        if self.clock.now_ns() < self._gone_until_ns or struck == "lost request":
+            self._silence()
+        if struck == "abort":
+            raise AbortError("refused", 4)
+        request_pdu = _pdu(request)
+        reply = answer(self.face, request_pdu)
+        self._take(len(request_pdu), len(reply))
+        if struck == "lost reply":
+            self._silence()
+        if reply[0] & 0x80:
+            raise AbortError("refused", reply[1])
+        values = _values(request, reply)
+        return (values[0] ^ 1, *values[1:]) if struck == "wrong value read" and values else values
+
+    def _silence(self) -> None:
+        self.clock.sleep_s(0.05)
+        raise NoAnswerError("nobody answers")
+
+    def _take(self, request: int, reply: int) -> None:
+        """Unit, PDU and check each way, 3.5 characters of silence before the reply (1.75 ms above 19200 baud)."""
+        seconds = (request + reply + 6) * 11 / BAUD + 0.00175
+        self.busy_s += seconds
+        self.clock.sleep_s(seconds + self.turnaround_s)
+
+
+def _pdu(request: Request) -> bytes:
+    head = bytes((request.function,)) + request.address.to_bytes(2, "big")
+    if request.function == 6:
+        return head + request.values[0].to_bytes(2, "big")
+    if request.function == 16:
+        data = b"".join(value.to_bytes(2, "big") for value in request.values)
+        return head + request.count.to_bytes(2, "big") + bytes((len(data),)) + data
+    return head + request.count.to_bytes(2, "big")
+
+
+def _values(request: Request, reply: bytes) -> tuple[int, ...]:
+    if request.function == 2:
+        return tuple(reply[2 + number // 8] >> number % 8 & 1 for number in range(request.count))
+    if request.function == 3:
+        return tuple(int.from_bytes(reply[2 + 2 * number : 4 + 2 * number], "big") for number in range(request.count))
+    return ()
+
+
+@lru_cache
+def _loaded(path: Path, _changed_ns: int) -> DriveMap:
+    return load_drive_map(path)
+
+
+def connect(map_path: Path, line: FaultyLine) -> ModbusRawParameters:
+    """The drive's parameters over such a line."""
+    make: Callable[[Endpoint], FaultyLine] = lambda _endpoint: line  # noqa: E731
+    link = ModbusLink(RtuEndpoint("nowhere", BAUD), line.clock, policy=LinkPolicy(), make_wire=make)
+    link.open()
+    return ModbusRawParameters("Z", ModbusLine(link), 7, _loaded(map_path, map_path.stat().st_mtime_ns))
