@@ -1,5 +1,10 @@
 """Whatever bytes arrive, in whatever pieces: only events, all bytes accounted for, bounded memory, and good lines are found."""
 
+import gc
+import random
+import tracemalloc
+from collections.abc import Iterator
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -56,3 +61,54 @@ def test_good_lines_between_noise_are_all_found(pairs: list[tuple[bytes, bytes]]
     stream = b"".join(junk.replace(b"\r", b"").replace(b"\n", b"") + b"x\n" + line + b"\r\n" for line, junk in pairs)
     found = [event for event in UmdDecoder().feed(stream) if isinstance(event, UmdSample)]
     assert [" ".join(map(str, event[:8])).encode() for event in found] == [line for line, _ in pairs]
+
+
+FUZZED_BYTES = 150_000  # 10 000 000 by hand: 20 s, and the same verdict
+GOOD = b"3276 3281 -15801 5 77 4711 3 2150"
+
+
+def pieces(rng: random.Random) -> Iterator[bytes]:
+    """Noise of several kinds, up to 300 bytes each: of the whole byte, of the protocol's alphabet, and good lines cut and spoilt."""
+    while True:
+        size = rng.randint(1, 300)
+        kind = rng.randrange(4)
+        if kind == 0:
+            yield rng.randbytes(size)
+        elif kind == 1:
+            yield bytes(rng.choices(b"0123456789- \r\n", k=size))
+        elif kind == 2:
+            yield b"9" * size
+        else:
+            line = bytearray(b"%d %d %d 0 0 %d 3 2150\r\n" % tuple(rng.randrange(10**6) for _ in range(4)))
+            line[rng.randrange(len(line))] = rng.randrange(256)
+            yield bytes(line[: rng.randint(1, len(line))])
+
+
+def held_bytes() -> int:
+    """What is allocated, without what the interpreter keeps to use again."""
+    gc.collect()
+    return tracemalloc.get_traced_memory()[0]
+
+
+def test_a_long_stream_of_noise_costs_no_memory_and_hides_no_good_line() -> None:
+    rng, decoder = random.Random(1), UmdDecoder()
+    expected = UmdSample(*map(int, GOOD.split()))
+    fed = found = 0
+    tracemalloc.start()
+    try:
+        before = held_bytes()
+        for piece in pieces(rng):
+            decoder.feed(piece)
+            fed += len(piece)
+            if rng.random() < 0.02:
+                *_, last = decoder.feed(b"\n" + GOOD + b"\r\n")
+                assert last == expected
+                found += 1
+            if fed >= FUZZED_BYTES:
+                break
+        after = held_bytes()
+    finally:
+        tracemalloc.stop()
+    assert found > 10
+    assert decoder.pending_bytes <= MAX_LINE_BYTES
+    assert abs(after - before) < 10_000, f"{before} bytes held before, {after} after"

@@ -154,6 +154,7 @@ def test_a_table_with_a_hole_is_refused(place: Path, capsys: pytest.CaptureFixtu
     assert "h.csv: run 2 lacks target 5 mm" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_axis_over_months_and_its_trend(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """E grows by 1 µm in 30 days, on top of the 1.0 of the reversal."""
     start = datetime(2026, 1, 5, 7, 30, tzinfo=UTC)

@@ -93,11 +93,11 @@ def test_every_moment_of_a_pass_may_lose_the_signal(tmp_path: Path, port: bool) 
         notes = [
             line for line in (tmp_path / str(number) / "pass.csv").read_text().splitlines() if line.startswith("#")
         ]
-        assert len(notes) == 3
-        assert "waiting up to 60 s" in notes[0]
-        assert "datum taken anew" in notes[1]
-        assert "8 averages of 10 or more readings: standard deviation of a reading" in notes[2]
-        assert [event.message for event in events if event.message in notes[1]] != []
+        assert len(notes) == 4
+        assert "waiting up to 60 s" in notes[1]
+        assert "datum taken anew" in notes[2]
+        assert "8 averages of 10 or more readings: standard deviation of a reading" in notes[3]
+        assert [event.message for event in events if event.message in notes[2]] != []
         assert len(machine.told("quick stop")) >= 1
         assert len(machine.told("enable")) == 2
 

@@ -73,6 +73,7 @@ def test_one_run_has_no_scatter_and_no_common_stretch_no_difference() -> None:
     assert len(difference(campaign(1), campaign(2, targets=TARGETS + 1000.0)).target_mm) == 0
 
 
+@pytest.mark.slow
 def test_the_verb_compares(place: Path) -> None:
     assert main(["report", "--compare", "a.csv", "b.csv", "--out", "c.html", "--png", "png", "--json", "c.json"]) == 0
     page = Path("c.html").read_text()
@@ -98,6 +99,7 @@ def test_what_cannot_be_is_one_line(
     assert not Path("c.html").exists()
 
 
+@pytest.mark.slow
 def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(place: Path) -> None:
     path = lay_out(place / "axis", correction="band_um = [-1.0, 4.0]")
     path.write_text(path.read_text() + "\n[uncertainty]\ndevice_um_per_m = 0.8\nvariation_um = 1.0\n")
@@ -119,6 +121,7 @@ def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(pl
     assert len(re.findall(rb"/Type /Page\b", paper)) == 3  # text, error plot, history
 
 
+@pytest.mark.slow
 def test_the_same_data_give_the_same_paper() -> None:
     from hil.report.data import NamedCampaign, ReportData  # noqa: PLC0415  (plots are slow to import)
     from hil.report.pdf import render_pdf  # noqa: PLC0415
@@ -127,6 +130,7 @@ def test_the_same_data_give_the_same_paper() -> None:
     assert render_pdf(data) == render_pdf(data)
 
 
+@pytest.mark.slow
 def test_signatures_are_shown_and_a_bad_one_is_a_verdict(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lay_out(place / "axis")
     key = load_private_key(place / "axis" / "builder.key", "builder")
