@@ -15,8 +15,9 @@ from drivers.set_points import SetPointSettings
 from hil.axes_wiring import connected_axes
 from hil.axis import AxisConfig, load_axis
 from hil.lost_motion.circle import Circle
-from hil.procedures.circle import check_axes, drive_circle
-from sim_backends.bench import BenchParameters
+from hil.procedures.circle import check_axes, drive_circle, prepare
+from hil.procedures.events import Event, Listener
+from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import ideal_axis
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
@@ -92,6 +93,29 @@ def test_what_a_drive_cannot_do_is_said_before_anything_moves(tmp_path: Path) ->
         with pytest.raises(CapabilityError, match="drive Y cannot do: cyclic synchronous position"):
             drive_circle(sessions, Circle((120.0, 120.0)), (None, None))
         assert all(session.drive.sample().state is not DriveState.ENABLED for session in sessions)
+
+
+def _circle(axes: tuple[AxisConfig, AxisConfig], listener: Listener, benches: list[Bench | None]) -> None:
+    with connected_axes(axes, IDEAL) as machines:
+        benches += [machine.bench for machine in machines]
+        sessions = [machine.session for machine in machines]
+        prepare(sessions)
+        drive_circle(sessions, Circle((40.0, 40.0), radius_mm=5.0), (None, None), period_s=0.02, listener=listener)
+
+
+@pytest.mark.parametrize("face", ["virtual", "canopen", "modbus-tcp"])
+def test_an_interrupt_in_the_circle_stops_both_and_leaves_them_as_they_were(tmp_path: Path, face: str) -> None:
+    def interrupt(_event: Event) -> None:
+        raise KeyboardInterrupt
+
+    benches: list[Bench | None] = []
+    with pytest.raises(KeyboardInterrupt):
+        _circle(axes_of(tmp_path, face), interrupt, benches)
+    assert len(benches) == 2
+    for bench in benches:
+        assert bench is not None
+        assert not bench.servo.powered
+        assert bench.servo.velocity_actual_counts_s == 0
 
 
 def test_axes_that_nothing_paces_together_are_refused(tmp_path: Path) -> None:
