@@ -8,7 +8,7 @@ from drivers.parameters import ParameterValue
 from drivers.raw_parameters import WireTime
 from hil.cli.output import Align, print_table, write_json
 from hil.params.predict import seconds_together
-from hil.params.report import JobReport, Row, Verdict, slow
+from hil.params.report import Ending, JobReport, Row, Verdict, slow
 
 _MOST_ROWS = 40  # of parameters that nothing became of
 
@@ -35,7 +35,8 @@ def _print(report: JobReport) -> None:
     counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in Verdict}
     told = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items() if count)
     print(f"{report.drive}: {report.ending.value}" + (f" ({told}; {report.seconds:.3f} s)" if told else ""))
-    changed = [row for row in report.rows if row.verdict is not Verdict.SAME]
+    refused = report.ending is Ending.REFUSED  # then the reasons matter
+    changed = [row for row in report.rows if row.verdict is not Verdict.SAME and not refused]
     if changed:
         columns: list[str | tuple[str, Align]] = [
             "address",

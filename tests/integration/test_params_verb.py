@@ -1,0 +1,188 @@
+"""`hil params` from the command line: on a Modbus server on loopback, and on a simulated CANopen drive in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.bench_axis import AXIS
+from support.modbus_parameters import NEW, OLD, FortyFace, write_map
+from support.sim_process import SimProcess
+
+from drivers.clock import WallClock
+from hil.cli.main import main
+from hil.params.set_file import SetEntry, read_set, write_set
+from hil.sealed import new_key, save_public_key, sign_detached
+from sim_backends.canopen_drive import EDS
+from sim_backends.modbus_drive import tcp_server
+
+SIDES = {"old": [entry.raw for entry in OLD.entries], "new": [entry.raw for entry in NEW.entries]}
+
+
+@pytest.fixture
+def face() -> FortyFace:
+    return FortyFace()
+
+
+@pytest.fixture
+def axis(face: FortyFace, tmp_path: Path) -> Iterator[Path]:
+    """An axis file whose drive is on a Modbus server of this process."""
+    write_map(tmp_path)
+    with tcp_server({7: face}, WallClock()) as (_, port):
+        path = tmp_path / "X.toml"
+        path.write_text(
+            f'{AXIS}\n[drive]\nbackend = "modbus"\nregister_map = "forty.toml"\nurl = "tcp://127.0.0.1:{port}"\nunit = 7\n'
+        )
+        write_set(tmp_path / "new.toml", NEW)
+        yield path
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    status = main(["params", *map(str, arguments)])
+    told = capsys.readouterr()
+    return status, told.out, told.err
+
+
+def test_a_whole_job(axis: Path, face: FortyFace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    new, result = tmp_path / "new.toml", tmp_path / "result.json"
+    status, out, _ = run(capsys, "backup", axis)
+    assert (status, (tmp_path / "X.params.toml").exists()) == (0, True)
+    assert "X.params.toml" in out
+    status, out, _ = run(capsys, "diff", axis, "--set", new)
+    assert status == 0
+    assert "0 of 40 parameters as in the set, 40 not" in out
+    assert re.search(r"a download takes \d+ frames, \d+ bits", out)
+    assert run(capsys, "verify", axis, "--set", new)[0] == 1
+    status, out, _ = run(capsys, "download", axis, "--set", new, "--dry-run")
+    assert (status, face.ram) == (0, SIDES["old"])
+    assert "would look at 40 parameters" in out
+    status, out, _ = run(capsys, "download", axis, "--set", new, "--store", "--json", result)
+    assert (status, face.ram, face.flash) == (0, SIDES["new"], SIDES["new"])
+    assert "written, and read back (40 written" in out
+    form: dict[str, Any] = json.loads(result.read_text())
+    assert form["good"] is True
+    assert [row["verdict"] for row in form["drives"][0]["parameters"]] == ["written"] * 40
+    assert all(row["read_s"] > 0 and row["write_s"] > 0 for row in form["drives"][0]["parameters"])
+    assert run(capsys, "verify", axis, "--set", new)[0] == 0
+    status, out, _ = run(capsys, "restore", axis)
+    assert (status, face.ram, face.flash) == (0, SIDES["old"], SIDES["new"])
+    assert run(capsys, "store", axis, "--set", new)[0] == 1  # it holds something else: not stored
+    assert face.stores == 1
+    assert run(capsys, "store", axis)[0] == 0  # what the last download, the restore, wrote
+    assert (face.stores, face.flash) == (2, SIDES["old"])
+    assert run(capsys, "resume", axis)[:2] == (0, "nothing to do: no download was cut off\n")
+    assert run(capsys, "restore", axis, "--set", tmp_path / "X.params.toml")[0] == 0
+
+
+def test_what_cannot_be_done_is_one_line(axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    new = tmp_path / "new.toml"
+    for arguments, what in (
+        (("download", axis), "--set FILE is missing"),
+        (("download", axis, "--set", tmp_path / "none.toml"), "none.toml: cannot be read"),
+        (("download", axis, "--set", new, "--set", new), "--set is given 2 times"),
+        (("download", axis, "--set", new, "--audit"), "--audit needs --store"),
+        (("download", axis, "--set", new, "--signed"), "new.toml: has no signature beside it"),
+        (("download", axis, axis, "--set", new), "axis X is given twice"),
+        (("restore", axis, "--factory", "--store"), "--factory stands alone"),
+        (("restore", axis), "has no download of X in its journal"),
+        (("backup", axis, "--out", "a", "--out", "b"), "--out is given 2 times"),
+        (("backup", axis, "--format", "dcf"), "is no CANopen object"),
+    ):
+        status, _, err = run(capsys, *arguments)
+        assert (status, err.count("\n")) == (2, 1), (arguments, err)
+        assert what in err
+
+
+def test_a_changed_or_foreign_set_is_refused(
+    axis: Path, face: FortyFace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new, key, other = tmp_path / "new.toml", new_key(), new_key()
+    save_public_key(tmp_path / "builder.pub", key.public_key())
+    signature = tmp_path / "new.toml.sig"
+    signature.write_bytes(sign_detached(new.read_bytes(), other))
+    status, _, err = run(capsys, "download", axis, "--set", new)
+    assert status == 2
+    assert "signed with another key" in err
+    signature.write_bytes(sign_detached(new.read_bytes(), key))
+    assert run(capsys, "verify", axis, "--set", new, "--signed")[0] == 1
+    new.write_text(new.read_text() + "# a comment\n")
+    status, _, err = run(capsys, "download", axis, "--set", new)
+    assert status == 2
+    assert "the file was changed after the builder signed it" in err
+    assert face.ram == SIDES["old"]
+
+
+def test_a_refused_set_is_exit_1_and_names_every_reason(
+    axis: Path, face: FortyFace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = tmp_path / "wrong.toml"
+    write_set(wrong, type(NEW)("wrong", None, (*NEW.entries, SetEntry("target", 5), SetEntry("nothing", 1))))
+    for extra in ((), ("--dry-run",)):
+        status, out, _ = run(capsys, "download", axis, "--set", wrong, *extra)
+        assert status == 1
+        assert "line 46: target" in out
+        assert "line 47: nothing: the drive's file has no such parameter" in out
+    assert face.ram == SIDES["old"]
+
+
+# -- in processes --------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def canopen_axis(tmp_path: Path) -> Iterator[Path]:
+    """A simulated drive in a process of its own, on an adapter's terminal."""
+    machine = SimProcess("drive", "--interface", "slcan-pty")
+    try:
+        path, place = tmp_path / "X.toml", machine.place["drive"]
+        path.write_text(
+            f'{AXIS}\n[drive]\nbackend = "canopen"\ninterface = "slcan"\nchannel = "{place["channel"]}"\n'
+            f'node_id = {place["node_id"]}\neds = "{EDS}"\nsdo_timeout_s = 2.0\n'
+        )
+        yield path
+    finally:
+        machine.end()
+
+
+@pytest.mark.slow
+def test_a_drive_in_a_process_of_its_own(
+    canopen_axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Backed up as TOML, DCF and concise DCF; downloaded, stored, audited by a restart; killed in the middle and rolled back."""
+    backup = tmp_path / "X.params.toml"
+    assert run(capsys, "backup", canopen_axis)[0] == 0
+    for form in ("dcf", "cdcf"):
+        assert run(capsys, "backup", canopen_axis, "--out", tmp_path / f"X.{form}")[0] == 0
+        assert run(capsys, "verify", canopen_axis, "--set", tmp_path / f"X.{form}")[0] == 0
+    text = backup.read_text(encoding="utf-8")
+    changed = re.sub(r"(index = 0x2210, subindex = 1,) value = \d+, raw = \d+", r"\1 value = 4321", text)
+    changed = re.sub(r"(index = 0x6065, subindex = 0,) value = \d+, raw = \d+", r"\1 value = 777", changed)
+    new = tmp_path / "new.toml"
+    new.write_text(re.sub("hash = .*\n", "", changed), encoding="utf-8")
+    assert read_set(new).hash is None
+    status, out, _ = run(capsys, "download", canopen_axis, "--set", new, "--store", "--audit")
+    assert status == 0
+    assert "after its restart it still holds all of it" in out
+    assert run(capsys, "verify", canopen_axis, "--set", new)[0] == 0
+    journal = tmp_path / "X-campaign" / "parameters"
+    command = [sys.executable, "-m", "hil.cli.main", "params", "download", str(canopen_axis), "--set", str(backup)]
+    for _ in range(20):  # until one is killed between its first and its last write
+        before = len(list(journal.iterdir()))
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+            while process.poll() is None and len(list(journal.iterdir())) == before:
+                time.sleep(0.0005)
+            process.kill()
+        if '"end"' not in sorted(journal.iterdir())[-1].read_text():
+            break
+        assert run(capsys, "restore", canopen_axis)[0] == 0
+    else:
+        pytest.fail("never killed in time")
+    status, _, err = run(capsys, "download", canopen_axis, "--set", backup)
+    assert status == 2
+    assert "is not finished, expected `hil params resume` or `hil params rollback` first" in err
+    assert run(capsys, "rollback", canopen_axis)[0] == 0
+    assert run(capsys, "verify", canopen_axis, "--set", new)[0] == 0
