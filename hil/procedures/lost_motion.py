@@ -166,7 +166,7 @@ def with_rise(
     Without tables: the lost motion alone, as tables whose + direction is 0 (that of the datum). An effect of the same cause is left
     out: it would count it twice. Raises InputError where the tables' directions differ by anything but the lost motion measured.
     """
-    if present is None:
+    if present is None or _is_lost_motion_alone(present):
         nodes = np.array(reach)
         backlash = SingleTable(nodes, np.full(2, found.amount_um))
         zero = DirectionalTable.constant(nodes, 0.0)
@@ -179,6 +179,18 @@ def with_rise(
         )
     terms = tuple(t for t in present.terms if not (isinstance(t, Term) and t.effect.id == "lost_motion"))
     return Compensation(present.tables, terms, found.rise)
+
+
+def _is_lost_motion_alone(present: Compensation) -> bool:
+    """Whether these tables came of such a measurement before, and hold nothing that a new one does not."""
+    tables = present.tables
+    other = (tables.specified, tables.straightness)
+    return (
+        tables.mode is TableMode.UNIDIRECTIONAL_BACKLASH
+        and other == (None, None)
+        and not present.terms
+        and not np.any(tables.pitch.plus_um)
+    )
 
 
 def residual_um(records: Records, stretch: Stretch, in_force: Compensation | None) -> Floats:

@@ -111,6 +111,9 @@ def test_without_tables_the_lost_motion_alone_is_put_into_force() -> None:
     assert float(alone.tables.correction_um(at, 1)[0]) == 0.0
     assert float(alone.tables.correction_um(at, -1)[0]) == pytest.approx(-8.0)
     assert alone.rise is TRUTH
+    worn = replace(FOUND, rise=Rise(TWO_TANH, (9.0, 3.0), (0.01, 0.2, 0.05)))
+    anew = with_rise(alone, worn, HOW, (LIMITS.travel_min_mm, LIMITS.travel_max_mm))
+    assert float(anew.tables.correction_um(at, -1)[0]) == pytest.approx(-12.0)  # measured again, not held to what was
 
 
 def test_beside_tables_nothing_is_counted_twice() -> None:
