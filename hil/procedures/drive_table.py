@@ -132,8 +132,8 @@ def changing(drive: ServoDrive, note: Path, tell: Tell) -> Iterator[TableChange]
         tell("an earlier change of the drive's table was broken off; what was there before it has been put back")
     change = TableChange(drive, table, snapshot(table))
     note.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(note, change.found.to_text().encode())
     try:
+        replace_file(note, change.found.to_text().encode())
         yield change
     except BaseException:
         _undo_whatever_happens(change, note, tell)

@@ -31,7 +31,7 @@ from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.own_table import ARRAY, TableForm, error_domain
 
 FORMS = {"simulated_array": replace(ARRAY, points=20), "simulated_domain": error_domain(10.0)}
-EVERY = 3
+EVERY = 4
 """Of the frames of an array's change, one in so many; 1 takes twice as long as all the rest here."""
 QUICK = CanOpenSettings(sdo_timeout_s=0.02, heartbeat_s=None)
 
