@@ -32,6 +32,7 @@ from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
 from hil.procedures.verify import Verification, verify
 from hil.procedures.warm_up import warm_up
 from hil.records import Records, read_csv, to_csv
+from hil.replay_wiring import recorded, replayed
 from hil.runout import CorrectionCode, RunOut
 from hil.runout_store import RunOutStore
 from hil.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
@@ -109,6 +110,8 @@ __all__ = [
     "read_csv",
     "read_manual_tables",
     "read_straightness",
+    "recorded",
+    "replayed",
     "save_private_key",
     "save_public_key",
     "to_csv",

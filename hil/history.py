@@ -22,6 +22,9 @@ from hil.iso230 import Iso230, iso230
 from hil.journal import BEGUN, checksums
 from hil.records import Records, concatenate, parse_csv
 
+REPLAY = "replay"
+"""Kind of a campaign whose rows come from a recording."""
+
 
 @dataclass(frozen=True)
 class Pass:
@@ -169,11 +172,11 @@ class Moment:
 
 
 def history(campaigns: Iterable[FoundCampaign], names: Iterable[str]) -> list[Moment]:
-    """The passes that have at least one of these ISO 230-2 figures, in the order of time."""
+    """The passes that have at least one of these ISO 230-2 figures, in the order of time. What was replayed was not measured again."""
     wanted = tuple(names)
     moments = []
     for campaign in campaigns:
-        for one in campaign.passes:
+        for one in campaign.passes if campaign.kind != REPLAY else ():
             figures = one.figures()
             if isinstance(figures, Iso230) and one.records is not None:
                 values = {name: _or_nan(figures.figures()[name]) for name in wanted}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 from drivers.errors import InputError
-from hil.axis import load_axis
+from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run, seed
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.iso230 import print_figures
@@ -13,17 +16,21 @@ from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
 from hil.cli.summary import error_figures, print_stages
 from hil.files import replace_file
+from hil.history import REPLAY
 from hil.iso230 import iso230
 from hil.journal import Campaign
 from hil.procedures.measure import bidirectional_steps, other_targets
 from hil.procedures.verify import verify
+from hil.replay_wiring import recorded, replayed
 from hil.store import compensation_in_force
-from hil.wiring import connected
+from hil.wiring import Machine, connected
 
 EXAMPLE = """\
 example:
   hil verify X.toml
   hil verify X.toml --report verified.html --seed 3
+  hil verify X.toml --record machine.csv          drive and instrument, recorded together
+  hil verify X.toml --replay machine.csv          the same again from the recording: nothing is connected
 
 Exit status 1: sections lie outside the band of the axis file; they are named.
 """
@@ -41,9 +48,24 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    recording = parser.add_mutually_exclusive_group()
+    recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
+    recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")
     add_password_options(parser, key=False)
     add_effects_option(parser)
     parser.set_defaults(run=run)
+
+
+@contextmanager
+def _machine(args: argparse.Namespace, axis: AxisConfig) -> Iterator[Machine]:
+    if args.replay:
+        with replayed(axis, Path(args.replay)) as machine:
+            yield machine
+        return
+    with connected(axis) as machine, ExitStack() as stack:
+        if args.record:
+            stack.enter_context(recorded(machine, Path(args.record)))
+        yield machine
 
 
 def run(args: argparse.Namespace) -> int:
@@ -55,7 +77,9 @@ def run(args: argparse.Namespace) -> int:
         return 0
     compensation = open_store(args, axis, writing=False).load(read_effects(args.effects))
     purpose = {**axis.purpose("verify"), **compensation_in_force(compensation), "seed": args.seed}
-    with connected(axis) as machine, terminal_progress() as listener:
+    if args.replay:
+        purpose |= {"kind": REPLAY, "recording": Path(args.replay).name}
+    with _machine(args, axis) as machine, terminal_progress() as listener:
         campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
         machine.session.prepare()
         machine.session.compensation = compensation

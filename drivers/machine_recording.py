@@ -1,0 +1,172 @@
+"""A drive and its instrument, recorded together as a procedure moves and reads them: one file that `machine_replay` plays again.
+
+CSV, a row for each look (and each reading in it) and for each order, in the order of time: `order` counts the orders given so far,
+`kind` is 1 for a row that gives a move, 2 homing, 0 for a look. Moves and homing are recorded; a recorded drive streams nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Self, TextIO
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
+from drivers.errors import InputError
+from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
+
+LOOK, MOVE, HOME = 0, 1, 2
+STATES, STATUSES = tuple(DriveState), tuple(ReadingStatus)
+"""What the numbers in the columns `state` and `status` stand for."""
+ORDER = ("time_s", "order", "kind", "ordered_mm", "ordered_mm_s")
+DRIVE = ("state", "motor_mm", "reached", "homed", "torque_percent")
+INSTRUMENT = ("status", "laser_mm", "rate_hz", "air_temp_c", "air_pressure_hpa", "air_humidity_percent")
+
+
+class MachineRecorder:
+    """The file. places: of the instrument's thermometers, a column temp_<place>_c each. Raises InputError for a file that is there."""
+
+    def __init__(self, path: Path, clock: Clock, places: Sequence[str] = ()) -> None:
+        self._clock = clock
+        self._start_ns = clock.now_ns()
+        self._places = tuple(places)
+        self._names = (*ORDER, *DRIVE, *INSTRUMENT, *(f"temp_{place}_c" for place in places))
+        self._order = 0
+        self._sample: DriveSample | None = None
+        try:
+            self._file: TextIO = path.open("x", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot be made: {error.strerror}", path=path) from error
+        self._file.write("# drive and instrument, recorded together\n" + ",".join(self._names) + "\n")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._file.close()
+
+    def sampled(self, sample: DriveSample) -> None:
+        """What the drive said; it goes into the rows that follow."""
+        self._sample = sample
+
+    def ordered(self, kind: int, position_mm: float, velocity_mm_s: float, give: Callable[[], None]) -> None:
+        """Give an order: a row for it, and one for when the drive had taken it."""
+        self._order += 1
+        self._write({"kind": kind, "ordered_mm": position_mm, "ordered_mm_s": velocity_mm_s})
+        give()
+        self._write({"kind": LOOK})
+
+    def looked(self, readings: Sequence[Reading], rate_hz: float | None, environment: Environment) -> None:
+        """What the instrument sent since the last look."""
+        air = {
+            "rate_hz": rate_hz,
+            "air_temp_c": environment.air_temp_c,
+            "air_pressure_hpa": environment.air_pressure_hpa,
+            "air_humidity_percent": environment.air_humidity_percent,
+        }
+        air |= {f"temp_{place}_c": environment.place_temps_c.get(place) for place in self._places}
+        if not readings:
+            self._write({"kind": LOOK, **air})
+        for reading in readings:
+            status = STATUSES.index(reading.status)
+            self._write({"kind": LOOK, "status": status, "laser_mm": reading.position_mm, **air})
+
+    def _write(self, values: dict[str, float | None]) -> None:
+        row: dict[str, float | None] = {
+            "time_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S,
+            "order": self._order,
+        }
+        if (sample := self._sample) is not None:
+            row |= {
+                "state": STATES.index(sample.state),
+                "motor_mm": sample.position_load_mm,
+                "reached": sample.target_reached,
+                "homed": sample.homed,
+                "torque_percent": sample.torque_percent,
+            }
+        row |= values
+        self._file.write(",".join(_cell(row.get(name)) for name in self._names) + "\n")
+
+
+def _cell(value: float | None) -> str:
+    if value is None or math.isnan(value):
+        return ""
+    return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
+
+
+class RecordedDrive(ServoDrive):
+    """An open drive that is recorded. Orders and states are the drive's own; what is not recorded is refused."""
+
+    def __init__(self, drive: ServoDrive, recorder: MachineRecorder) -> None:
+        super().__init__(drive.name, drive.scaling, drive.limits, drive.clock)
+        self.notes = drive.notes
+        self._drive = drive
+        self._recorder = recorder
+
+    def open(self) -> None:
+        self._drive.open()
+
+    def close(self) -> None:
+        self._drive.close()
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        return self._drive.capabilities & {Capability.PROFILE_POSITION, Capability.HOMING}
+
+    def sample(self) -> DriveSample:
+        sample = self._drive.sample()
+        self._recorder.sampled(sample)
+        return sample
+
+    def _enable(self) -> None:
+        self._drive.enable()
+
+    def disable(self) -> None:
+        self._drive.disable()
+
+    def quick_stop(self) -> None:
+        self._drive.quick_stop()
+
+    def reset_fault(self) -> None:
+        self._drive.reset_fault()
+
+    def _start_homing(self) -> None:
+        self._recorder.ordered(HOME, math.nan, math.nan, self._drive.start_homing)
+
+    def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        def give() -> None:
+            self._drive.start_move(position_load_mm, velocity_mm_s)
+
+        self._recorder.ordered(MOVE, position_load_mm, velocity_mm_s, give)
+
+
+class RecordedInstrument(DistanceInstrument):
+    """An open instrument that is recorded."""
+
+    def __init__(self, instrument: DistanceInstrument, recorder: MachineRecorder) -> None:
+        self.name = instrument.name
+        self.answers_when_asked = instrument.answers_when_asked
+        self._instrument = instrument
+        self._recorder = recorder
+
+    def open(self) -> None:
+        self._instrument.open()
+
+    def close(self) -> None:
+        self._instrument.close()
+
+    def poll(self) -> Sequence[Reading]:
+        readings = self._instrument.poll()
+        self._recorder.looked(readings, self.sample_rate_hz, self.environment())
+        return readings
+
+    def acknowledge_loss(self) -> None:
+        self._instrument.acknowledge_loss()
+
+    def environment(self) -> Environment:
+        return self._instrument.environment()
+
+    @property
+    def sample_rate_hz(self) -> float | None:
+        return self._instrument.sample_rate_hz

@@ -1,0 +1,179 @@
+"""A recording of `machine_recording` played as drive and instrument together: a procedure made again on what was measured once.
+
+The recording is cut at its orders. An order must be the one that was given then, and starts its stretch; within it, looks find what
+was found at that time after the order. A procedure that asks for something else than was recorded is told so: nothing is made up.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from math import isfinite, isnan, nan
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.errors import InputError, StateError
+from drivers.instrument import DistanceInstrument, Environment, Reading
+from drivers.instruments.replay import Recording
+from drivers.machine_recording import DRIVE, HOME, INSTRUMENT, MOVE, ORDER, STATES, STATUSES
+from drivers.scaling import AxisScaling
+
+SAME_MM = 1e-6
+
+
+class MachineReplay:
+    """Where the playing stands; shared by drive and instrument."""
+
+    def __init__(self, recording: Recording, clock: Clock) -> None:
+        missing = [name for name in (*ORDER, *DRIVE, *INSTRUMENT) if name not in recording.columns]
+        if missing:
+            raise InputError(f"is no recording of drive and instrument together, it lacks {', '.join(missing)}")
+        self.clock = clock
+        self.columns = recording.columns
+        orders = recording.column("order")
+        self._starts = [0, *(row for row in range(1, len(orders)) if orders[row] != orders[row - 1]), len(orders)]
+        self._stretch = 0
+        self._start_ns = clock.now_ns()
+
+    def start(self) -> None:
+        """From the beginning, now."""
+        self._stretch, self._start_ns = 0, self.clock.now_ns()
+
+    @property
+    def first_row(self) -> int:
+        """Of the stretch being played."""
+        return self._starts[self._stretch]
+
+    def rows_until_now(self) -> int:
+        """One more than the last row of the stretch that has been played."""
+        first, end = self._starts[self._stretch : self._stretch + 2]
+        times = self.columns["time_s"]
+        now_s = (
+            times[first] + (self.clock.now_ns() - self._start_ns + 1) / NS_PER_S
+        )  # a nanosecond for the rounding of seconds
+        return bisect_right(times, now_s, first, end)
+
+    def time_ns(self, row: int) -> int:
+        """When a row of this stretch is played."""
+        times = self.columns["time_s"]
+        return self._start_ns + round((times[row] - times[self.first_row]) * NS_PER_S)
+
+    def order(self, kind: int, position_mm: float) -> None:
+        """Go on to the next stretch, if that is what began it; returns when the order had been taken. Raises StateError."""
+        if self._stretch + 2 >= len(self._starts):
+            raise StateError("the recording ends here: no order comes after the last one")
+        row = self._starts[self._stretch + 1]
+        was_kind, was_mm = self.columns["kind"][row], self.columns["ordered_mm"][row]
+        if was_kind != kind or not (kind == HOME or abs(was_mm - position_mm) <= SAME_MM):
+            was = "homes" if was_kind == HOME else f"moves to {was_mm:.6f} mm"
+            asked = "homing" if kind == HOME else f"a move to {position_mm:.6f} mm"
+            raise StateError(f"the recording {was} here, asked for was {asked}")
+        self._stretch += 1
+        self._start_ns = self.clock.now_ns()
+        if row + 1 < self._starts[self._stretch + 1]:
+            self.clock.sleep_until_ns(self.time_ns(row + 1))
+
+
+class ReplayDrive(ServoDrive):
+    """The drive of a recording."""
+
+    def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, replay: MachineReplay) -> None:
+        super().__init__(name, scaling, limits, replay.clock)
+        self._replay = replay
+        self._enabled = False
+
+    def open(self) -> None:
+        self._replay.start()
+        self._enabled = False
+
+    def close(self) -> None:
+        self._enabled = False
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        return frozenset({Capability.PROFILE_POSITION, Capability.HOMING})
+
+    def sample(self) -> DriveSample:
+        columns = self._replay.columns
+        row = max(self._replay.rows_until_now() - 1, 0)
+        state = STATES[int(columns["state"][row])] if isfinite(columns["state"][row]) else DriveState.SWITCH_ON_DISABLED
+        if state not in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            state = DriveState.ENABLED if self._enabled else DriveState.SWITCH_ON_DISABLED
+        torque, homed = columns["torque_percent"][row], columns["homed"][row]
+        return DriveSample(
+            self.clock.now_ns(),
+            state,
+            columns["motor_mm"][row],
+            # the row of an order still holds the sample from before it
+            target_reached=bool(columns["reached"][row] == 1) and columns["kind"][row] == 0,
+            torque_percent=None if isnan(torque) else torque,
+            homed=None if isnan(homed) else homed == 1,
+        )
+
+    def _enable(self) -> None:
+        self._enabled = True
+
+    def disable(self) -> None:
+        self._enabled = False
+
+    def quick_stop(self) -> None:
+        self._enabled = False
+
+    def reset_fault(self) -> None:
+        """A recorded fault stays."""
+
+    def _start_homing(self) -> None:
+        self._replay.order(HOME, nan)
+
+    def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        self._replay.order(MOVE, position_load_mm)
+
+
+class ReplayedInstrument(DistanceInstrument):
+    """The instrument of a recording, beside its drive."""
+
+    name = "replay"
+
+    def __init__(self, replay: MachineReplay) -> None:
+        self._replay = replay
+        self._next = 0
+
+    def open(self) -> None:
+        self._next = 0
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def poll(self) -> list[Reading]:
+        end = self._replay.rows_until_now()
+        rows = range(max(self._next, self._replay.first_row), end)
+        self._next = max(self._next, end)
+        status, position = self._replay.columns["status"], self._replay.columns["laser_mm"]
+        return [
+            Reading(
+                self._replay.time_ns(row),
+                STATUSES[int(status[row])],
+                None if isnan(position[row]) else position[row],
+                row,
+            )
+            for row in rows
+            if isfinite(status[row])
+        ]
+
+    def _latest(self, name: str) -> float | None:
+        value = self._replay.columns[name][max(self._next - 1, 0)]
+        return value if isfinite(value) else None
+
+    def environment(self) -> Environment:
+        names = [name for name in self._replay.columns if name.startswith("temp_") and name.endswith("_c")]
+        places = {name[5:-2]: value for name in names if (value := self._latest(name)) is not None}
+        return Environment(
+            self._replay.clock.now_ns(),
+            self._latest("air_temp_c"),
+            self._latest("air_pressure_hpa"),
+            self._latest("air_humidity_percent"),
+            places,
+        )
+
+    @property
+    def sample_rate_hz(self) -> float | None:
+        return self._latest("rate_hz")

@@ -1,0 +1,45 @@
+"""Recording a machine while a procedure works on it, and playing the recording as that machine again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivers.instruments.replay import Recording
+from drivers.machine_recording import MachineRecorder, RecordedDrive, RecordedInstrument
+from drivers.machine_replay import MachineReplay, ReplayDrive, ReplayedInstrument
+from hil.axis import AxisConfig
+from hil.files import naming
+from hil.wiring import Machine, session_of
+from sim_backends.clock import SimClock
+
+
+@contextmanager
+def recorded(machine: Machine, path: Path) -> Iterator[None]:
+    """Inside the block, drive and instrument of a connected machine are recorded. Raises InputError for a file that is there."""
+    session = machine.session
+    drive, instrument = session.drive, session.instrument
+    places = tuple(machine.axis.instrument.place_temps)
+    with MachineRecorder(path, machine.clock, places) as recorder:
+        session.drive = RecordedDrive(drive, recorder)
+        session.instrument = RecordedInstrument(instrument, recorder)
+        session.drive.sample()
+        try:
+            yield
+        finally:
+            session.drive, session.instrument = drive, instrument
+
+
+@contextmanager
+def replayed(axis: AxisConfig, path: Path) -> Iterator[Machine]:
+    """The axis of an axis file as it was recorded, in simulated time: nothing real is connected.
+
+    Raises InputError for a file that is no such recording.
+    """
+    with naming(path):
+        replay = MachineReplay(Recording.read(path), SimClock())
+    drive = ReplayDrive(axis.name, axis.scaling, axis.limits, replay)
+    session = session_of(axis, drive, ReplayedInstrument(replay), None)
+    with session:
+        yield Machine(axis, session)
