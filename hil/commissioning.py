@@ -4,12 +4,13 @@ Nothing is defined here: what the verbs call is what a script calls.
 """
 
 from hil.axes_wiring import connected_axes
-from hil.axis import AxisConfig, DriveAxis, load_axis, load_drive_axis
+from hil.axis import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
 from hil.axis_backlash import BacklashConfig, default_backlash
 from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
 from hil.backlash_settings import backlash_settings
 from hil.compensation import Compensation
 from hil.diagnosis import Diagnosis, diagnose, fit_model
+from hil.drive_tables import DriveTable, drive_table, wanted_of
 from hil.iso230 import Iso230, iso230
 from hil.journal import Campaign
 from hil.lost_motion.circle import Circle
@@ -23,11 +24,14 @@ from hil.procedures.circle import CircleRun, drive_circle
 from hil.procedures.circle import prepare as prepare_axes
 from hil.procedures.close_loop import Loop, Turning, close_loop
 from hil.procedures.doctor import Check, doctor
+from hil.procedures.drive_table import changing as changing_table
+from hil.procedures.drive_table import held_table
 from hil.procedures.events import Event
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
 from hil.procedures.lost_motion import LostMotionResult, measure_lost_motion
 from hil.procedures.measure import Step, measure
 from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
+from hil.procedures.prove_drive_table import Proof, prove_by_drive, prove_by_instrument
 from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
 from hil.procedures.verify import Verification, verify
 from hil.procedures.warm_up import warm_up
@@ -54,6 +58,7 @@ __all__ = [
     "CorrectionCode",
     "Diagnosis",
     "DriveAxis",
+    "DriveTable",
     "Event",
     "InMotion",
     "Iso230",
@@ -64,6 +69,7 @@ __all__ = [
     "Machine",
     "MeasuredReversal",
     "ProbeMachineConfig",
+    "Proof",
     "Records",
     "RunOut",
     "RunOutStore",
@@ -77,6 +83,7 @@ __all__ = [
     "backlash_settings",
     "calibrate",
     "centre_bore",
+    "changing_table",
     "close_loop",
     "compete_lost_motion",
     "connected",
@@ -89,9 +96,12 @@ __all__ = [
     "diagnose",
     "doctor",
     "drive_circle",
+    "drive_table",
     "fit_model",
     "fitted_lost_motion",
+    "held_table",
     "iso230",
+    "iso_targets",
     "load_axis",
     "load_drive_axis",
     "load_private_key",
@@ -107,6 +117,8 @@ __all__ = [
     "plan_passes",
     "prepare_axes",
     "probe_bench",
+    "prove_by_drive",
+    "prove_by_instrument",
     "read_csv",
     "read_manual_tables",
     "read_straightness",
@@ -116,5 +128,6 @@ __all__ = [
     "save_public_key",
     "to_csv",
     "verify",
+    "wanted_of",
     "warm_up",
 ]

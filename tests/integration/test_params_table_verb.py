@@ -10,6 +10,7 @@ from support.bench_axis import PASSWORDS
 from support.table_axis import lay_out_table_axis, store
 
 import hil.cli.params_table
+import hil.examples.drive_table
 import sim_backends.virtual_drive
 from drivers.correction_table import RawTable
 from hil.axis import AxisConfig
@@ -188,3 +189,11 @@ def test_a_drive_without_a_table_says_what_to_write_where(
     for job in ("show", "download", "remove"):
         assert run(axis, job) == 2
         assert "correction_table" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_example_as_it_is_shipped(kept: Kept, axis: AxisConfig, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hil.examples.drive_table.main(str(axis.path)) == 0
+    assert kept.enabled
+    assert kept.raw != OLD
+    assert "the drive corrects as the bridge does" in capsys.readouterr().out

@@ -1,0 +1,35 @@
+"""The stored tables into the drive's own: written, read back, proven by the instrument, and left in force only if proven.
+
+python -m hil.examples.drive_table AXIS.toml, with the reading password in HIL_PASSWORD; the axis file names the map of the drive's
+table.
+"""
+
+import os
+import sys
+
+import hil.commissioning as hil
+
+
+def main(path: str) -> int:
+    axis = hil.load_axis(path)
+    compensation = hil.SealedStore.of(axis, os.environ["HIL_PASSWORD"]).load()
+    targets = hil.iso_targets(axis.measurement.targets_mm[0], axis.measurement.targets_mm[-1], 5, 0.3, seed=1)
+    campaign = hil.Campaign.numbered(axis.store.directory, axis.purpose("prove-drive-table"), resume=False)
+    with hil.connected(axis) as machine:
+        drive = machine.session.drive
+        description = hil.held_table(drive).description
+        made = hil.drive_table(hil.wanted_of(compensation), description, axis.scaling, axis.limits)
+        with hil.changing_table(drive, axis.store.directory / "drive-table-before.json", print) as change:
+            change.write(made.raw)
+            proof = hil.prove_by_instrument(machine.session, campaign, compensation, targets)
+            if proof.good:
+                change.switch(True)
+            else:
+                change.undo()
+    print(f"{len(made.raw.plus)} points, {made.deviation_um:.2f} µm off the stored tables at most")
+    print(proof.verdict)
+    return 0 if proof.good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
