@@ -47,6 +47,16 @@ class Alignment:
         return 1000.0 * math.hypot(rise, aside) * self._per_mm
 
     @property
+    def readable_mrad(self) -> float:
+        """The largest angle that could be there unseen, by how well spots can be read."""
+        return 1000.0 * math.sqrt(2.0) * 2.0 * self.read_within_mm * self._per_mm
+
+    @property
+    def good(self) -> bool:
+        """As well aligned as the spots can be read; beyond that a better alignment would be seen."""
+        return self.angle_mrad <= self.readable_mrad
+
+    @property
     def short_ppm(self) -> float:
         """How much the instrument reads short, by the spots as they were read."""
         return self.angle_mrad**2 / 2.0
@@ -54,8 +64,7 @@ class Alignment:
     @property
     def short_at_most_ppm(self) -> float:
         """The same where all four readings were off by as much as they can be."""
-        worst_mrad = self.angle_mrad + 1000.0 * math.sqrt(2.0) * 2.0 * self.read_within_mm * self._per_mm
-        return worst_mrad**2 / 2.0
+        return (self.angle_mrad + self.readable_mrad) ** 2 / 2.0
 
     def lateral_mm(self, length_mm: float) -> float:
         """How far the beam may wander sideways over a length: ISO/TR 230-9's range of misalignment."""

@@ -8,10 +8,11 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout
+from hil.alignment import Alignment
 from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import add_axis_arguments
 from hil.cli.output import print_table, write_json
-from hil.procedures.doctor import PROOF_TRAVEL_MM, doctor
+from hil.procedures.doctor import PROOF_TRAVEL_MM, Check, doctor
 from hil.wiring import connected, connected_registers
 
 EXAMPLE = """\
@@ -63,12 +64,22 @@ def run(args: argparse.Namespace) -> int:
         return 0
     with connected(axis) as machine:
         checks = doctor(machine.session, move=not args.no_move, trust_file=args.trust_file)
+    if (beam := axis.instrument.alignment) is not None:
+        checks.append(beam_check(beam))
     rows = [[check.name, "good" if check.good else "NOT GOOD", check.detail] for check in checks]
     print_table(["check", ("verdict", "left"), ("found", "left")], rows)
     good = all(check.good for check in checks)
     if args.json:
         write_json(args.json, {"axis": axis.name, "good": good, "checks": [vars(check) for check in checks]})
     return 0 if good else 1
+
+
+def beam_check(beam: Alignment) -> Check:
+    """Whether the beam lies along the axis, by the spots of the axis file."""
+    detail = f"{beam.angle_mrad:.2f} mrad off the motion, reads {beam.short_ppm:.2f} ppm short, at most {beam.short_at_most_ppm:.2f}"
+    if not beam.good:
+        detail += f"; spots tell {beam.readable_mrad:.2f} mrad, so it can be aligned better"
+    return Check("beam", beam.good, detail)
 
 
 def _probe_order(args: argparse.Namespace, axis: AxisConfig) -> int:

@@ -13,6 +13,7 @@ from drivers.errors import InputError, MeasurementLostError
 from drivers.instrument import Environment
 from hil.alignment import Alignment
 from hil.axis import load_axis
+from hil.cli.doctor import beam_check
 from hil.cli.instrument_identity import instrument_identity
 from hil.material import Material
 from hil.uncertainty import UncertaintyInputs
@@ -46,6 +47,15 @@ def test_the_worst_that_two_readings_of_each_spot_allow() -> None:
     worst = math.hypot(1.0, 1.0) / 500.0
     assert (beam.short_ppm, beam.short_at_most_ppm) == (0.0, pytest.approx(worst**2 / 2 * 1e6))
     assert beam.lateral_mm(500.0) == pytest.approx(math.hypot(1.0, 1.0))
+
+
+@pytest.mark.parametrize(("height_mm", "good"), [(1.4, True), (1.5, False)])
+def test_a_beam_that_could_be_seen_to_be_off_is_not_good(height_mm: float, good: bool) -> None:
+    """Each spot within 0.5 mm in two directions: 1.414 mm apart they may stand without being told apart."""
+    check = beam_check(Alignment(0.0, 500.0, (0.0, height_mm), (0.0, 0.0)))
+    assert check.good is good
+    assert ("can be aligned better" in check.detail) is not good
+    assert f"reads {(height_mm / 500 * 1000) ** 2 / 2:.2f} ppm short" in check.detail
 
 
 @pytest.mark.parametrize(
