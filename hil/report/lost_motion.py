@@ -116,7 +116,7 @@ def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
                     label=f"{one.fitted.shape.name}, in force" if taken else "the other shapes",
                 )
         label_axes(whole, theme, "Load's travel since the reversal, mm", "Lost motion, µm")
-        label_axes(begin, theme, "the beginning, µm", "")
+        label_axes(begin, theme, "The beginning: load's travel, µm", "")
         unique = dict(zip(*reversed(whole.get_legend_handles_labels()), strict=True))
         figure.legend(list(unique.values()), list(unique), loc="upper left", ncols=4, labelcolor=theme.ink)
         return figure
