@@ -31,14 +31,18 @@ from umodbus.server.tcp import RequestHandler
 from umodbus.server.tcp import get_server as umodbus_tcp_server
 
 from drivers.clock import WallClock
+from drivers.correction_table import RawTable
 from drivers.drive import DriveState
 from drivers.errors import AbortError, NoAnswerError
 from drivers.modbus.codec import Layout, Order, RegisterType, decode, encode
+from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.link import Doubt, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.register_access import RegisterAccess
+from drivers.modbus.register_map import find_map
+from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.params.compare import compare
 from hil.params.download import Target, download
@@ -327,6 +331,28 @@ def test_a_register_map_reads_a_foreign_server_in_one_request_per_table(link: Mo
     assert raw["in_position"] == DISCRETE[3]
     access.write({"target": -5, "target_speed": 70_000, "ramp": 9})
     assert link.read(UNIT, Table.HOLDING, Span(0, 6)) == (0xFFFB, 0xFFFF, 70_000 - 65_536, 1, 9, 0)
+
+
+@pytest.mark.slow
+def test_a_correction_table_goes_into_a_foreign_server_and_out_again(link: ModbusLink, tmp_path: Path) -> None:
+    """The table of a shipped map, brought to where a server of 300 registers has some."""
+    text = find_map("vendor_style").read_text(encoding="utf-8").replace("points = 256", "points = 80")
+    text = re.sub(r"4030(\d)", r"4012\1", text).replace("address = 40311", "address = 40210")
+    path = tmp_path / "map.toml"
+    path.write_text(text, encoding="utf-8")
+    drive_map = load_drive_map(path)
+    assert drive_map.table is not None
+    link.write(UNIT, Table.HOLDING, 120, (0,) * 10)
+    table = ModbusCorrectionTable("X", RegisterAccess(link, UNIT, drive_map.registers), drive_map.table, WearLedger())
+    assert (table.read(), table.enabled()) == (RawTable(), False)
+    wanted = RawTable(tuple(range(-40, 40)), (), (), -70_000, 123_456, 321)
+    table.write(wanted, RawTable())
+    assert table.read() == wanted
+    table.switch(True)
+    assert table.enabled()
+    assert link.read(UNIT, Table.HOLDING, Span(120, 7)) == (1, 80, 61_072, 65_534, 57_920, 1, 321)
+    assert link.read(UNIT, Table.HOLDING, Span(208, 3)) == (HOLDING[208], 65_496, 65_497)
+    assert link.read(UNIT, Table.HOLDING, Span(288, 2)) == (39, HOLDING[289])
 
 
 @pytest.mark.slow
