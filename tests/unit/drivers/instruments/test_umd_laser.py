@@ -158,6 +158,36 @@ def test_axis_that_is_not_on_the_line_is_a_head_error() -> None:
     assert instrument.poll()[0].status is ReadingStatus.HEAD_ERROR
 
 
+def test_a_port_that_was_away_took_the_zero_with_it() -> None:
+    """The display is fed by it: the count may be a new one, whatever its sequence numbers say."""
+    instrument, wire = laser(VACUUM)
+    wire.say("3276 3276 100 0 0 1 0 0")
+    instrument.poll()
+    wire.gone = True
+    with pytest.raises(LinkLostError):
+        instrument.poll()
+    wire.gone = False
+    wire.say("276 100 0 0 2 0 0", "3276 3276 100 0 0 3 0 0")
+    assert [reading.status for reading in instrument.poll()] == [ReadingStatus.HEAD_ERROR]
+    assert instrument.bad_lines == 1, "joined in mid-line again"
+    instrument.acknowledge_loss()
+    wire.say("3276 3276 100 0 0 4 0 0")
+    assert instrument.poll()[0].status is ReadingStatus.GOOD
+
+
+def test_a_reading_is_no_older_than_the_look_before() -> None:
+    wire, clock = Wire(), SimClock()
+    instrument = UmdLaser(wire, clock, VACUUM)
+    instrument.open()
+    instrument.poll()
+    clock.sleep_s(0.2)
+    wire.say("3276 3276 100 0 0 1 0 0", "3276 3276 100 0 0 2 0 0")
+    assert [(reading.since_ns, reading.time_ns) for reading in instrument.poll()] == [(0, 200_000_000)] * 2
+    clock.sleep_s(60.0)
+    wire.say("3276 3276 100 0 0 3 0 0")
+    assert instrument.poll()[0].age_ns(clock.now_ns()) == 60_000_000_000, "how long it lay in the port, nobody knows"
+
+
 def test_a_lost_link_is_an_error() -> None:
     instrument, wire = laser(VACUUM)
     wire.gone = True
