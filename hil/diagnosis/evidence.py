@@ -41,6 +41,11 @@ def prior_scale(rho: float) -> float:
     return 1.2 if rho <= 0.8 else 0.35
 
 
+def log_prior(ar: float, rho: float, offset: float) -> float:
+    """Of the parameters of a noise model beforehand, up to a constant."""
+    return -0.5 * (ar / prior_scale(rho)) ** 2 - 0.5 * (offset / PRIOR_OFFSET) ** 2
+
+
 @dataclass(frozen=True)
 class Noise:
     """Standard deviations relative to the white noise's, AR(1) coefficient, and the table's variance ratios (even, odd part)."""
@@ -52,7 +57,7 @@ class Noise:
     odd: float = math.inf
 
     def log_prior(self) -> float:
-        return -0.5 * (self.ar / prior_scale(self.rho)) ** 2 - 0.5 * (self.offset / PRIOR_OFFSET) ** 2
+        return log_prior(self.ar, self.rho, self.offset)
 
     def calm(self) -> Noise:
         """The same table, white noise only."""
@@ -73,14 +78,14 @@ class TableColumns:
     def of(cls, campaign: Campaign, shape: Shape) -> TableColumns:
         return cls(shape.columns(campaign.x, campaign.d), run_columns(campaign))
 
-    @property
+    @cached_property
     def stacked(self) -> Floats:
         """All columns (n, p), the table's first."""
         return np.asarray(np.hstack([self.shape.stacked, self.offset]), dtype=np.float64)
 
     @property
     def table_width(self) -> int:
-        return int(self.shape.stacked.shape[1])
+        return int(self.stacked.shape[1] - self.offset.shape[1])
 
     def ridge(self, noise: Noise) -> Floats:
         """Ridge of each column, shape (p,): inverse variance ratio, 0 where free."""
@@ -102,7 +107,12 @@ class Extra:
         return cls(np.zeros((rows, 0)), np.zeros((rows, 0)))
 
     def plus(self, other: Extra) -> Extra:
-        return Extra(np.hstack([self.free, other.free]), np.hstack([self.random, other.random]))
+        return Extra(side_by_side(self.free, other.free), side_by_side(self.random, other.random))
+
+
+def side_by_side(first: Floats, second: Floats) -> Floats:
+    """The columns of both; the first itself where there is nothing to add."""
+    return np.hstack([first, second]) if second.shape[1] else first
 
 
 def run_columns(campaign: Campaign) -> Floats:
@@ -180,9 +190,11 @@ class Frame:
         if q + s:
             cross = table.T @ self.beside
             gram = np.block([[gram, cross], [cross.T, self.beside.T @ self.beside]])
-        gram = gram + np.diag(ridge)
-        scale = np.diag(gram).copy()
-        gram[np.diag_indices_from(gram)] += 1e-11 * np.maximum(scale, 1e-12 * scale.max())
+        else:
+            gram = gram.copy()
+        diagonal = np.einsum("ii->i", gram)  # a view
+        diagonal += ridge
+        diagonal += 1e-11 * np.maximum(diagonal, 1e-12 * diagonal.max())
         self.lower = cholesky(gram)
         self.inverse_lower = inverse_of_lower(self.lower)
         self.y_shadow = self.shadow(self.y)
@@ -320,15 +332,13 @@ def random_gain(frame: Frame, design: Floats) -> tuple[Floats, Floats]:
 def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple[Floats, Floats]:
     """The same from the normal equations (r, r) and (r,) or (r, b), with the residual sum of squares of none, () or (b,)."""
     values, vectors = np.linalg.eigh(normal)
-    values = np.maximum(values, 0.0)
     c2 = (vectors.T @ b) ** 2
-    gains = []
-    for variance in VARIANCES:
-        shrink = variance / (1.0 + variance * values)
-        left = np.maximum(1.0 - (shrink @ c2) / rss, 1e-12)
-        gains.append(-0.5 * float(np.sum(np.log1p(variance * values))) - 0.5 * dof * np.log(left) - 1.0)
-    table = np.array(gains)
-    return np.max(table, axis=0), np.asarray(VARIANCES)[np.argmax(table, axis=0)]
+    ratios = np.array(VARIANCES)
+    information = ratios[:, None] * np.maximum(values, 0.0)
+    left = np.maximum(1.0 - (ratios[:, None] / (1.0 + information)) @ c2 / rss, 1e-12)
+    lost = 0.5 * np.sum(np.log1p(information), axis=1) + 1.0
+    gains = -0.5 * dof * np.log(left) - (lost if b.ndim == 1 else lost[:, None])
+    return np.max(gains, axis=0), ratios[np.argmax(gains, axis=0)]
 
 
 class Bench:

@@ -84,8 +84,7 @@ def grid_choices(effect: Effect, form: Form) -> list[Choice]:
     if grid.shape[1] == 2 and form.nonlinear[1].logarithmic and not form.nonlinear[0].logarithmic:
         steps[:, 0] = np.exp(grid[:, 1])  # a zone is searched in steps of its width
     return [
-        Choice(effect, form, theta, steps=tuple(float(v) for v in step))
-        for theta, step in zip(form.starts, steps, strict=True)
+        Choice(effect, form, theta, steps=tuple(step)) for theta, step in zip(form.starts, steps.tolist(), strict=True)
     ]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 
-from hil.diagnosis.evidence import MOST_OFFSET, Bench, Extra, Noise
+from hil.diagnosis.evidence import MOST_OFFSET, Bench, Extra, Noise, log_prior
 
 Floats = NDArray[np.float64]
 
@@ -60,22 +60,24 @@ class Profile:
         return np.array(values)
 
     def unpack(self, v: Floats) -> Noise:
-        values = [float(value) for value in v]
-        noise = self.start
-        if self.smooth:
-            noise = replace(noise, even=math.exp(min(max(values.pop(0), -20.0), 20.0)))
-        if self.smooth_odd:
-            noise = replace(noise, odd=math.exp(min(max(values.pop(0), -20.0), 20.0)))
-        if self.offsets:
-            noise = replace(noise, offset=min(math.exp(max(values.pop(0), -6.0)), MOST_OFFSET))
-        return noise
+        even, odd, offset = self._values(v)
+        return replace(self.start, even=even, odd=odd, offset=offset)
 
-    def log_evidence(self, noise: Noise) -> float:
+    def _values(self, v: Floats) -> tuple[float, float, float]:
+        """The table's variance ratios (even, odd part) and the run offset."""
+        values = v.tolist()
+        even = math.exp(min(max(values.pop(0), -20.0), 20.0)) if self.smooth else self.start.even
+        odd = math.exp(min(max(values.pop(0), -20.0), 20.0)) if self.smooth_odd else self.start.odd
+        offset = min(math.exp(max(values.pop(0), -6.0)), MOST_OFFSET) if self.offsets else self.start.offset
+        return even, odd, offset
+
+    def log_evidence(self, v: Floats) -> float:
         """Log marginal likelihood of table, noise and extra columns, the free ones under the g-prior."""
         p = self.p
-        variances = (1.0 / noise.even, 1.0 / noise.odd, 1.0 / max(noise.offset, 1e-5) ** 2)
-        gram = self.gram.copy()
-        diagonal = gram.ravel()[:: len(gram) + 1]  # a view
+        even, odd, offset = self._values(v)
+        variances = (1.0 / even, 1.0 / odd, 1.0 / max(offset, 1e-5) ** 2)
+        gram = self.gram.copy(order="F")  # the order in which it is factored without another copy
+        diagonal = np.einsum("ii->i", gram)  # a view
         log_ridge, free = 0.0, self.given
         for where, ridge in zip(self.penalised, variances, strict=True):
             size = where.stop - where.start
@@ -84,17 +86,18 @@ class Profile:
                 log_ridge += size * math.log(ridge)
             else:
                 free += size
-        diagonal[:p] += 1e-11 * np.maximum(diagonal[:p], 1e-12 * float(np.max(diagonal[:p])))
+        diagonal[:p] += 1e-11 * np.maximum(diagonal[:p], 1e-12 * float(diagonal[:p].max()))
         diagonal[p:-1] += 1e-9 * diagonal[p:-1] + 1e-30
         factor, failed = dpotrf(gram, lower=1, clean=0, overwrite_a=1)
         if failed and failed < len(gram):
             raise np.linalg.LinAlgError("table columns are not independent")
-        root = factor.ravel()[:: len(gram) + 1]
-        seen = float(np.sum(factor[-1, p:-1] ** 2))  # what the free columns explain beside the rest
+        root = np.einsum("ii->i", factor)
+        last = factor[-1, p:-1]
+        seen = float(last @ last)  # what the free columns explain beside the rest
         rss = max(seen + (0.0 if failed else float(root[-1]) ** 2), 1e-300)
         dof = self.rows - free
-        constant = self.log_v + 2.0 * float(np.sum(np.log(root[:p]))) - log_ridge
-        value = -0.5 * (constant + dof * math.log(rss)) + noise.log_prior()
+        constant = self.log_v + 2.0 * float(np.log(root[:p]).sum()) - log_ridge
+        value = -0.5 * (constant + dof * math.log(rss)) + log_prior(self.start.ar, self.start.rho, offset)
         if self.k:
             left = min(max(1.0 - seen / rss, 1e-12), 1.0)
             value += 0.5 * (dof - self.k) * math.log1p(self.rows) - 0.5 * dof * math.log1p(self.rows * left)
@@ -103,10 +106,10 @@ class Profile:
     def best(self, point: Floats, step: float, trials: int = 30) -> tuple[float, Floats]:
         """Highest evidence and where, from a starting point, by at most `trials` evaluations per parameter."""
         if len(point) == 0:
-            return self.log_evidence(self.start), point
+            return self.log_evidence(point), point
         simplex = np.vstack([point, point + step * np.eye(len(point))])
         options = {"initial_simplex": simplex, "maxfev": trials * len(point), "xatol": 0.1, "fatol": 0.03}
-        result = minimize(lambda v: -self.log_evidence(self.unpack(v)), point, method="Nelder-Mead", options=options)
+        result = minimize(lambda v: -self.log_evidence(v), point, method="Nelder-Mead", options=options)
         return -float(result.fun), np.asarray(result.x, dtype=np.float64)
 
 

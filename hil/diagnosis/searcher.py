@@ -61,6 +61,7 @@ class Searcher:
         self.raw = self.y = setting.error_um
         self.nuisance = Extra.none(len(self.y))
         self._frames: dict[Noise, Frame] = {}
+        self._tamed: tuple[tuple[Choice, ...], Noise] | None = None
         self.barred: frozenset[str] = frozenset()  # effects that are not searched for the moment
 
     @property
@@ -71,11 +72,13 @@ class Searcher:
     def add_nuisance(self, extra: Extra) -> None:
         self.nuisance = self.nuisance.plus(extra)
         self._frames.clear()
+        self._tamed = None
 
     def restore(self, y: Floats, nuisance: Extra) -> None:
         """Back to errors and columns of no interest that were there before."""
         self.y, self.nuisance = y, nuisance
         self._frames.clear()
+        self._tamed = None
 
     def fit(self, choices: Sequence[Choice], noise: Noise, *, uncertain: bool = True) -> JointFit:
         """Table and terms estimated together, with their covariances where they are wanted."""
@@ -102,6 +105,10 @@ class Searcher:
 
     def tame(self, choices: Sequence[Choice], noise: Noise) -> None:
         """Pull in rows far beyond what the fit and the bulk of the rows allow (Huber), for all that follows."""
+        asked = tuple(choices), noise
+        if asked == self._tamed:
+            return
+        self._tamed = asked
         frame = self.bench.frame(noise, self.raw, self.extra(choices), self.out)
         residual = frame.solve(np.zeros((len(self.raw), 0))).residual
         kept = residual if self.out is None else residual[~self.out]
