@@ -42,6 +42,7 @@ def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False)
     if checks[-1].good:
         checks.append(_limits(session))
         checks.append(_scaling(session, trust_file))
+        checks += _own_table(session)
         checks.append(_instrument(session))
         checks += [Check("note", True, note) for note in session.drive.notes]
     if move and all(check.good for check in checks):
@@ -78,6 +79,22 @@ def _scaling(session: AxisSession, trust_file: bool) -> Check:
     if trust_file and not verdict.agrees:
         return Check("scaling", True, f"{verdict.detail}; the axis file is trusted as asked, the move decides")
     return Check("scaling", verdict.agrees, verdict.detail)
+
+
+def _own_table(session: AxisSession) -> list[Check]:
+    """Whether the drive corrects the axis itself; nothing where it has no table."""
+    table = session.drive.correction_table
+    if table is None:
+        return []
+    name = table.description.name
+    try:
+        if not table.enabled():
+            return [Check("drive's table", True, f"its {name} is switched off, the bridge may correct")]
+        points = len(table.read().plus)
+    except RemoteError as error:
+        return [Check("drive's table", False, f"its {name} is not where its map says: {error}")]
+    text = f"the drive corrects by its {name} of {points} points; nothing is calibrated or corrected by the bridge meanwhile"
+    return [Check("drive's table", True, text)]
 
 
 def _instrument(session: AxisSession) -> Check:

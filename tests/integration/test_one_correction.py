@@ -15,6 +15,7 @@ from drivers.set_points import SetPointSettings
 from hil.cli.main import main
 from hil.compensation import Compensation
 from hil.drive_tables import drive_table, wanted_of
+from hil.procedures.doctor import doctor
 from hil.procedures.drive_table import changing, held_table
 from hil.procedures.session import AxisSession
 from hil.tables import TableSet
@@ -51,6 +52,9 @@ def test_a_session_asks_the_drive_first(face: str, tmp_path: Path) -> None:
         assert session.compensation is None
         after = session.drive.sample()
         assert (after.state, after.position_load_mm) == (before.state, before.position_load_mm)
+        said = next(check for check in doctor(session, move=False) if check.name == "drive's table")
+        assert said.good
+        assert "the drive corrects by its" in said.detail
         held_table(session.drive).switch(False)
         session.compensation = Compensation(tables)
         with (
