@@ -185,6 +185,12 @@ def history(campaigns: Iterable[FoundCampaign], names: Iterable[str]) -> list[Mo
     return sorted(moments, key=lambda moment: moment.at.begun.timestamp())
 
 
+def usual_pass(moments: Iterable[Moment]) -> str:
+    """The name that most of them have, the latest of equals: a trend compares like with like. Raises ValueError without moments."""
+    names = [moment.at.name for moment in moments]
+    return max(reversed(names), key=names.count)
+
+
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
@@ -204,10 +210,10 @@ class Trend:
 
 
 def trend(days: np.ndarray[Any, np.dtype[np.float64]], value_um: np.ndarray[Any, np.dtype[np.float64]]) -> Trend | None:
-    """Of at least three values at different times, both shape (n,); None of fewer."""
+    """Of at least three values over a day or more, both shape (n,); None of fewer."""
     known = np.isfinite(value_um)
     x, y = days[known], value_um[known]
-    if len(x) < 3 or np.ptp(x) == 0.0:
+    if len(x) < 3 or np.ptp(x) < 1.0:
         return None
     x = x - x.mean()
     total = float(x @ x)

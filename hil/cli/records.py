@@ -13,7 +13,18 @@ from drivers.errors import InputError
 from hil.cli.output import Align, add_json_option, number, print_facts, print_table, write_json
 from hil.files import naming, replace_file
 from hil.formats import wide_iso
-from hil.history import FoundCampaign, Moment, Pass, find_campaigns, history, merge, read_campaign, read_pass, trend
+from hil.history import (
+    FoundCampaign,
+    Moment,
+    Pass,
+    find_campaigns,
+    history,
+    merge,
+    read_campaign,
+    read_pass,
+    trend,
+    usual_pass,
+)
 from hil.iso230 import FIGURES, Iso230
 from hil.records import read_csv, to_csv
 
@@ -58,7 +69,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     one.add_argument("--figure", action="append", choices=tuple(FIGURES), help="may be repeated (default A, R and B)")
     one.add_argument("--axis", metavar="NAME", help="only this axis")
     one.add_argument(
-        "--pass", dest="passes", metavar="NAME", action="append", help="only passes of this name, as verify"
+        "--pass", dest="passes", metavar="NAME", action="append", help="passes of this name (default: the most usual)"
     )
     one.add_argument("--out", metavar="HISTORY.html", help="also write a page with the plot")
     one.add_argument("--png", metavar="FILE", help="also write the plot")
@@ -188,7 +199,10 @@ def _export(args: argparse.Namespace) -> int:
 def _history(args: argparse.Namespace) -> int:
     names = args.figure or ["A", "R", "B"]
     campaigns = [one for one in find_campaigns(args.places) if args.axis in (None, one.axis)]
-    moments = [one for one in history(campaigns, names) if args.passes is None or one.at.name in args.passes]
+    moments = history(campaigns, names)
+    found = {one.at.name for one in moments}
+    passes = args.passes or ([usual_pass(moments)] if moments else [])
+    moments = [one for one in moments if one.at.name in passes]
     if not moments:
         raise InputError(f"no pass below {', '.join(args.places)} has the figures {', '.join(names)}")
     axes = sorted({one.campaign.axis for one in moments})
@@ -197,6 +211,8 @@ def _history(args: argparse.Namespace) -> int:
     print_table(
         ["begun", ("campaign", "left"), ("pass", "left"), *names, "°C"], [_moment_row(one, names) for one in moments]
     )
+    if others := sorted(found - set(passes)):
+        print(f"passes named {', '.join(passes)}; there are others (--pass): {', '.join(others)}")
     days = np.array([one.at.begun.timestamp() / 86400.0 for one in moments])
     trends = {name: trend(days, np.array([one.figures_um[name] for one in moments])) for name in names}
     for name, line in trends.items():

@@ -77,7 +77,7 @@ def _trends(moments: Sequence[Moment], names: Sequence[str]) -> list[list[str]]:
     for name in names:
         line = trend(_days(moments), _values(moments, name))
         if line is None:
-            rows.append([symbol(name), "–", "fewer than three dates"])
+            rows.append([symbol(name), "–", "fewer than three over a day"])
             continue
         clear = abs(line.slope_um) > 2.0 * line.std_um
         verdict = "clear of its scatter" if clear else "not more than it scatters"

@@ -198,9 +198,22 @@ def test_what_is_not_there_is_one_line(
     assert says in capsys.readouterr().err
 
 
-def test_a_trend_needs_three_dates() -> None:
+def test_like_is_compared_with_like(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A calibration's first pass is the uncorrected machine: no part of how the corrected one ages."""
+    for number in range(3):
+        measured(place / f"verify-{number}", 4.0)
+    measured(place / "calibrate-1", 40.0, name="measure")
+    assert main(["records", "history", ".", "--figure", "E", "--json", "h.json"]) == 0
+    assert "passes named verify; there are others (--pass): measure" in capsys.readouterr().out
+    assert len(json.loads(Path("h.json").read_text())["moments"]) == 3
+    argv = ["records", "history", ".", "--figure", "E", "--pass", "measure", "--pass", "verify", "--json", "h.json"]
+    assert main(argv) == 0
+    assert len(json.loads(Path("h.json").read_text())["moments"]) == 4
+
+
+def test_a_trend_needs_three_dates_over_a_day() -> None:
     assert trend(np.array([1.0, 2.0]), np.array([1.0, 2.0])) is None
-    assert trend(np.array([1.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0])) is None
+    assert trend(np.array([1.0, 1.1, 1.2]), np.array([1.0, 2.0, 3.0])) is None
     line = trend(np.array([0.0, 30.0, 60.0, 90.0]), np.array([1.0, 2.0, np.nan, 4.0]))
     assert line is not None
     assert (line.slope_um, line.std_um) == (pytest.approx(1.0), pytest.approx(0.0, abs=1e-9))
