@@ -28,10 +28,13 @@ from hil.files import held
 from hil.params.journal import Journal
 from hil.wiring import bench_parameters
 from sim_backends.bench import Bench
-from sim_backends.canopen_in_turn import drives_in_turn
+from sim_backends.canopen_drive import attach_to_wire
+from sim_backends.canopen_wire import SimWire
 
 Bus = tuple[str, str]
 """python-can's interface and channel."""
+
+_BOOT_S = 0.01  # of the bench's drive
 
 
 @dataclass
@@ -98,11 +101,12 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
         return _modbus(axis, lines.modbus[endpoint])
     if axis.drive.backend == "bench" and axis.drive.face == "canopen":
         bench = stack.enter_context(Bench(bench_parameters(axis)))
-        channel = f"bench-{uuid.uuid4().hex}"
-        bus = stack.enter_context(drives_in_turn(bench.clock, channel))
-        bus.add(bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
-        lines.can["virtual", channel] = CanLine(stack.enter_context(CanLink(bus.master(), bench.clock)))
-        return _canopen(axis, ("virtual", channel), lines, stack)
+        wire = SimWire(bench.clock, axis.drive.bitrate)  # waiting for an answer lets the bench's time pass
+        attach_to_wire(wire, bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
+        bus = ("bench", axis.name)
+        lines.can[bus] = CanLine(stack.enter_context(CanLink(wire.port(), bench.clock)))
+        bench.clock.sleep_s(_BOOT_S)
+        return _canopen(axis, bus, lines, stack)
     raise CapabilityError(
         f"axis {axis.name}: its drive ({axis.drive.backend}) has no parameters that could be written as a set"
     )

@@ -94,7 +94,8 @@ class CanLine(Line):
         def ended() -> bool:
             return any(running.finished for running in waiting)
 
-        left_ns = min(turn.until_ns for turn in turns.values()) - self.link.clock.now_ns()
+        first_ns = min(turn.until_ns for turn in turns.values())
+        left_ns = first_ns - self.link.clock.now_ns()
         try:
             if left_ns <= 0:
                 self.link.poll()  # somebody kept us, and answers may lie there
@@ -104,7 +105,7 @@ class CanLine(Line):
             for running in waiting:
                 self._fail(running, error)
             return
-        now_ns = self.link.clock.now_ns()
+        now_ns = max(first_ns, self.link.clock.now_ns())  # it was waited for, even where the clock is not the bus's own
         for turn in turns.values():
             if now_ns < turn.until_ns:
                 continue
