@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from drivers.canopen.eds import EdsEntry
+from drivers.canopen.objects import DataType, Entry
+from drivers.canopen.parameters import why_not_written
 from drivers.canopen.table_map import load_table_map, shipped_tables
 from drivers.correction_table import Directions, Nodes, Quantity, RawTable
 from drivers.errors import InputError
@@ -106,3 +109,11 @@ def test_contents_that_cannot_be_held(raw: RawTable, words: str) -> None:
 def test_positions_ascend() -> None:
     with pytest.raises(InputError, match="positions do not ascend"):
         load_table_map("simulated_domain").description.check(RawTable((1, 2), (1, 2), (5, 5)))
+
+
+def test_its_objects_are_no_parameters_of_their_own() -> None:
+    entry = EdsEntry(Entry(0x2310, 0, DataType.U8, "pitch table active"), "rw", None, None, None, None, False)
+    assert why_not_written(entry) is None
+    refusal = why_not_written(entry, load_table_map("simulated_array"))
+    assert refusal is not None
+    assert "hil params table" in refusal
