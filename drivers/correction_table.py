@@ -78,7 +78,7 @@ class TableDescription:
 
     points: the most it holds. sign: 1 where a positive value is added to what the drive is told, -1 where it is subtracted.
     step: of equidistant nodes; backlash: the amount of Directions.BACKLASH. wears: each change goes into a memory that bears only so
-    many writes. shows_applied: the drive tells what it adds at present. switched_off_to_write: it takes a table only without power.
+    many writes. shows_applied: the drive tells what it adds at present.
     """
 
     name: str

@@ -7,17 +7,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from drivers.correction_table import TableDescription
 from drivers.errors import CapabilityError
-from hil.axis import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
+from hil.axis import AxisConfig, iso_targets, load_axis, load_drive_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, seed
 from hil.cli.output import number, print_facts, print_table, write_json
+from hil.cli.params_table_output import description_facts, found_facts, made_facts, made_form, print_proof, proof_form
 from hil.cli.progress import terminal_progress
 from hil.compensation import Compensation
-from hil.drive_tables import DEVIATION_UM, DriveCurve, DriveTable, drive_table, largest_deviation_um, wanted_of
+from hil.drive_tables import DEVIATION_UM, DriveCurve, drive_table, largest_deviation_um, wanted_of
 from hil.journal import Campaign
 from hil.procedures.bare_axis import BareAxis
-from hil.procedures.drive_table import Snapshot, TableChange, changing, held_table, snapshot
+from hil.procedures.drive_table import TableChange, changing, held_table, snapshot
 from hil.procedures.events import Listener
 from hil.procedures.prove_drive_table import TOLERANCE_UM, Proof, Way, prove_by_drive, prove_by_instrument
 from hil.store import compensation_in_force
@@ -127,7 +127,7 @@ def _show(args: argparse.Namespace) -> int:
         curve = DriveCurve(table.description, found.raw, drive.scaling)
     nodes = curve.nodes_mm
     plus, minus = curve.correction_um(nodes, 1), curve.correction_um(nodes, -1)
-    print_facts({**_description_facts(table.description), **_found_facts(found)})
+    print_facts({**description_facts(table.description), **found_facts(found)})
     if (axis.store.directory / NOTE).exists():
         print(f"a change of it was broken off; what was there before is in {axis.store.directory / NOTE}")
     rows = [[number(p, 4), number(u, 2), number(d, 2)] for p, u, d in zip(nodes, plus, minus, strict=True)]
@@ -140,22 +140,6 @@ def _show(args: argparse.Namespace) -> int:
     return 0
 
 
-def _description_facts(found: TableDescription) -> dict[str, str]:
-    between = {"linear": "straight between nodes", "step": "the value of the node before"}[found.interpolation.value]
-    return {
-        "table": f"{found.name}, {found.points} points at most",
-        "nodes": f"{found.nodes.value}, {between}, outside: {found.outside.value}",
-        "directions": found.directions.value,
-        "positions in": f"{found.position.scale:g} {found.position.unit}",
-        "values in": f"{found.value.scale:g} {found.value.unit}, {'added' if found.sign > 0 else 'subtracted'}",
-        "memory": "wears with every write" if found.wears else "working memory, gone without power unless stored",
-    }
-
-
-def _found_facts(found: Snapshot) -> dict[str, str]:
-    return {"holds": f"{len(found.raw.plus)} points", "corrects by it": "yes" if found.enabled else "no"}
-
-
 # -- download ------------------------------------------------------------------------------------------------------------
 def _download(args: argparse.Namespace) -> int:
     axis = load_axis(args.axis)
@@ -164,7 +148,7 @@ def _download(args: argparse.Namespace) -> int:
         raise CapabilityError(f"axis {axis.name}: no map describes a correction table of its drive (correction_table)")
     compensation, wanted = _stored(args, axis)
     made = drive_table(wanted, description, axis.scaling, axis.limits, deviation_um=args.deviation_um)
-    facts = {**_description_facts(description), **_made_facts(made)}
+    facts = {**description_facts(description), **made_facts(made)}
     if args.dry_run:
         print_facts(facts)
         print(f"axis {axis.name}: would write {len(made.raw.plus)} points to the drive and read them back")
@@ -186,10 +170,10 @@ def _download(args: argparse.Namespace) -> int:
                         proof = _by_drive(args, axis, moving, wanted, listener)
                 _settle(change, proof)
     print_facts({**facts, "written and read back in": f"{change.seconds * 1000:.0f} ms"})
-    _print_proof(proof)
+    print_proof(proof)
     print("put back as it was found" if change.undone else "the drive corrects by it now; the bridge must not")
     if args.json:
-        write_json(args.json, {**_form(axis, proof), **_made_form(made), "seconds": change.seconds})
+        write_json(args.json, {**proof_form(axis.name, proof), **made_form(made), "seconds": change.seconds})
     return 0 if proof is None or proof.good else 1
 
 
@@ -205,23 +189,6 @@ def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, D
     compensation = open_store(args, axis, writing=False).load()
     wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
     return (Compensation(compensation.tables) if args.tables_only else compensation), wanted
-
-
-def _made_facts(made: DriveTable) -> dict[str, str]:
-    return {
-        "points": str(len(made.raw.plus)),
-        "largest correction": f"{made.largest_um:.2f} µm",
-        "off the stored tables by": f"{made.deviation_um:.3f} µm at most, {made.rounding_um:.3f} µm of it by rounding",
-    }
-
-
-def _made_form(made: DriveTable) -> dict[str, Any]:
-    return {
-        "points": len(made.raw.plus),
-        "deviation_um": made.deviation_um,
-        "rounding_um": made.rounding_um,
-        "largest_um": made.largest_um,
-    }
 
 
 # -- prove ---------------------------------------------------------------------------------------------------------------
@@ -241,9 +208,9 @@ def _prove(args: argparse.Namespace) -> int:
                 held = _held(drive, wanted, axis)
                 proof = _by_drive(args, axis, moving, wanted, listener)
     print(f"by its numbers the drive's table is {held:.3f} µm off the stored ones at most")
-    _print_proof(proof)
+    print_proof(proof)
     if args.json:
-        write_json(args.json, {**_form(axis, proof), "deviation_um": held})
+        write_json(args.json, {**proof_form(axis.name, proof), "deviation_um": held})
     return 0 if proof.good else 1
 
 
@@ -279,35 +246,6 @@ def _by_drive(
     return prove_by_drive(moving, wanted, _targets(args, axis), way, listener, tolerance_um=args.tolerance_um)
 
 
-def _print_proof(proof: Proof | None) -> None:
-    if proof is None:
-        print("not proven: nobody asked for it (--prove-by)")
-        return
-    cells = {(place.target_mm, place.direction): place.difference_um for place in proof.places}
-    rows = [
-        [number(target, 3), number(cells[target, 1], 3), number(cells[target, -1], 3)]
-        for target in dict.fromkeys(place.target_mm for place in proof.places if place.direction > 0)
-    ]
-    print_table(["position, mm", "drive − bridge going +, µm", "going −, µm"], rows)
-    print(f"{'measured' if proof.measured else 'by the drive’s own word'}: {proof.verdict}")
-
-
-def _form(axis: DriveAxis, proof: Proof | None) -> dict[str, Any]:
-    form: dict[str, Any] = {"axis": axis.name, "good": proof is None or proof.good, "proof": None}
-    if proof is not None:
-        form["proof"] = {
-            "measured": proof.measured,
-            "verdict": proof.verdict,
-            "mean_um": proof.mean_um,
-            "worst_um": proof.worst.difference_um,
-            "u95_um": proof.u95_um,
-            "tolerance_um": proof.tolerance_um,
-            "share": proof.share,
-            "places": [vars(place) for place in proof.places],
-        }
-    return form
-
-
 def _print_plan(args: argparse.Namespace, axis: AxisConfig) -> None:
     if args.prove_by == "nothing":
         print("would move nothing")
@@ -336,7 +274,7 @@ def _remove(args: argparse.Namespace) -> int:
         else:
             change.write(type(change.found.raw)())
         found = snapshot(change.table)
-    print_facts(_found_facts(found))
+    print_facts(found_facts(found))
     if args.json:
         write_json(args.json, {"axis": axis.name, "enabled": found.enabled, "points": len(found.raw.plus)})
     return 0
