@@ -16,7 +16,7 @@ from hil.params.compare import compare
 from hil.params.defaults import load_defaults
 from hil.params.download import Target, download
 from hil.params.journal import Journal
-from hil.params.recover import set_before
+from hil.params.recover import Unfinished, recover, set_before
 from hil.params.report import Ending, JobReport, Verdict
 from hil.params.set_file import ParameterSet, SetEntry
 from hil.params.snapshot import back_up
@@ -199,6 +199,21 @@ def test_several_drives_all_or_none(make: Make) -> None:
     assert [report.ending for report in reports] == [Ending.PUT_BACK] * 3
     assert "because of X4" in reports[0].notes
     assert [rig.values(KEYS, node) for node in range(3)] == [before] * 3
+
+
+def test_a_cable_pulled_at_one_of_three_drives(make: Make) -> None:
+    """The others do not wait for it longer than for an answer, are put back, and say because of whom."""
+    fault = CanFault(K.NODE_DEAD, at_s=0.0285, duration_s=20.0)
+    rig = make(nodes=(3, 4, 5), faults=(fault,), only=4, bitrate=1_000_000)
+    before = rig.values(KEYS)
+    reports = run(rig, NEW, store=True)
+    assert [report.ending for report in reports] == [Ending.PUT_BACK, Ending.UNFINISHED, Ending.PUT_BACK]
+    assert reports[0].notes == ("because of X4",)
+    assert [rig.values(KEYS, node) for node in (0, 2)] == [before] * 2
+    assert rig.values(KEYS, 1) not in (before, VALUES)
+    rig.bench.clock.sleep_s(30.0)
+    assert recover([Unfinished(*both) for both in zip(rig.drives, rig.journals, strict=True)], forward=False)[0].good
+    assert rig.values(KEYS, 1) == before
 
 
 def _refuse(_value: int) -> None:

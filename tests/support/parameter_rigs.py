@@ -60,7 +60,7 @@ def maker_set(count: int, *, seed: int = 1) -> ParameterSet:
 
 
 class ParameterRig:
-    """Drives on one simulated wire, reached by their parameters. Give flash and journal to the next life."""
+    """Drives on one simulated wire, reached by their parameters. only: the node that the faults are of."""
 
     def __init__(
         self,
@@ -71,12 +71,19 @@ class ParameterRig:
         bitrate: int | None = 1_000_000,
         turnaround_s: float = 0.0,
         faults: Sequence[CanFault] = (),
+        only: int | None = None,
         flash: Flash | None = None,
         timeout_s: float = 0.05,
         file: EdsFile | None = None,
     ) -> None:
         slow = (CanFault(CanFaultKind.SDO_LATE, size=turnaround_s),) if turnaround_s else ()
-        self.bench = CanBench(nodes, bitrate, dict.fromkeys(nodes, (*slow, *faults)), flash=flash, eds=eds)
+        self.bench = CanBench(
+            nodes,
+            bitrate,
+            {node: (*slow, *(faults if only in (None, node) else ())) for node in nodes},
+            flash=flash,
+            eds=eds,
+        )
         self.stack = ExitStack()
         self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
         self.line = CanLine(self.link)
