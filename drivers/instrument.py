@@ -50,13 +50,17 @@ class Reading:
 
 @dataclass(frozen=True)
 class Environment:
-    """The latest of every environment channel; None is 'never heard', a place is what the axis file calls it."""
+    """The latest of every environment channel; None is 'never heard', a place is what the axis file calls it.
+
+    beside: what else the instrument measures with the position, such as the table's angles, by the name of its record column
+    """
 
     time_ns: int
     air_temp_c: float | None = None
     air_pressure_hpa: float | None = None
     air_humidity_percent: float | None = None
     place_temps_c: dict[str, float] = field(default_factory=dict)
+    beside: dict[str, float] = field(default_factory=dict)
 
 
 class DistanceInstrument(ABC):

@@ -25,13 +25,16 @@ INSTRUMENT = ("status", "laser_mm", "rate_hz", "air_temp_c", "air_pressure_hpa",
 
 
 class MachineRecorder:
-    """The file. places: of the instrument's thermometers, a column temp_<place>_c each. Raises InputError for a file that is there."""
+    """The file. places: of the instrument's thermometers, a column temp_<place>_c each; beside: columns of what else it measures.
 
-    def __init__(self, path: Path, clock: Clock, places: Sequence[str] = ()) -> None:
+    Raises InputError for a file that is there.
+    """
+
+    def __init__(self, path: Path, clock: Clock, places: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
         self._clock = clock
         self._start_ns = clock.now_ns()
         self._places = tuple(places)
-        self._names = (*ORDER, *DRIVE, *INSTRUMENT, *(f"temp_{place}_c" for place in places))
+        self._names = (*ORDER, *DRIVE, *INSTRUMENT, *(f"temp_{place}_c" for place in places), *beside)
         self._order = 0
         self._sample: DriveSample | None = None
         try:
@@ -66,6 +69,7 @@ class MachineRecorder:
             "air_humidity_percent": environment.air_humidity_percent,
         }
         air |= {f"temp_{place}_c": environment.place_temps_c.get(place) for place in self._places}
+        air |= environment.beside
         if not readings:
             self._write({"kind": LOOK, **air})
         for reading in readings:

@@ -136,6 +136,9 @@ class ReplayedInstrument(DistanceInstrument):
     def __init__(self, replay: MachineReplay) -> None:
         self._replay = replay
         self._next = 0
+        known = {*ORDER, *DRIVE, *INSTRUMENT}
+        self._temps = [name for name in replay.columns if name.startswith("temp_") and name.endswith("_c")]
+        self._beside = [name for name in replay.columns if name not in known and name not in self._temps]
 
     def open(self) -> None:
         self._next = 0
@@ -164,14 +167,14 @@ class ReplayedInstrument(DistanceInstrument):
         return value if isfinite(value) else None
 
     def environment(self) -> Environment:
-        names = [name for name in self._replay.columns if name.startswith("temp_") and name.endswith("_c")]
-        places = {name[5:-2]: value for name in names if (value := self._latest(name)) is not None}
+        places = {name[5:-2]: value for name in self._temps if (value := self._latest(name)) is not None}
         return Environment(
             self._replay.clock.now_ns(),
             self._latest("air_temp_c"),
             self._latest("air_pressure_hpa"),
             self._latest("air_humidity_percent"),
             places,
+            {name: value for name in self._beside if (value := self._latest(name)) is not None},
         )
 
     @property

@@ -64,7 +64,8 @@ class InstrumentConfig:
     resume_within_s: after a lost signal the axis, stopped, waits so long for it and goes on by itself; None: the job ends.
     Of umd: wavelength_fraction, the optics, one count is λ/2, λ/4 or λ/8; place_temps, place -> temperature channel;
     air_temp_channel None, the air's temperature is fixed_air's; axis, 1 to 3 of a display with several; air_equation, ciddor, None
-    for the modified Edlén equation. alignment: how the beam was found to lie; material: lengths are brought to 20 °C by it.
+    for the modified Edlén equation; beside, record column -> axis and what one unit of it is. alignment: how the beam was found to
+    lie; material: lengths are brought to 20 °C by it.
     """
 
     kind: str
@@ -84,6 +85,7 @@ class InstrumentConfig:
     air_temp_channel: int | None = None
     fixed_air: FixedAirConfig = FixedAirConfig()
     air_equation: str | None = None
+    beside: dict[str, tuple[int, float]] | None = None
     alignment: Alignment | None = None
     material: Material | None = None
 
@@ -122,6 +124,7 @@ def _umd(table: Table, common: dict[str, Any]) -> InstrumentConfig:
         dead_path_mm=table.take("dead_path_mm", reader.between(-10_000.0, 10_000.0), "mm, -10000 to 10000", 0.0),
         air_temp_channel=air_channel or None,
         air_equation=table.take("air_equation", _air_equation, "edlen or ciddor", None),
+        beside=table.take("beside", _beside, "a table of column = { axis = 1 to 3, per_unit = a number }", None),
         alignment=_alignment(table),
         material=_material(table),
     )
@@ -192,6 +195,17 @@ def _air_equation(value: Any) -> str | None:
     return None if chosen == "edlen" else chosen
 
 
+def _beside(value: Any) -> dict[str, tuple[int, float]]:
+    if not isinstance(value, dict):
+        raise TypeError
+    found = {}
+    for column, optics in value.items():
+        if set(optics) != {"axis", "per_unit"}:
+            raise ValueError
+        found[reader.name(column)] = (reader.choice(1, 2, 3)(optics["axis"]), reader.finite(optics["per_unit"]))
+    return found
+
+
 def _alignment(table: Table) -> Alignment | None:
     if "alignment" not in table.keys_left():
         return None
@@ -233,10 +247,13 @@ def _channels(value: Any) -> dict[str, int]:
 
 
 def _check_thermometers(table: Table, config: InstrumentConfig) -> None:
-    """One thermometer is in one place; air that is compensated must have a temperature from somewhere."""
+    """One thermometer is in one place, one axis has one optics; air that is compensated must have a temperature from somewhere."""
     for place, channel in config.place_temps.items():
         if channel == config.air_temp_channel:
             raise table.fail("place_temps", f"gives {place} channel {channel}, which is the air's (air_temp_channel)")
+    axes = [config.axis, *(axis for axis, _ in (config.beside or {}).values())]
+    if len(set(axes)) != len(axes):
+        raise table.fail("beside", f"gives an axis twice, or the position's own, {config.axis}")
     if config.material is not None and config.material.place not in ("air", *config.place_temps):
         raise table.fail(
             "material", f"is by the temperature of {config.material.place}, expected a place of place_temps"

@@ -20,8 +20,8 @@ def recorded(machine: Machine, path: Path) -> Iterator[None]:
     """Inside the block, drive and instrument of a connected machine are recorded. Raises InputError for a file that is there."""
     session = machine.session
     drive, instrument = session.drive, session.instrument
-    places = tuple(machine.axis.instrument.place_temps)
-    with MachineRecorder(path, machine.clock, places) as recorder:
+    config = machine.axis.instrument
+    with MachineRecorder(path, machine.clock, tuple(config.place_temps), tuple(config.beside or ())) as recorder:
         session.drive = RecordedDrive(drive, recorder)
         session.instrument = RecordedInstrument(instrument, recorder)
         session.drive.sample()

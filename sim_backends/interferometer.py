@@ -21,7 +21,8 @@ class LaserParameters:
     zero_mm: where on the axis the count is zero (true position, beam aligned); dead_path_mm: air between optics and that place;
     misalignment_mrad: angle between beam and axis; wavelength_error_ppm: of the true vacuum wavelength;
     noise_um: white, per sample; drift_um: wander of the beam or mount over hours, 1/f; drift_um_per_h: steady part;
-    subdivision_nm: periodic error of the interpolation; reference_hz: frequency difference of the two-frequency head.
+    subdivision_nm: periodic error of the interpolation; reference_hz: frequency difference of the two-frequency head;
+    angle_urad_per_unit: angle optics on axes 2 (pitch) and 3 (yaw), one unit of them; None: not fitted, lines of 8 numbers.
     """
 
     rate_hz: float = 50.0
@@ -37,6 +38,7 @@ class LaserParameters:
     drift_um_per_h: float = 0.0
     subdivision_nm: float = 0.0
     reference_hz: float = 2.0e6
+    angle_urad_per_unit: float | None = None
     sensors_fitted: bool = True
     material_place: str = "screw"
     seed: int = 11

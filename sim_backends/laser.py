@@ -58,6 +58,7 @@ class SimulatedLaser:
         self._taken = 0
         self._sequence = 0
         self._displacement = 0
+        self._angle_counts = [0, 0]
         self._runaway = 0  # counts gained or lost while the beam was away
         self._next_ns = self._due_ns(1)
 
@@ -129,6 +130,8 @@ class SimulatedLaser:
             code,
             data,
         )
+        if p.angle_urad_per_unit is not None:
+            text += self._angles(p.angle_urad_per_unit, reference, lost=line.head or line.beam)
         if line.half:
             text = text[: len(text) * 2 // 3]
         text += line.line_end
@@ -136,6 +139,17 @@ class SimulatedLaser:
             text += self._garbage.randbytes(line.garbage)
         if not line.silent:
             self._wire.put(text)
+
+    def _angles(self, urad_per_unit: float, reference: int, *, lost: bool) -> bytes:
+        """Axes 2 and 3: what the table's pitch and yaw make of their optics."""
+        text = b""
+        for index, urad in enumerate((self._axis.pitch_urad, self._axis.yaw_urad)):
+            units = urad / urad_per_unit
+            nearest = round(units)
+            change, self._angle_counts[index] = nearest - self._angle_counts[index], nearest
+            phase = round((units - nearest) * 256.0) & 0x1FF
+            text += b" %d %d %d %d" % (0 if lost else max(0, reference + change), nearest, change, phase)
+        return text
 
     def _line_faults(self, time_s: float) -> _Line:
         line = _Line()

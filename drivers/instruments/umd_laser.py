@@ -44,12 +44,21 @@ class FixedAir:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """Angle or straightness optics on another axis of the display, 1 to 3. per_unit: of its quantity for one unit, signed."""
+
+    axis: int
+    per_unit: float
+
+
+@dataclass(frozen=True)
 class UmdSettings:
     """How the instrument is set up.
 
     direction: +1 or −1, load motion for rising counts; phase_sign: +1 adds the phase's fraction, −1 subtracts it (firmware differs);
     axis: 1 to 3; places: name of a material thermometer -> slow code (3 or 4); dead_path_mm: length of air between the fixed optics
-    and the zero, compensated from the first reading on; compensate_air False gives vacuum wavelengths.
+    and the zero, compensated from the first reading on; compensate_air False gives vacuum wavelengths; beside: record column -> optics
+    on another axis.
     """
 
     optics: Optics = Optics.LINEAR
@@ -64,6 +73,7 @@ class UmdSettings:
     dead_path_mm: float = 0.0
     latch_loss: bool = True
     air_equation: AirEquation = refractive_index
+    beside: Mapping[str, Beside] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -75,6 +85,11 @@ class UmdSettings:
                 raise InputError(f"µMD {name} is {value}, expected one of {', '.join(map(str, allowed))}")
         if not 100.0 < self.vacuum_wavelength_nm < 2000.0:
             raise InputError(f"µMD vacuum_wavelength_nm is {self.vacuum_wavelength_nm:g}, expected 100 to 2000")
+        for column, optics in self.beside.items():
+            if optics.axis not in (1, 2, 3) or optics.axis == self.axis:
+                raise InputError(
+                    f"µMD axis of {column} is {optics.axis}, expected another of 1, 2, 3 than the position's"
+                )
         thermometers = (SlowCode.TEMPERATURE_1, SlowCode.TEMPERATURE_2)
         for place, code in self.places.items():
             if code not in thermometers:
@@ -106,6 +121,7 @@ class UmdLaser(DistanceInstrument):
         self._looked_ns = clock.now_ns()
         self._slow: dict[int, float] = {}
         self._slow_ns = 0
+        self._beside: dict[str, float] = {}
         self._sequence: int | None = None
         self._latched: ReadingStatus | None = None
         self._unit_mm: float | None = None
@@ -161,6 +177,8 @@ class UmdLaser(DistanceInstrument):
             restarted = between is None
             lost = between or 0
         self._sequence = sample.sequence
+        if self.settings.beside:
+            self._hear_beside(sample)
         axis = sample.axis(self.settings.axis)
         status = ReadingStatus.HEAD_ERROR if axis is None else _STATUS[axis.state]
         if restarted and status is ReadingStatus.GOOD:
@@ -197,6 +215,16 @@ class UmdLaser(DistanceInstrument):
         self._slow_ns = now_ns
         if code != SlowCode.SAMPLE_RATE:
             self._update_unit()
+
+    def _hear_beside(self, sample: UmdSample) -> None:
+        """A channel without a good signal has no value."""
+        for column, optics in self.settings.beside.items():
+            axis = sample.axis(optics.axis)
+            if axis is None or axis.state is not SampleState.GOOD:
+                self._beside.pop(column, None)
+            else:
+                phase = axis.units - axis.displacement
+                self._beside[column] = optics.per_unit * (axis.displacement + self.settings.phase_sign * phase)
 
     def _air(self) -> tuple[float | None, float | None, float | None]:
         fixed, slow, code = self.settings.fixed_air, self._slow, self.settings.air_temp_code
@@ -246,6 +274,7 @@ class UmdLaser(DistanceInstrument):
             air_pressure_hpa=pressure_hpa,
             air_humidity_percent=humidity,
             place_temps_c={p: self._slow[code] for p, code in self.settings.places.items() if code in self._slow},
+            beside=dict(self._beside),
         )
 
     @property

@@ -381,6 +381,7 @@ class AxisSession:
                 known[name] = value
         for place, value in environment.place_temps_c.items():
             known[f"temp_{place}_c"] = value
+        known.update(environment.beside)
         known.update(self.conditions.read())
         return known
 

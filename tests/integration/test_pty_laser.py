@@ -12,7 +12,7 @@ from drivers.clock import WallClock
 from drivers.errors import LinkLostError
 from drivers.instrument import Reading, ReadingStatus
 from drivers.instruments.serial_link import SerialLink
-from drivers.instruments.umd_laser import UmdLaser, UmdSettings
+from drivers.instruments.umd_laser import Beside, UmdLaser, UmdSettings
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.laser import LaserParameters
@@ -91,6 +91,25 @@ def test_environment_arrives_with_its_scales(rig: Rig) -> None:
     assert environment.air_humidity_percent == pytest.approx(ambient.humidity_percent, abs=3.0)
     assert environment.place_temps_c["screw"] == pytest.approx(thermal.state.screw_c, abs=0.1)
     assert rig.laser.sample_rate_hz == 50.0
+
+
+@pytest.mark.parametrize("rig", [BenchParameters(laser=LaserParameters(angle_urad_per_unit=0.5))], indirect=True)
+def test_angle_optics_show_the_tables_pitch_and_yaw(rig: Rig) -> None:
+    beside = {"pitch_urad": Beside(2, 0.5), "yaw_urad": Beside(3, 0.5)}
+    rig.laser = UmdLaser(SerialLink(rig.bench.laser_path), rig.bench.clock, replace(SETTINGS, beside=beside))
+    rig.laser.open()
+    rig.bench.switch_on("abbe", 10.0)
+    rig.drive.enable()
+    seen = []
+    for target in (20.0, 250.0, 480.0):
+        rig.go(target)
+        rig.measure()
+        plant, found = rig.bench.plant, rig.laser.environment().beside
+        noise = plant.parameters.sensors.angle_urad
+        assert found["pitch_urad"] == pytest.approx(plant.pitch_urad, abs=6 * noise + 0.01)
+        assert found["yaw_urad"] == pytest.approx(plant.yaw_urad, abs=6 * noise + 0.01)
+        seen.append(found["pitch_urad"])
+    assert max(seen) - min(seen) > 1.0
 
 
 def test_two_benches_of_one_seed_send_the_same() -> None:

@@ -4,13 +4,15 @@ from pathlib import Path
 
 import pytest
 from support.bench_axis import lay_out
+from support.toy_axis import ToyMachine, toy_session
 
 from drivers.errors import InputError
+from drivers.instrument import Environment
 from drivers.instruments.ascii_values import AsciiDecoder
 from drivers.instruments.gauge import Gauge
 from drivers.instruments.nd2xx import ASK_COUNT
 from drivers.instruments.replay import ReplayInstrument
-from drivers.instruments.umd_laser import UmdLaser
+from drivers.instruments.umd_laser import Beside, UmdLaser
 from hil.axis import AxisConfig, load_axis
 from hil.axis_instrument import KINDS
 from hil.cli.instrument_identity import instrument_identity
@@ -49,6 +51,16 @@ def test_each_kind_is_read_made_and_named(tmp_path: Path, kind: str) -> None:
     assert "resume_within_s" not in purpose, "how long one waits does not decide what is measured"
 
 
+def test_optics_beside_the_position_reach_the_rows(tmp_path: Path) -> None:
+    axis = axis_with(tmp_path, "beside = { yaw_urad = { axis = 3, per_unit = -1.6 } }")
+    made = instrument(axis.instrument, "/dev/nothing", SimClock())
+    assert isinstance(made, UmdLaser)
+    assert made.settings.beside == {"yaw_urad": Beside(3, -1.6)}
+    session = toy_session(ToyMachine())
+    session.instrument.environment = lambda: Environment(0, beside={"yaw_urad": 4.5})  # type: ignore[method-assign]
+    assert session.known()["yaw_urad"] == 4.5
+
+
 def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
     display = axis_with(tmp_path / "a", SECTIONS["ascii"]).instrument.display
     assert display is not None
@@ -70,6 +82,12 @@ def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
         ('kind = "ascii"\nparity = "X"', "parity is X"),
         ('kind = "replay"', "lacks file"),
         ('kind = "replay"\nfile = "r.csv"\nport = "x"', "unknown key port"),
+        (
+            "beside = { pitch_urad = { axis = 1, per_unit = 3.2 } }",
+            "beside gives an axis twice, or the position's own, 1",
+        ),
+        ("beside = { pitch_urad = { axis = 2 } }", "beside is .*expected a table of column"),
+        ("beside = 3", "beside is 3"),
         ("resume_within_s = 0", "resume_within_s is 0"),
     ],
 )
