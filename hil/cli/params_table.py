@@ -15,6 +15,7 @@ from hil.cli.params_table_output import description_facts, found_facts, made_fac
 from hil.cli.progress import terminal_progress
 from hil.compensation import Compensation
 from hil.drive_tables import DEVIATION_UM, DriveCurve, drive_table, largest_deviation_um, wanted_of
+from hil.formats.common import tables_only
 from hil.journal import Campaign
 from hil.procedures.bare_axis import BareAxis
 from hil.procedures.drive_table import TableChange, changing, held_table, snapshot
@@ -186,9 +187,12 @@ def _settle(change: TableChange, proof: Proof | None) -> None:
 
 
 def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, DirectionalTable]:
+    """What the bridge corrects by, and what a drive's table would have to add in its place."""
     compensation = open_store(args, axis, writing=False).load()
     wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
-    return (Compensation(compensation.tables) if args.tables_only else compensation), wanted
+    return (
+        Compensation(tables_only(compensation, leave_out_effects=True)) if args.tables_only else compensation
+    ), wanted
 
 
 # -- prove ---------------------------------------------------------------------------------------------------------------

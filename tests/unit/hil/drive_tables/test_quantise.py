@@ -4,7 +4,7 @@ drive's own firmware makes of it."""
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from drivers.correction_table import Directions, Interpolation, Nodes, Outside, 
 from drivers.drive import DriveLimits
 from drivers.errors import InputError
 from drivers.scaling import AxisScaling
-from hil.compensation import Compensation
+from hil.compensation import Columns, Compensation
 from hil.drive_tables import DriveTable, drive_table, largest_deviation_um, wanted_of
 from hil.records import Floats
 from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
@@ -21,6 +21,18 @@ from sim_backends.own_table import OwnTable, TableForm
 
 LIMITS = DriveLimits(-2.0, 502.0, 200.0, 2000.0)
 COUNTS_PER_MM = 10_000
+
+
+@dataclass(frozen=True)
+class Lead:
+    """A term that reads these columns."""
+
+    needs: tuple[str, ...]
+
+    def error_um(self, columns: Columns) -> Floats:
+        return 0.01 * columns["target_mm"]
+
+
 I16, I32, U32 = (-32768, 32767), (-(2**31), 2**31 - 1), (0, 2**32 - 1)
 COUNTS = Quantity("counts", 1.0, *I32)
 TENTHS = Quantity("um", 0.05, *I16)
@@ -178,3 +190,13 @@ def test_an_empty_table_adds_nothing() -> None:
     empty = replace(found.curve, raw=type(found.raw)())
     assert float(np.max(np.abs(empty.correction_um(np.linspace(0.0, 500.0, 7), 1)))) == 0.0
     assert largest_deviation_um(empty, machine(), -2.0, 502.0) == pytest.approx(found.largest_um)
+
+
+def test_an_effect_that_no_table_holds_is_refused_or_left_out() -> None:
+    tables = TableSet(TableMode.BIDIRECTIONAL, machine())
+    assert float(wanted_of(Compensation(tables)).at(100.0, 1)) == pytest.approx(float(machine().at(100.0, 1)))
+    warm = Compensation(tables, (Lead(("temp_screw_c",)),))
+    with pytest.raises(InputError, match="holds Lead"):
+        wanted_of(warm)
+    left_out = wanted_of(warm, leave_out_effects=True)
+    assert float(left_out.at(100.0, -1)) == pytest.approx(float(machine().at(100.0, -1)))
