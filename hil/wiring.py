@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.canopen.table_cost import table_bits
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import Clock, WallClock
-from drivers.correction_table import TableDescription
+from drivers.correction_table import RawTable, TableDescription
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import CapabilityError, InputError
 from drivers.instrument import DistanceInstrument
@@ -137,6 +138,15 @@ def described_table(axis: DriveAxis) -> TableDescription | None:
         table = load_drive_map(config.register_map).table
         return None if table is None else table.description
     return load_table_map(config.correction_table).description if config.correction_table else None
+
+
+def predicted_table_s(axis: DriveAxis, table: RawTable) -> tuple[float, float] | None:
+    """How long writing a table and reading it back keeps a free CAN bus busy, at least and at most; None on another wire."""
+    config = axis.drive
+    if not config.correction_table or config.face == "virtual":
+        return None
+    bits = table_bits(load_table_map(config.correction_table), table)
+    return bits.least / config.bitrate, bits.most / config.bitrate
 
 
 @dataclass

@@ -23,7 +23,7 @@ from hil.procedures.events import Listener
 from hil.procedures.prove_drive_table import TOLERANCE_UM, Proof, Way, prove_by_drive, prove_by_instrument
 from hil.store import compensation_in_force
 from hil.tables import DirectionalTable
-from hil.wiring import Machine, connected, connected_drive, described_table
+from hil.wiring import Machine, connected, connected_drive, described_table, predicted_table_s
 
 NOTE = "drive-table-before.json"
 EXAMPLE = """\
@@ -153,6 +153,11 @@ def _download(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_facts(facts)
         print(f"axis {axis.name}: would write {len(made.raw.plus)} points to the drive and read them back")
+        busy = predicted_table_s(axis, made.raw)
+        if busy is not None:
+            print(
+                f"would keep a free bus busy for {busy[0] * 1000:.1f} to {busy[1] * 1000:.1f} ms, without the drive's own delays"
+            )
         _print_plan(args, axis)
         return 0
     say, note = _say, axis.store.directory / NOTE

@@ -16,12 +16,13 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.table_cost import table_bits
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft, CanBench
 from sim_backends.canopen_drive import EDS, served
-from sim_backends.own_table import error_domain
+from sim_backends.own_table import ARRAY, error_domain
 from sim_backends.servo import SimulatedServo
 
 NODE, DOMAIN = 7, 0x2321
@@ -56,6 +57,24 @@ def test_a_table_of_8_kb_by_block_transfer_at_1_mbit_s(record_property: pytest.R
         record_property(what, f"{rate:.1f} kB/s, {rate / LIMIT_KB_S:.2f} of the limit")
         assert 0.85 * LIMIT_KB_S <= rate <= 7e3 / 111, what  # never faster than frames without a stuff bit
     assert held.pack(wanted) == bench.slave.dictionary.raw((DOMAIN, 0))
+    bits = table_bits(held.map, wanted)
+    assert bits.least <= (read_ns - start_ns) / 1000 <= bits.most  # a µs each
+    assert bits.most < 1.3 * bits.least
+
+
+def test_what_an_array_takes_is_predicted_to_the_frame() -> None:
+    bench = CanBench(node_ids=(NODE,), bitrate=1_000_000, table=ARRAY)
+    with CanLink(bench.port(), bench.clock) as link:
+        sdo = SdoClient(link, NODE, "drive X")
+        held = CanOpenCorrectionTable("X", lambda: sdo, load_table_map("simulated_array"))
+        wanted = RawTable(tuple(range(30)), tuple(range(0, -30, -1)), (), -500, 1000)
+        bench.clock.sleep_s(0.001)  # the boot-up message is through
+        start_ns, frames = bench.clock.now_ns(), bench.wire.frames
+        held.write(wanted)
+        assert held.read() == wanted
+    bits = table_bits(held.map, wanted)
+    assert bits.least == (bench.wire.frames - frames) * (47 + 64)
+    assert bits.least <= (bench.clock.now_ns() - start_ns) / 1000 <= bits.most
 
 
 @pytest.fixture
