@@ -6,7 +6,7 @@ import logging
 import random
 import uuid
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import canopen
@@ -92,29 +92,37 @@ def _network(stack: ExitStack, channel: str) -> canopen.Network:
     return network
 
 
+@contextmanager
+def their_turn(channel: str) -> Iterator[canopen.RemoteNode]:
+    """Their master, on the bus while it is asked only: it takes answers to another master's requests for its own."""
+    with ExitStack() as stack:
+        yield _network(stack, channel).add_node(NODE, str(EDS))
+
+
 @pytest.mark.usefixtures("quiet_library")
 def test_their_master_reads_by_block_what_ours_wrote_and_ours_what_theirs_wrote() -> None:
     channel = uuid.uuid4().hex
     servo = SimulatedServo(BareShaft(), SMALL_SERVO)
     with ExitStack() as stack:
-        theirs = _network(stack, channel).add_node(NODE, str(EDS))
         form = error_domain(10.0)
         slave = stack.enter_context(served(servo, WallClock(), channel=channel, node_id=NODE, table=form))
         link = stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=channel))
         sdo = SdoClient(link, NODE, "drive X", timeout_s=5.0)
         held = CanOpenCorrectionTable("X", lambda: sdo, load_table_map("simulated_domain"))
         first, second = table(), table(300)
-        held.write(first)
-        with theirs.sdo.open(DOMAIN, 0, "rb", block_transfer=True) as stream:
-            assert stream.read() == held.pack(first)
         data = held.pack(second)
-        with theirs.sdo.open(DOMAIN, 0, "wb", size=len(data), block_transfer=True) as stream:
-            stream.write(data)
+        held.write(first)
+        with their_turn(channel) as theirs:
+            with theirs.sdo.open(DOMAIN, 0, "rb", block_transfer=True) as stream:
+                assert stream.read() == held.pack(first)
+            with theirs.sdo.open(DOMAIN, 0, "wb", size=len(data), block_transfer=True) as stream:
+                stream.write(data)
         assert held.read() == second
         held.switch(True)
-        assert theirs.sdo.upload(0x2320, 0) == b"\x01"
-        with pytest.raises(canopen.SdoAbortedError, match="0x08000022"):  # while it corrects by it
-            theirs.sdo.download(DOMAIN, 0, bytes(16))
+        with their_turn(channel) as theirs:
+            assert theirs.sdo.upload(0x2320, 0) == b"\x01"
+            with pytest.raises(canopen.SdoAbortedError, match="0x08000022"):  # while it corrects by it
+                theirs.sdo.download(DOMAIN, 0, bytes(16))
         assert slave.table is not None
         assert slave.table.table.enabled
 
