@@ -6,7 +6,7 @@ What may go in: enumeration and scoring of fixed columns. Refinement of the non-
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.evidence import Frame, Whitened, bayes_factor, evidence_of_random
 from hil.diagnosis.fit import Choice, grid_choices
-from hil.effects import Effect
+from hil.effects import Effect, Form
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.floating]
@@ -81,13 +81,17 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Candidates:
-    """choices: what each block is; effect: index of its effect in `effects`, shape (c,); forms: the blocks of each form."""
+    """choices: what each block is; effect: index of its effect in `effects`, shape (c,); forms: the blocks of each form.
+
+    refining: by effect, the forms that are not in the first search
+    """
 
     choices: tuple[Choice, ...]
     blocks: Blocks
     effects: tuple[str, ...]
     effect: Ints
     forms: tuple[Ints, ...]
+    refining: Mapping[str, tuple[Form, ...]]
     _stacks: dict[int, Stack] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -103,7 +107,7 @@ class Candidates:
                 local.add(first.effect.id)
         kept = [i for i, choice in enumerate(self.choices) if choice.effect.id in local]
         choices = tuple(self.choices[i] for i in kept)
-        return Candidates(choices, Blocks.of_choices(choices, campaign), self.effects, self.effect[kept], ())
+        return Candidates(choices, Blocks.of_choices(choices, campaign), self.effects, self.effect[kept], (), {})
 
     def stack(self, whitened: Whitened) -> Stack:
         """The candidates whitened, made once per whitening."""
@@ -119,15 +123,18 @@ def enumerate_candidates(campaign: Campaign, effects: Sequence[Effect]) -> Candi
     """Every effect in every form of the first search that the records allow, at every grid point."""
     choices: list[Choice] = []
     forms: list[Ints] = []
+    refining: dict[str, tuple[Form, ...]] = {}
     for effect in effects:
-        for form in effect.forms(campaign.survey):
+        known = effect.forms(campaign.survey)
+        refining[effect.id] = tuple(form for form in known if not form.scan)
+        for form in known:
             if form.scan:
                 grid = grid_choices(effect, form)
                 forms.append(np.arange(len(choices), len(choices) + len(grid)))
                 choices.extend(grid)
     names = tuple(dict.fromkeys(choice.effect.id for choice in choices))
     index = np.array([names.index(choice.effect.id) for choice in choices], dtype=np.int64)
-    return Candidates(tuple(choices), Blocks.of_choices(choices, campaign), names, index, tuple(forms))
+    return Candidates(tuple(choices), Blocks.of_choices(choices, campaign), names, index, tuple(forms), refining)
 
 
 class Stack:

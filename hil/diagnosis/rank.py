@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.diagnosis.candidates import score
-from hil.diagnosis.evidence import Noise
+from hil.diagnosis.evidence import Frame, Noise
 from hil.diagnosis.fit import Choice, grid_choices
 from hil.diagnosis.refine import Trials, refine, score_choices
 from hil.diagnosis.searcher import Searcher, View, with_point
-from hil.effects import Survey
+from hil.effects import Form
 
 SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))
 """Shares of the table's roughness (even, odd part) that may be left once a feature of one place stands beside it."""
@@ -127,30 +127,36 @@ def _penalty(choice: Choice, view: View, noise: Noise) -> float:
 def _enriched(view: View, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     """The first few again with their refining forms."""
     out = list(ranked)
-    effort, campaign = view.searcher.effort, view.searcher.bench.campaign
+    effort, refining = view.searcher.effort, view.searcher.candidates.refining
     for i, r in enumerate(ranked[: effort.rich]):
-        more = richer(r.choice, campaign.survey) if r.evidence > ranked[0].evidence - 60.0 else []
+        more = richer(r.choice, refining[r.effect]) if r.evidence > ranked[0].evidence - 60.0 else []
         if not more:
             continue
         frame = view.frame(r.noise)
-        gains, _ = score_choices(frame, more)
-        tops: dict[tuple[str, tuple[str, ...]], int] = {}
-        for j, choice in enumerate(more):
-            key = (choice.form.name, choice.form.inputs)
-            if key not in tops or gains[j] > gains[tops[key]]:
-                tops[key] = j
-        for choice, gain in refine(frame, [more[j] for j in tops.values()], effort.rounds):
+        for choice, gain in refine(frame, _best_of_each_form(frame, more), effort.rounds):
             value = view.base(r.noise) + gain - _penalty(choice, view, r.noise) - RICHER
             if value > out[i].evidence:
                 out[i] = Ranked(choice, value, r.noise)
     return tuple(sorted(out, key=lambda r: -r.evidence))
 
 
-def richer(choice: Choice, survey: Survey) -> list[Choice]:
-    """The refining forms of an effect that read the main column of the choice, at their grid points or at its parameters."""
+def _best_of_each_form(frame: Frame, choices: Sequence[Choice]) -> list[Choice]:
+    forms = [(choice.form.name, choice.form.inputs) for choice in choices]
+    if len(set(forms)) == len(forms):
+        return list(choices)
+    gains, _ = score_choices(frame, choices)
+    tops: dict[tuple[str, tuple[str, ...]], int] = {}
+    for j, form in enumerate(forms):
+        if form not in tops or gains[j] > gains[tops[form]]:
+            tops[form] = j
+    return [choices[j] for j in tops.values()]
+
+
+def richer(choice: Choice, forms: Sequence[Form]) -> list[Choice]:
+    """Those of the refining forms that read the main column of the choice, at their grid points or at its parameters."""
     out: list[Choice] = []
-    for form in choice.effect.forms(survey):
-        if form.scan or not set(choice.form.inputs) & set(form.inputs):
+    for form in forms:
+        if not set(choice.form.inputs) & set(form.inputs):
             continue
         if choice.form.inputs and form.inputs[0] != choice.form.inputs[0]:
             continue

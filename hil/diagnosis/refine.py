@@ -56,15 +56,13 @@ def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> lis
     steps = [[FIRST * step for step in choice.steps] for choice in choices]
     gains = np.full(len(best), -np.inf)
     open_ones = [i for i, step in enumerate(steps) if step]
-    first = True
-    for _ in range(rounds):
+    for turn in range(rounds):
         trials: list[Choice] = []
         owner: list[int] = []
-        for i in range(len(best)) if first else open_ones:
-            for theta in _around(best[i], steps[i]):
+        for i in range(len(best)) if turn == 0 else open_ones:
+            for theta in _around(best[i], steps[i], centre=turn == 0):
                 trials.append(replace(best[i], theta=theta))
                 owner.append(i)
-        first = False
         if not trials:
             break
         found, trials = score_choices(frame, trials)
@@ -75,7 +73,7 @@ def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> lis
             if not steps[i]:
                 best[i], gains[i] = trials[top], found[top]
                 continue
-            moved = trials[top].theta
+            moved = trials[top].theta if found[top] > gains[i] else best[i].theta
             edge = [
                 abs(a - b) > 0.99 * s
                 for a, b, s in zip(_inward(best[i], moved), _inward(best[i], best[i].theta), steps[i], strict=True)
@@ -86,17 +84,19 @@ def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> lis
     return [(choice, float(gain)) for choice, gain in zip(best, gains, strict=True)]
 
 
-def _around(choice: Choice, steps: Sequence[float]) -> list[tuple[float, ...]]:
-    """Trial parameters on a small grid around a choice, inside the bounds."""
+def _around(choice: Choice, steps: Sequence[float], *, centre: bool) -> list[tuple[float, ...]]:
+    """Trial parameters on a small grid around a choice, inside the bounds; its own among them where the centre is wanted."""
     if not steps:
         return [choice.theta]
-    centre = _inward(choice, choice.theta)
+    middle = _inward(choice, choice.theta)
     offsets = OFFSETS[min(len(steps), 2)]
     out: list[tuple[float, ...]] = []
     for shift in itertools.product(offsets, repeat=len(steps)):
+        if not centre and not any(shift):
+            continue
         theta = tuple(
             min(max(_outward(p, c + s * step), p.lower), p.upper)
-            for p, c, s, step in zip(choice.form.nonlinear, centre, shift, steps, strict=True)
+            for p, c, s, step in zip(choice.form.nonlinear, middle, shift, steps, strict=True)
         )
         if theta not in out:
             out.append(theta)

@@ -66,26 +66,22 @@ class Cyclic(Effect):
         )
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-        x = columns["target_mm"]
-        angle = 2 * np.pi * x / theta[0]
-        sine, cosine = np.sin(angle), np.cos(angle)
-        if form.name == FUNDAMENTAL:
-            return np.column_stack([sine, cosine])
-        if form.name == HARMONICS:
-            return np.column_stack([sine, cosine, np.sin(2 * angle), np.cos(2 * angle)])
-        if form.name == MODULATED:
-            u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-            return np.column_stack([sine, cosine, u * sine, u * cosine])
-        if form.name == PER_DIRECTION:
-            d = columns["direction"]
-            return np.column_stack([sine, cosine, d * sine, d * cosine])
-        raise KeyError(form.name)
+        return self.bases(form, [theta], columns)
 
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
-        if form.name != FUNDAMENTAL:
-            return super().bases(form, thetas, columns)
-        angle = 2 * np.pi * columns["target_mm"][:, None] / np.array(thetas)[:, 0]
-        return np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(len(angle), -1)
+        x = columns["target_mm"][:, None]
+        angle = 2 * np.pi * x / np.array(thetas)[:, 0]
+        waves = [np.sin(angle), np.cos(angle)]
+        if form.name == HARMONICS:
+            waves += [np.sin(2 * angle), np.cos(2 * angle)]
+        elif form.name == MODULATED:
+            u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
+            waves += [u * wave for wave in waves]
+        elif form.name == PER_DIRECTION:
+            waves += [columns["direction"][:, None] * wave for wave in waves]
+        elif form.name != FUNDAMENTAL:
+            raise KeyError(form.name)
+        return np.stack(waves, axis=2).reshape(len(angle), -1)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"period_mm": term.nonlinear(0), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}

@@ -1,6 +1,7 @@
 """Speed and memory of the diagnosis, printed with -s: one ordinary campaign, and one of 100 000 rows in a process of its own.
 
-What is wanted on a quiet machine: 1 s, 10 s and 500 MB. The bounds on time leave room for a busy one.
+What is wanted on a quiet machine: 1 s, 10 s and 500 MB. It computes in one thread, so that processor time is what it takes there;
+a busy machine makes that longer too, and the bounds leave room for it.
 """
 
 import subprocess
@@ -25,9 +26,9 @@ from hil.records import Records
 from study.truth_machines import Machine, Plan
 columns, _ = Machine(5, ("cyclic",), (2.0,)).campaign(0, Plan(runs={runs}, targets={targets}))
 records = Records.of(columns)
-start = time.perf_counter()
+start = time.process_time()
 found = diagnose(records)
-seconds = time.perf_counter() - start
+seconds = time.process_time() - start
 peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(len(records), seconds, peak_mb, *(finding.effect for finding in found.findings))
 """
@@ -43,13 +44,13 @@ def test_an_ordinary_campaign(effects: tuple[str, ...], record_property: Callabl
     best_s = min(_seconds(records) for _ in range(3))
     print(f"\n{len(records)} rows × {len(keep)} columns: {best_s:.2f} s")
     record_property("seconds", best_s)
-    assert best_s < 4.0
+    assert best_s < 2.5
 
 
 def _seconds(records: Records) -> float:
-    start = time.perf_counter()
+    start = time.process_time()
     diagnose(records)
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 @pytest.mark.parametrize(("runs", "targets"), [(8, 6250), (1250, 40)], ids=["long runs", "many runs"])
@@ -62,5 +63,5 @@ def test_a_hundred_thousand_rows(runs: int, targets: int, record_property: Calla
     record_property("peak_mb", float(peak_mb))
     assert rows == "100000"
     assert names == ["cyclic"]
-    assert float(seconds) < 40.0
+    assert float(seconds) < 20.0
     assert float(peak_mb) <= 500.0
