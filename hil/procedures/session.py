@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from drivers.clock import NS_PER_S
 from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
@@ -34,10 +32,9 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
 from hil.material import Material
+from hil.procedures.at_rest import average_at_rest
 from hil.procedures.conditions import Conditions, NoConditions
 from hil.procedures.one_correction import refuse_while_drive_corrects
-from hil.reading import Average, average, creep
-from hil.records import Floats
 
 SLICE_S = 0.05
 """How often drive and instrument are looked at while the axis moves."""
@@ -45,8 +42,6 @@ REST_SLICE_S = 0.2
 """The same while it stands still: soon enough to say what broke, within what instruments keep for a reader."""
 FIRST_READING_S = 2.0
 """How long an instrument may need from its opening to its first reading, as when its air sensors report in turn."""
-SETTLE_WITHIN_S = 10.0
-"""How long the load may take to come to rest where the axis file asks for it without a time of its own."""
 ARRIVED_WITHIN_MM = 0.1
 """Motor encoder against command at the end of a motion: above any position window, below any distance worth measuring over."""
 
@@ -365,7 +360,7 @@ class AxisSession:
 
     def raw_average(self) -> float:
         """Dwell, then the instrument's own position in mm, averaged over the reading time."""
-        return self._average().position_mm
+        return average_at_rest(self).position_mm
 
     # -- moving ------------------------------------------------------------------------------------------------------
     def known(self, velocity_mm_s: float = 0.0) -> dict[str, float]:
@@ -499,45 +494,6 @@ class AxisSession:
         """Dwell, then average the instrument over the reading time. Raises MeasurementLostError without readings."""
         if self._datum_mm is None:
             raise StateError("read_position() needs prepare() first: the instrument has no datum")
-        mean = self._average()
+        mean = average_at_rest(self)
         load_mm = self._in_load_frame(mean.position_mm, self._datum_mm)
         return PositionReading(load_mm, mean.std_um, mean.count, self.drive.sample(), mean.mean_std_um, mean.left_out)
-
-    def _average(self) -> Average:
-        """Of what was read after the axis arrived, stood for the dwell, and, where the axis file asks for it, came to rest."""
-        how = self.how
-        arrived_ns = self.clock.now_ns()
-        self.watch(how.dwell_s)
-        settle = self.clock.deadline(how.settle_within_s or SETTLE_WITHIN_S)
-        with self.stopping_on_error():
-            while True:
-                readings = self._fresh(arrived_ns)
-                self._require_enabled(self.look()[0], "holding the position while it was read")
-                if how.settle_um is None:
-                    return self._averaged(readings)
-                seen = creep(np.array([r.time_ns / NS_PER_S for r in readings]), _positions(readings))
-                if seen.within(how.settle_um):
-                    return self._averaged(readings)
-                if settle.expired:
-                    raise MotionTimeoutError(
-                        f"drive {self.drive.name}: the load still moves by {seen.change_um:.2f} ± {2 * seen.std_um:.2f} µm"
-                        f" in {how.reading_s:g} s, expected at most {how.settle_um:g} µm"
-                    )
-
-    def _fresh(self, arrived_ns: int) -> list[Reading]:
-        """Readings over the reading time, none of them from before the axis arrived."""
-        for _ in range(2):  # without a dwell the first look may bring nothing but what waited on the line
-            readings = [reading for reading in self.watch(self.how.reading_s) if reading.earliest_ns >= arrived_ns]
-            if readings:
-                return readings
-        raise MeasurementLostError(f"instrument {self.instrument.name}: no reading in {self.how.reading_s:g} s")
-
-    def _averaged(self, readings: Sequence[Reading]) -> Average:
-        try:
-            return average(_positions(readings))
-        except MeasurementLostError as error:
-            raise MeasurementLostError(f"instrument {self.instrument.name}: {error}") from error
-
-
-def _positions(readings: Sequence[Reading]) -> Floats:
-    return np.array([reading.position_mm for reading in readings], dtype=np.float64)
