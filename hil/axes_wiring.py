@@ -14,15 +14,14 @@ from drivers.canopen.bus import CanLink
 from drivers.clock import WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import InputError
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.axis import AxisConfig
 from hil.bench_conditions import BenchConditions
 from hil.files import held
 from hil.instruments import instrument, with_instrument
 from hil.wiring import (
-    BENCH_PATIENCE_S,
     Links,
     Machine,
+    bench_modbus,
     bench_parameters,
     bench_table,
     canopen_drive,
@@ -35,8 +34,6 @@ from hil.wiring import (
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
-from sim_backends.machine import modbus_face
-from sim_backends.modbus_drive import rtu_slave, tcp_server
 
 
 @contextmanager
@@ -116,16 +113,6 @@ def _bench_drives(
         links = Links({place: stack.enter_context(CanLink(bus.master(), clock))})
         nodes = [replace(axis, drive=replace(axis.drive, node_id=n)) for n, axis in enumerate(axes, start=1)]
         return [canopen_drive(axis, clock, place, stack, links=links) for axis in nodes]
-    faces = {
-        unit: modbus_face(bench, "vendor" if axis.drive.register_map == "vendor_style" else "cia402")
-        for unit, (axis, bench) in enumerate(pairs, start=1)
-    }
-    endpoint: Endpoint
-    if face == "modbus-tcp":
-        _, port = stack.enter_context(tcp_server(faces, clock))
-        endpoint = TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
-    else:
-        _, path = stack.enter_context(rtu_slave(faces, clock))
-        endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
+    endpoint = bench_modbus(dict(enumerate(pairs, start=1)), clock, stack)
     shared = Links()
     return [modbus_drive(axis, clock, endpoint, unit, shared) for unit, axis in enumerate(axes, start=1)]

@@ -6,7 +6,7 @@ Everything else of `hil` works against `ServoDrive` and `DistanceInstrument`, so
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -34,6 +34,7 @@ from hil.procedures.conditions import Conditions
 from hil.procedures.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_in_turn import drives_in_turn
+from sim_backends.clock import SimClock
 from sim_backends.machine import modbus_face
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.own_table import TableForm, known_table
@@ -184,16 +185,21 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
         )
         links = Links({("virtual", channel): stack.enter_context(CanLink(bus.master(), clock))})
         return canopen_drive(axis, clock, ("virtual", channel), stack, links=links)
-    shape = "vendor" if axis.drive.register_map == "vendor_style" else "cia402"
-    faces = {axis.drive.unit: modbus_face(bench, shape)}
-    endpoint: Endpoint
-    if face == "modbus-tcp":
-        _, port = stack.enter_context(tcp_server(faces, clock))
-        endpoint = TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
-    else:
-        _, path = stack.enter_context(rtu_slave(faces, clock))
-        endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
+    endpoint = bench_modbus({axis.drive.unit: (axis, bench)}, clock, stack)
     return modbus_drive(axis, clock, endpoint, axis.drive.unit)
+
+
+def bench_modbus(units: Mapping[int, tuple[DriveAxis, Bench]], clock: SimClock, stack: ExitStack) -> Endpoint:
+    """Serve benches as units of one line, of the kind that their axis files ask for; where the line is."""
+    faces = {
+        unit: modbus_face(bench, "vendor" if axis.drive.register_map == "vendor_style" else "cia402")
+        for unit, (axis, bench) in units.items()
+    }
+    if next(iter(units.values()))[0].drive.face == "modbus-tcp":
+        _, port = stack.enter_context(tcp_server(faces, clock))
+        return TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
+    _, path = stack.enter_context(rtu_slave(faces, clock))
+    return RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
 
 
 def canopen_drive(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 
-from hil.axis import AxisConfig
+from hil.axis import AxisConfig, DriveAxis
 from hil.cli.output import add_json_option
 from hil.cli.passwords import KEY, READING, password
 from hil.procedures.measure import Step
@@ -41,6 +41,13 @@ def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> 
     """The axis's sealed store, for writing with the builder's private key; every password is asked for before anything moves."""
     key = password(args.key_password_file, KEY, "builder key's password", os.environ) if writing else None
     return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key)
+
+
+def drive_in_words(axis: DriveAxis) -> str:
+    """The drive as a report names it."""
+    if axis.drive.backend == "bench":
+        return f"bench, {axis.drive.machine} machine, as {axis.drive.face}"
+    return axis.drive.backend
 
 
 def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:

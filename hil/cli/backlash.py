@@ -15,7 +15,7 @@ from drivers.drive import ServoDrive
 from hil.axis import DriveAxis, load_drive_axis
 from hil.axis_backlash import METHODS, BacklashConfig, default_backlash
 from hil.backlash_settings import TABLE, backlash_settings
-from hil.cli.axis_options import add_axis_arguments
+from hil.cli.axis_options import add_axis_arguments, drive_in_words
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
 from hil.files import replace_file
@@ -206,9 +206,7 @@ def _write_report(
 
     identity = {
         "Axis": axis.name,
-        "Drive": f"{axis.drive.backend}, {axis.drive.machine} machine, as {axis.drive.face}"
-        if axis.drive.backend == "bench"
-        else axis.drive.backend,
+        "Drive": drive_in_words(axis),
         "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in DIRECTIONS),
         "Steps": f"{how.step_um:g} µm at {how.velocity_mm_s:g} mm/s, {how.readings} readings after {how.settle_s:g} s at rest",

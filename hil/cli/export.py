@@ -47,7 +47,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--format", required=True, choices=controller_names(), help="the controller")
     parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
     parser.add_argument(
-        "--tables-only", action="store_true", help="leave out fitted effects that no table holds: of load, time, velocity …"
+        "--tables-only",
+        action="store_true",
+        help="leave out fitted effects that no table holds: of load, time, velocity …",
     )
     parser.add_argument("--dry-run", action="store_true", help="say what would be written, and write nothing")
     add_options(parser, "options of the formats", CONTROLLER_OPTIONS)

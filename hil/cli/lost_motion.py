@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.axis import AxisConfig, load_axis
 from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, seed
+from hil.cli.axis_options import add_axis_arguments, add_password_options, drive_in_words, open_store, seed
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
@@ -161,9 +161,7 @@ def _write_report(
 
     identity = {
         "Axis": axis.name,
-        "Drive": f"{axis.drive.backend}, {axis.drive.machine} machine, as {axis.drive.face}"
-        if axis.drive.backend == "bench"
-        else axis.drive.backend,
+        "Drive": drive_in_words(axis),
         "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         "Strokes": f"{how.stroke_mm:g} mm around {how.at_mm:g} mm, {how.runs} to and fro, {how.places} places after each turning",
         "Proof": f"{how.proof_moves} moves of all lengths there, before and after",
