@@ -190,7 +190,7 @@ def test_a_sealed_store_that_holds_one_is_read_with_its_file_alone(
     assert "--effects FILE.py" in error
     verb = ["export", str(path), "--format", "linuxcnc", "--out", str(tmp_path / "x")]
     assert main([*verb, "--effects", str(OWN)]) == 2
-    assert "holds the effects coolant_level" in capsys.readouterr().err
+    assert "what is in force holds coolant_level, and" in capsys.readouterr().err
 
 
 FAULTS = {
