@@ -24,6 +24,8 @@ Ints = NDArray[np.int64]
 
 MOST_BYTES = 120_000_000
 """Of whitened candidates kept."""
+NOTHING = 1e-24
+"""Squared norm of a column, below which it is zero in every row: single precision could not divide by it."""
 BLIND = 0.01
 """Share of a candidate's norm that must be left beside the table for the campaign to show it at all."""
 
@@ -188,11 +190,12 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
     explained = np.zeros((len(blocks), zy.shape[1]), dtype=zy.dtype)
     visible = np.zeros(len(blocks))
     for which, index, whole in stack.groups:
-        scale = np.maximum(raw[index], 1e-300)
+        scale = np.where(raw[index] > NOTHING, raw[index], 1.0)
         visible[which] = np.sqrt(np.clip(np.max(left[index] / scale, axis=1), 0.0, 1.0))
         size = index.shape[1]
         if size == 1:
-            explained[which] = zy[index[:, 0]] ** 2 / np.maximum(left[index], 1e-9 * scale).astype(zy.dtype)
+            root = np.sqrt(np.maximum(left[index], 1e-9 * scale)).astype(zy.dtype)
+            explained[which] = (zy[index[:, 0]] / root) ** 2
             continue
         inner = whole - inner_products(shadow, index) - inner_products(gone, index)
         if size == 2:

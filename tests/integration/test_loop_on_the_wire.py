@@ -70,7 +70,7 @@ def test_nine_tenths_of_a_hidden_effect_are_removed(effect: str, tmp_path: Path)
             campaign,
             calibration.tables,
             lambda compensation: stored.append(compensation.tables),
-            turning=Turning(Exploration(runs=6, rows=34, warm_up_s=120.0)),
+            turning=Turning(Exploration(runs=8, rows=42, warm_up_s=120.0)),
         )
     assert turn.diagnosis.recommended
     left = hidden_rms_um(turn.after) / hidden_rms_um(turn.before)

@@ -41,6 +41,23 @@ def test_many_errors_are_scored_as_each_one_is() -> None:
         np.testing.assert_allclose(many[:, i], one, atol=1e-3)
 
 
+def test_columns_of_any_size_are_scored_and_empty_ones_never() -> None:
+    """Simulated errors are scored in single precision, which knows no 1e-50 and no 1e50."""
+    z = RNG.normal(size=(N, 3))
+    sizes = (1e-10, 1.0, 1e8)
+    empty = np.zeros((N, 1))
+    blocks = Blocks.of(
+        [*(z * size for size in sizes), *(z[:, :1] * size for size in sizes), empty, np.hstack([empty, empty])], N
+    )
+    y = np.column_stack([CAMPAIGN.error_um, RNG.normal(size=N)])
+    for errors in (y, y[:, 0]):
+        frame = BENCH.frame(NOISE, errors)
+        gain = score(frame, Stack(frame.whitened, blocks)).gain
+        np.testing.assert_allclose(gain[[0, 2]], gain[[1, 1]], atol=1e-3)
+        np.testing.assert_allclose(gain[[3, 5]], gain[[4, 4]], atol=1e-3)
+        assert np.all(np.isneginf(gain[6:]))
+
+
 def test_what_a_table_holds_is_invisible_and_never_scored() -> None:
     x, d = CAMPAIGN.x, CAMPAIGN.d
     blocks = Blocks.of([np.ones((N, 1)), (x * d)[:, None], d[:, None], RNG.normal(size=(N, 1))], N)
