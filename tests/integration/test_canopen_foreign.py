@@ -3,7 +3,6 @@
 In this process, on python-can's virtual bus, in real time. Other stacks on SocketCAN are met in the guest.
 """
 
-import logging
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import canopen
 import pytest
+from support import their_canopen
 from support.parameter_faults import KilledError
 
 from drivers.canopen import objects
@@ -44,17 +44,8 @@ GAIN = Entry(0x2210, 1, DataType.U32, "proportional gain")
 
 @pytest.fixture(autouse=True)
 def quiet_library() -> Iterator[None]:
-    logging.getLogger("canopen").setLevel(logging.CRITICAL)
-    yield
-    logging.getLogger("canopen").setLevel(logging.NOTSET)
-
-
-def _network(stack: ExitStack, channel: str) -> canopen.Network:
-    network = canopen.Network()
-    network.NOTIFIER_CYCLE = 0.05
-    network.connect(interface="virtual", channel=channel)
-    stack.callback(network.disconnect)
-    return network
+    with their_canopen.quiet():
+        yield
 
 
 # -- their master, our slave -------------------------------------------------------------------------------------------
@@ -65,7 +56,7 @@ def theirs() -> Iterator[tuple[canopen.RemoteNode, CanOpenSlave, SimulatedServo]
     servo = SimulatedServo(BareShaft(), SMALL_SERVO)
     channel = uuid.uuid4().hex
     with ExitStack() as stack:
-        network = _network(stack, channel)
+        network = their_canopen.network(stack, channel)
         node = network.add_node(NODE, str(EDS))
         slave = stack.enter_context(served(servo, WallClock(), channel=channel, node_id=NODE))
         yield node, slave, servo
@@ -160,7 +151,7 @@ def test_heartbeat_and_emergency_reach_them(theirs: Theirs) -> None:
 def ours() -> Iterator[tuple[CanLink, canopen.LocalNode]]:
     channel = uuid.uuid4().hex
     with ExitStack() as stack:
-        network = _network(stack, channel)
+        network = their_canopen.network(stack, channel)
         node = network.create_node(NODE, str(EDS))
         link = stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=channel))
         yield link, node

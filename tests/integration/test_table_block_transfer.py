@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import random
 import uuid
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from dataclasses import replace
 
 import canopen
 import pytest
+from support import their_canopen
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.correction_table import CanOpenCorrectionTable
@@ -79,24 +79,15 @@ def test_what_an_array_takes_is_predicted_to_the_frame() -> None:
 
 @pytest.fixture
 def quiet_library() -> Iterator[None]:
-    logging.getLogger("canopen").setLevel(logging.CRITICAL)
-    yield
-    logging.getLogger("canopen").setLevel(logging.NOTSET)
-
-
-def _network(stack: ExitStack, channel: str) -> canopen.Network:
-    network = canopen.Network()
-    network.NOTIFIER_CYCLE = 0.05
-    network.connect(interface="virtual", channel=channel)
-    stack.callback(network.disconnect)
-    return network
+    with their_canopen.quiet():
+        yield
 
 
 @contextmanager
 def their_turn(channel: str) -> Iterator[canopen.RemoteNode]:
     """Their master, on the bus while it is asked only: it takes answers to another master's requests for its own."""
     with ExitStack() as stack:
-        yield _network(stack, channel).add_node(NODE, str(EDS))
+        yield their_canopen.network(stack, channel).add_node(NODE, str(EDS))
 
 
 @pytest.mark.usefixtures("quiet_library")
@@ -132,7 +123,7 @@ def test_a_drive_of_theirs_without_block_transfer_gets_it_in_segments() -> None:
     """The trace buffer of the EDS stands in for the table: their drive knows no other domain, and no block transfer."""
     channel = uuid.uuid4().hex
     with ExitStack() as stack:
-        node = _network(stack, channel).create_node(NODE, str(EDS))
+        node = their_canopen.network(stack, channel).create_node(NODE, str(EDS))
         link = stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=channel))
         sdo = SdoClient(link, NODE, "theirs", timeout_s=5.0)
         buffer = Entry(0x2100, 0, DataType.DOMAIN, "trace buffer")
