@@ -30,7 +30,7 @@ from drivers.correction_table import (
     TableDescription,
 )
 from drivers.errors import InputError
-from drivers.modbus.map_reader import Document, Section, number, positive, text, whole
+from drivers.modbus.map_reader import Document, Section, positive, sign, take_enum, text, whole
 
 SUBINDICES = 254
 _OBJECT = re.compile(r"(?P<index>[0-9A-Fa-f]{4})h(:(?P<subindex>[0-9A-Fa-f]{2}))?")
@@ -156,7 +156,7 @@ class _Reader:
             interpolation=take_enum(table, "interpolation", Interpolation),
             outside=take_enum(table, "outside", Outside),
             directions=directions,
-            sign=table.take("sign", take_sign, "1 (a positive value is added) or -1 (it is subtracted)"),
+            sign=table.take("sign", sign, "1 (a positive value is added) or -1 (it is subtracted)"),
             position=places,
             value=values,
             step=_as(places, scalars.get("step")),
@@ -205,17 +205,6 @@ def bounds(kind: DataType) -> tuple[int, int]:
 def _as(quantity: Quantity, entry: Entry | None) -> Quantity | None:
     """The same unit, in the range of another object."""
     return None if entry is None else Quantity(quantity.unit, quantity.scale, *bounds(entry.type))
-
-
-def take_enum(section: Section, key: str, kind: Any) -> Any:
-    """A member of an Enum by its value."""
-    return section.take(key, kind, " or ".join(member.value for member in kind))
-
-
-def take_sign(value: Any) -> int:
-    if number(value) not in (1.0, -1.0):
-        raise ValueError
-    return int(value)
 
 
 def _one_of(*choices: str) -> Any:

@@ -9,12 +9,14 @@ import math
 import re
 import tomllib
 from collections.abc import Callable
+from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
 from drivers.errors import InputError
 
 T = TypeVar("T")
+E = TypeVar("E", bound=Enum)
 REQUIRED = object()
 _HEADER = re.compile(r"\s*(?P<open>\[\[?)\s*(?P<name>[^\[\]]+?)\s*\]")
 _KEY = re.compile(r"\s*\"?(?P<key>[\w-]+)\"?\s*=")
@@ -178,3 +180,15 @@ def interval(value: Any) -> tuple[float, float]:
     if not low <= high:
         raise ValueError
     return low, high
+
+
+def sign(value: Any) -> int:
+    """1 or -1."""
+    if number(value) not in (1.0, -1.0):
+        raise ValueError
+    return int(value)
+
+
+def take_enum(section: Section, key: str, kind: type[E]) -> E:
+    """A member of an Enum by its value."""
+    return section.take(key, kind, " or ".join(str(member.value) for member in kind))

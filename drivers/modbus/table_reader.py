@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from enum import Enum
-from typing import Any, TypeVar
-
 from drivers.correction_table import UNITS, Directions, Interpolation, Nodes, Outside, TableDescription
-from drivers.modbus.map_reader import Document, Section, number, text, whole
+from drivers.modbus.map_reader import Document, Section, sign, take_enum, text, whole
 from drivers.modbus.map_roles import RoleReader
 from drivers.modbus.register_map import Memory, Register, RegisterMap
 from drivers.modbus.table_map import TableBlocks, quantity_of
-
-E = TypeVar("E", bound=Enum)
 
 
 class TableReader:
@@ -23,8 +18,8 @@ class TableReader:
         self._roles = RoleReader(document, registers)
 
     def read(self, section: Section) -> TableBlocks:
-        nodes = _take(section, "nodes", Nodes)
-        directions = _take(section, "directions", Directions)
+        nodes = take_enum(section, "nodes", Nodes)
+        directions = take_enum(section, "directions", Directions)
         columns = ["plus"]
         columns += ["minus"] if directions is Directions.BOTH else []
         columns += ["position"] if nodes is Nodes.EXPLICIT else []
@@ -52,10 +47,10 @@ class TableReader:
             name=section.take("name", text, "a name"),
             points=points,
             nodes=nodes,
-            interpolation=_take(section, "interpolation", Interpolation),
-            outside=_take(section, "outside", Outside),
+            interpolation=take_enum(section, "interpolation", Interpolation),
+            outside=take_enum(section, "outside", Outside),
             directions=directions,
-            sign=section.take("sign", _sign, "1 (a positive value is added) or -1 (it is subtracted)"),
+            sign=section.take("sign", sign, "1 (a positive value is added) or -1 (it is subtracted)"),
             position=quantity_of(found["position"] if nodes is Nodes.EXPLICIT else single["origin"]),
             value=quantity_of(found["plus"]),
             step=quantity_of(single["step"]) if "step" in single else None,
@@ -92,13 +87,3 @@ class TableReader:
             first, second = found[one], found[other]
             if (first.unit, first.scale) != (second.unit, second.scale):
                 raise section.fail(other, f"is in another unit or scale than {one} ({first.name!r}), expected the same")
-
-
-def _take(section: Section, key: str, kind: type[E]) -> E:
-    return section.take(key, kind, " or ".join(str(member.value) for member in kind))
-
-
-def _sign(value: Any) -> int:
-    if number(value) not in (1.0, -1.0):
-        raise ValueError
-    return int(value)
