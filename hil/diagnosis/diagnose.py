@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import BLIND
 from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
+from hil.diagnosis.faint import faint_note, is_faint
 from hil.diagnosis.fit import joint_fit
 from hil.diagnosis.held_out import ONCE, HeldOut, earns_its_place, held_out
 from hil.diagnosis.judge import SURE
@@ -60,18 +61,22 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = gated(chosen, left_out)
     noise = chosen.last.noise
-    findings = _findings(chosen, campaign.columns)
+    floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
+    found = _findings(chosen, campaign.columns)
+    faint = [finding for finding in found if is_faint(finding, floor)]
+    findings = tuple(finding for finding in found if not is_faint(finding, floor))
+    if faint:
+        chosen = without(chosen, {finding.effect for finding in faint})
     doubtful = {
         f.effect: f.rms_um
         for f in findings
         if any(r.effect == OUTSIDE and r.confidence > f.confidence for r in f.rivals)
     }
     unexplained = unexplained or bool(doubtful)
-    suspected = None if dropped or unexplained else leaning(problem, chosen)
+    suspected = None if dropped or faint or unexplained else leaning(problem, chosen)
     extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     dof = max(len(campaign) - problem.free.bench.table.table_width, 4)
-    floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     return Diagnosis(
         noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
@@ -89,6 +94,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         recommended=after.rms_um < alone.rms_um,
         notes=(
             *_notes(records, campaign, dropped, after, alone),
+            *map(faint_note, faint),
             *(_suspicion(term) for term in extended.found if suspected is not None),
         ),
         seconds=time.perf_counter() - started,
@@ -127,8 +133,16 @@ def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, .
     if len(kept) == len(last.choices):
         return chosen, unexplained, ()
     dropped = tuple(dict.fromkeys(c.effect.id for c in last.choices if c not in kept))
-    fit = last.searcher.fit(kept, last.noise)
-    return replace(chosen, fit=fit), unexplained, dropped
+    return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
+
+
+def without(chosen: Chosen, effects: Collection[str]) -> Chosen:
+    """The fit again without some effects."""
+    last = chosen.last
+    kept = [
+        choice for choice in last.choices if choice.effect.id in {t.effect.id for t in chosen.fit.found} - set(effects)
+    ]
+    return replace(chosen, fit=last.searcher.fit(kept, last.noise))
 
 
 def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, ...]:
