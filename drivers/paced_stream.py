@@ -6,6 +6,7 @@ set-point reaches the drive is the backend's.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
@@ -37,6 +38,7 @@ class PacedStream(SetPointStream):
         self._missed_in_a_row = 0
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._due_ns = 0  # when the next set-point is due
+        self._found = 0, math.nan
         self._begun = False
         self._last_mm = self._before_mm = 0.0
         self._running = False
@@ -44,6 +46,10 @@ class PacedStream(SetPointStream):
     @property
     def reached_ns(self) -> int:
         return self._due_ns
+
+    @property
+    def found(self) -> tuple[int, float]:
+        return self._found
 
     @property
     def missed_cycles(self) -> int:
@@ -81,6 +87,7 @@ class PacedStream(SetPointStream):
     def settle(self) -> float:
         """The second half: judge how the axis follows, wait for the set-point's time."""
         sample = self.drive.sample()
+        self._found = sample.time_ns, sample.position_load_mm
         self._judge(sample, self._before_mm, self._last_mm)
         self.drive.clock.sleep_until_ns(self._due_ns)
         return sample.position_load_mm

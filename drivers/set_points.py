@@ -43,7 +43,7 @@ class SetPointStream(ABC):
 
     @abstractmethod
     def cycle(self, position_load_mm: float) -> float:
-        """Give one set-point, wait for its time; the axis's position (load mm) as it was in this cycle.
+        """Give one set-point, wait for its time; the axis's position (load mm) as it was in this cycle, see `found`.
 
         Raises LimitError before anything is sent, SafetyError (cycles missed), FollowingErrorError, DriveFaultError, StateError,
         TransportError - each with the axis quick-stopped.
@@ -53,6 +53,11 @@ class SetPointStream(ABC):
     @abstractmethod
     def reached_ns(self) -> int:
         """The clock's time at which the last set-point is to be reached: one period after it came into force."""
+
+    @property
+    @abstractmethod
+    def found(self) -> tuple[int, float]:
+        """Where the last `cycle` found the axis, load mm, and the clock's time when it was there, as well as the wire can tell."""
 
     @property
     @abstractmethod

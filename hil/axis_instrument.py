@@ -32,8 +32,8 @@ class FixedAirConfig:
 class DisplayConfig:
     """A display or gauge that sends a value in a line (kinds nd2xx and ascii), and its serial line.
 
-    count_mm: of nd2xx, one step of the count that is asked for, None for the value displayed; the others are of ascii (see
-    `drivers.instruments.ascii_values`).
+    count_mm: of nd2xx, one step of the count that is asked for, None for the value displayed; pulsed: of nd2xx, it stores and sends a
+    value at each pulse on its external input and is not asked; the others are of ascii (see `drivers.instruments.ascii_values`).
     """
 
     baud: int
@@ -41,6 +41,7 @@ class DisplayConfig:
     parity: str
     stop_bits: int
     count_mm: float | None = None
+    pulsed: bool = False
     pattern: str = ""
     fault: str = ""
     unit: str = "mm"
@@ -62,6 +63,8 @@ class InstrumentConfig:
     """How to reach the instrument, and how it stands. kind: umd | nd2xx | ascii | replay.
 
     resume_within_s: after a lost signal the axis, stopped, waits so long for it and goes on by itself; None: the job ends.
+    latency_s: from a sample to its arrival, None where nobody knows; trigger_input: of the drive's touch-probe inputs, the one that
+    shares a line with the instrument, an edge with each sample.
     Of umd: wavelength_fraction, the optics, one count is λ/2, λ/4 or λ/8; place_temps, place -> temperature channel;
     air_temp_channel None, the air's temperature is fixed_air's; axis, 1 to 3 of a display with several; air_equation, ciddor, None
     for the modified Edlén equation; beside, record column -> axis and what one unit of it is. alignment: how the beam was found to
@@ -73,6 +76,8 @@ class InstrumentConfig:
     direction: int
     stale_after_s: float
     resume_within_s: float | None = None
+    latency_s: float | None = None
+    trigger_input: int | None = None
     display: DisplayConfig | None = None
     replay: ReplayConfig | None = None
     wavelength_fraction: int = 2
@@ -102,6 +107,8 @@ def read_instrument(table: Table, *, has_port: bool) -> InstrumentConfig:
         "direction": table.take("direction", reader.choice(1, -1), "1 or -1", 1),
         "stale_after_s": table.take("stale_after_s", reader.positive, "a number > 0 in s", 0.5),
         "resume_within_s": table.take("resume_within_s", reader.between(1.0, 86_400.0), "seconds, 1 to 86400", None),
+        "latency_s": table.take("latency_s", reader.between(-1.0, 10.0), "seconds, -1 to 10", None),
+        "trigger_input": table.take("trigger_input", reader.choice(1, 2), "1 or 2", None),
     }
     config = {"umd": _umd, "nd2xx": _nd2xx, "ascii": _ascii, "replay": _replay}[kind](table, common)
     table.finish()
@@ -134,7 +141,12 @@ def _umd(table: Table, common: dict[str, Any]) -> InstrumentConfig:
 
 def _nd2xx(table: Table, common: dict[str, Any]) -> InstrumentConfig:
     count_mm = table.take("count_mm", reader.between(1e-6, 1.0), "mm, 0.000001 to 1", None)
-    return InstrumentConfig(**common, display=DisplayConfig(**_line(table, 7, "E", 2), count_mm=count_mm))
+    pulsed = table.take("pulsed", reader.flag, "true or false", False)
+    if pulsed and count_mm is not None:
+        raise table.fail("count_mm", "is for a count that is asked for, and a pulsed display sends what it shows")
+    return InstrumentConfig(
+        **common, display=DisplayConfig(**_line(table, 7, "E", 2), count_mm=count_mm, pulsed=pulsed)
+    )
 
 
 def _ascii(table: Table, common: dict[str, Any]) -> InstrumentConfig:

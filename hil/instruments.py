@@ -20,6 +20,9 @@ from hil.axis import DisplayConfig, InstrumentConfig
 from sim_backends.bench import BenchParameters
 from sim_backends.gauge import GaugeParameters
 
+PULSES_HZ = 10.0
+"""Of the bench's pulse generator on the external input of a display."""
+
 
 def instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
     """The instrument, not opened. port: the config's, or where the bench's is. A port that goes away is looked for again.
@@ -44,7 +47,7 @@ def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: C
     )
     protocol: ValueProtocol
     if config.kind == "nd2xx":
-        protocol = Nd2xxDecoder(display.count_mm)
+        protocol = Nd2xxDecoder(display.count_mm, pulsed=display.pulsed)
     else:
         request = display.request.encode("ascii")
         protocol = AsciiDecoder(AsciiSettings(display.pattern, display.fault, display.unit, display.decimals, request))
@@ -72,10 +75,15 @@ def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
 
 def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> BenchParameters:
     """The bench with the instrument that its axis file asks for. Raises InputError for one that it has no counterpart of."""
+    if config.trigger_input is not None:
+        parameters = replace(parameters, trigger_input=config.trigger_input)
     display = config.display
     if display is None:
         return parameters
     kind = "mitutoyo" if display.pattern == "mitutoyo" else config.kind
     if kind == "ascii" and (display.pattern != "number" or display.unit != "mm" or display.request):
         raise InputError("[instrument] the bench writes patterns number (in mm, without a request) and mitutoyo")
-    return replace(parameters, gauge=GaugeParameters(kind, resolution_mm=display.count_mm or 0.0001))
+    pulse_hz = PULSES_HZ if display.pulsed else None
+    gauge = parameters.gauge or GaugeParameters()
+    resolution_mm = display.count_mm or gauge.resolution_mm
+    return replace(parameters, gauge=replace(gauge, kind=kind, pulse_hz=pulse_hz, resolution_mm=resolution_mm))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -29,6 +30,7 @@ class BenchParameters:
     """Everything seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm).
 
     gauge: a display or gauge that measures the axis instead of the laser; the laser's faults are then its own
+    trigger_input: fast input of the drive, 1 or 2, that shares a line with the instrument: a pulse with each of its samples
     """
 
     plant: PlantParameters = field(default_factory=lambda: typical_axis(1))
@@ -37,6 +39,7 @@ class BenchParameters:
     gauge: GaugeParameters | None = None
     laser_faults: tuple[Fault, ...] = ()
     servo_faults: tuple[Fault, ...] = ()
+    trigger_input: int | None = None
     step_s: float = 0.005
 
     def __post_init__(self) -> None:
@@ -132,6 +135,14 @@ class Bench:
             self.gauge = SimulatedGauge(self.plant, p.gauge, p.laser_faults, wait_for_arrival=wait_for_arrival)
             self.clock.attach(self.gauge.advance, bearable=self.gauge.bearable, settle=self.gauge.settle)
             self.laser.close()
+        if p.trigger_input is not None:
+            self.laser.pulse = partial(self._pulse, p.trigger_input)
+            if self.gauge is not None:
+                self.gauge.pulse = self.laser.pulse
+
+    def _pulse(self, number: int) -> None:
+        for hear in self.servo.fast_inputs:
+            hear(number)
 
     def switch_on(self, effect: str, size_um: float) -> None:
         """From now on the machine or its instrument has one more effect, by its id in the catalogue; for what `size_um` means see

@@ -8,16 +8,20 @@ those of `faults`: a lost beam is a scale that is not read (its own word for it)
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import InputError
+from sim_backends.delayed_line import DelayedLine
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.terminal import InstrumentTerminal
 
 GAUGE_KINDS = ("nd2xx", "mitutoyo", "ascii")
 _NS = 1_000_000_000
-_LISTEN_NS = 5_000_000  # how soon a display looks at its line
+_LISTEN_NS = (
+    1_000_000  # a display stores its value within this time of a request (HEIDENHAIN ND 261: Ctrl-B, at most 1 ms)
+)
 _UNREAD = {FaultKind.BEAM_LOST, FaultKind.HEAD_ERROR, FaultKind.OVERSPEED}
 
 
@@ -25,18 +29,23 @@ _UNREAD = {FaultKind.BEAM_LOST, FaultKind.HEAD_ERROR, FaultKind.OVERSPEED}
 class GaugeParameters:
     """kind: one of GAUGE_KINDS; rate_hz: lines per second of those that send by themselves; answer_s: a display's time to answer.
 
+    pulse_hz: a display stores and sends a value at each pulse on its external input, and is not asked; None: it is asked;
+    latency_s, jitter_s: from a sample to its line at the reader beyond that, and how much later it may come;
     resolution_mm: one step of the count; direction: it rises (+1) or falls (−1) with the axis; zero_mm: where on the axis it is
     zero; noise_um: white; drift_um_per_h: of the mount.
     """
 
     kind: str = "nd2xx"
     rate_hz: float = 10.0
+    pulse_hz: float | None = None
     answer_s: float = 0.02
     resolution_mm: float = 0.0001
     direction: int = 1
     zero_mm: float = 0.0
     noise_um: float = 0.05
     drift_um_per_h: float = 0.0
+    latency_s: float = 0.0
+    jitter_s: float = 0.0
     seed: int = 12
 
     def __post_init__(self) -> None:
@@ -45,7 +54,12 @@ class GaugeParameters:
 
 
 class SimulatedGauge:
-    """The instrument on its pseudo-terminal; attach `advance`, `bearable` and `settle` to the clock after what moves the axis."""
+    """The instrument on its pseudo-terminal; attach `advance`, `bearable` and `settle` to the clock after what moves the axis.
+
+    pulse: the line that its sampling is tied to, called at the very moment of each sample.
+    """
+
+    pulse: Callable[[], None] | None = None
 
     def __init__(
         self,
@@ -65,13 +79,15 @@ class SimulatedGauge:
         self.counters = self._wire.counters
         self._offset_mm = 0.0  # what a restart took
         self._asked = b""
-        self._period_ns = round(_NS / self.parameters.rate_hz)
-        self._due: list[tuple[int, bytes]] = []
+        p = self.parameters
+        self._period_ns = round(_NS / (p.pulse_hz or p.rate_hz))
+        answer_s = p.answer_s if p.kind == "nd2xx" else 0.0
+        self._line = DelayedLine(self._wire, answer_s + p.latency_s, p.jitter_s, p.seed + 1)
         self._next_ns = start_ns + (_LISTEN_NS if self._is_asked else self._period_ns)
 
     @property
     def _is_asked(self) -> bool:
-        return self.parameters.kind == "nd2xx"
+        return self.parameters.kind == "nd2xx" and self.parameters.pulse_hz is None
 
     def close(self) -> None:
         """Close the terminal; readers then see the port vanish."""
@@ -84,7 +100,7 @@ class SimulatedGauge:
 
     def bearable(self, now_ns: int) -> int:
         """For SimClock: until the next line is due, or the line is listened to."""
-        return self._next_ns - now_ns if self._wire.is_open else _NS
+        return min(self._next_ns, self._line.next_ns) - now_ns if self._wire.is_open else _NS
 
     def settle(self) -> None:
         """Send what is due; return once it lies at the reader's end."""
@@ -101,35 +117,35 @@ class SimulatedGauge:
             else:
                 self._sample(self._next_ns)
                 self._next_ns += self._period_ns
+        self._line.release(now_ns)
 
     # -- a display that is asked ------------------------------------------------------------------------------------------
     def _listen(self, time_ns: int) -> None:
         self._asked += self._wire.heard()
-        answer_ns = time_ns + round(self.parameters.answer_s * _NS)
         while self._asked:
             if self._asked.startswith(b"\x02"):
                 self._asked = self._asked[1:]
-                self._due.append((answer_ns, b"\x02"))
+                self._answer(time_ns, b"\x02")
             elif self._asked.startswith(b"\x1b"):
                 command, end, rest = self._asked.partition(b"\r")
                 if not end:
                     break
                 self._asked = rest
-                self._due.append((answer_ns, command))
+                self._answer(time_ns, command)
             else:
                 self._asked = self._asked[1:]
-        while self._due and self._due[0][0] <= time_ns:
-            self._answer(time_ns, self._due.pop(0)[1])
 
     def _answer(self, time_ns: int, request: bytes) -> None:
         if request in (b"\x02", b"\x1bA0200"):
             self._sample(time_ns, count=request != b"\x02")
         else:
-            self._wire.put(b"\x15")
+            self._line.put(b"\x15", time_ns)
 
     # -- lines ------------------------------------------------------------------------------------------------------------
     def _sample(self, time_ns: int, *, count: bool = False) -> None:
         time_s = time_ns / _NS
+        if self.pulse is not None:
+            self.pulse()
         p = self.parameters
         self.counters.samples += 1
         faults = {fault.kind: fault.size for fault in self._faults.active(time_s)}
@@ -139,19 +155,19 @@ class SimulatedGauge:
         if FaultKind.RESTART in faults:
             self._offset_mm = value_mm
         steps = None if _UNREAD & faults.keys() else round((value_mm - self._offset_mm) / p.resolution_mm)
-        line = self._count_line(steps) if count else self._line(steps)
+        line = self._count_line(steps) if count else self._text(steps)
         if FaultKind.HALF_LINE in faults:
             line = line[: len(line) * 2 // 3]
         line += self._line_end(other=FaultKind.LINE_ENDS in faults)
         if FaultKind.GARBAGE in faults:
             line += self._rng.randbytes(int(faults[FaultKind.GARBAGE]) or 8)
         if FaultKind.SILENCE not in faults:
-            self._wire.put(line)
+            self._line.put(line, time_ns)
 
     def _count_line(self, steps: int | None) -> bytes:
         return b"\x02ENCODER ERR. " if steps is None else b"\x02%+010d" % steps
 
-    def _line(self, steps: int | None) -> bytes:
+    def _text(self, steps: int | None) -> bytes:
         """What is displayed; None: the scale cannot be read."""
         kind, step_mm = self.parameters.kind, self.parameters.resolution_mm
         decimals = len(f"{step_mm:.9f}".rstrip("0").partition(".")[2])

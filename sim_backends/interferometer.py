@@ -22,6 +22,7 @@ class LaserParameters:
     misalignment_mrad: angle between beam and axis; wavelength_error_ppm: of the true vacuum wavelength;
     noise_um: white, per sample; drift_um: wander of the beam or mount over hours, 1/f; drift_um_per_h: steady part;
     subdivision_nm: periodic error of the interpolation; reference_hz: frequency difference of the two-frequency head;
+    latency_s, jitter_s: from a sample to its line at the reader, and how much later it may come;
     angle_urad_per_unit: angle optics on axes 2 (pitch) and 3 (yaw), one unit of them; None: not fitted, lines of 8 numbers.
     """
 
@@ -39,6 +40,8 @@ class LaserParameters:
     subdivision_nm: float = 0.0
     reference_hz: float = 2.0e6
     angle_urad_per_unit: float | None = None
+    latency_s: float = 0.0
+    jitter_s: float = 0.0
     sensors_fitted: bool = True
     material_place: str = "screw"
     seed: int = 11

@@ -7,8 +7,10 @@ the decoder's, which it is there to prove. Lines that a full terminal loses leav
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from sim_backends.delayed_line import DelayedLine
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.interferometer import Interferometer, LaserParameters
 from sim_backends.plant.axis import FeedAxis
@@ -35,7 +37,12 @@ class _Line:
 
 
 class SimulatedLaser:
-    """The instrument on its pseudo-terminal. Use `serve.laser_pty` or the context manager; `path` is what a reader opens."""
+    """The instrument on its pseudo-terminal. Use `serve.laser_pty` or the context manager; `path` is what a reader opens.
+
+    pulse: its trigger output, called at the very moment of each sample.
+    """
+
+    pulse: Callable[[], None] | None = None
 
     def __init__(
         self,
@@ -51,6 +58,8 @@ class SimulatedLaser:
         self._wire = InstrumentTerminal(wait_for_arrival=wait_for_arrival)
         self.path = self._wire.path
         self.counters = self._wire.counters
+        p = self.parameters
+        self._line = DelayedLine(self._wire, p.latency_s, p.jitter_s, p.seed + 2)
         self._axis = axis
         self._faults = FaultSchedule(faults)
         self._garbage = random.Random(self.parameters.seed + 1)
@@ -86,7 +95,7 @@ class SimulatedLaser:
 
     def bearable(self, now_ns: int) -> int:
         """For SimClock: until the next sample, so that it is taken at its moment."""
-        return self._next_ns - now_ns if self._wire.is_open else _NS
+        return min(self._next_ns, self._line.next_ns) - now_ns if self._wire.is_open else _NS
 
     def advance(self, now_ns: int, dt_s: float) -> None:
         """Take the samples that are due."""
@@ -96,11 +105,14 @@ class SimulatedLaser:
             self._taken += 1
             self._sample(self._next_ns)
             self._next_ns = self._due_ns(self._taken + 1)
+        self._line.release(now_ns)
 
     def _sample(self, time_ns: int) -> None:
         time_s = time_ns / _NS
         self.counters.samples += 1
         self._sequence += 1
+        if self.pulse is not None:
+            self.pulse()
         line = _Line() if time_s < self._faults.next_s else self._line_faults(time_s)
         p = self.parameters
         reference = round(p.reference_hz / p.rate_hz)
@@ -138,7 +150,7 @@ class SimulatedLaser:
         if line.garbage:
             text += self._garbage.randbytes(line.garbage)
         if not line.silent:
-            self._wire.put(text)
+            self._line.put(text, time_ns)
 
     def _angles(self, urad_per_unit: float, reference: int, *, lost: bool) -> bytes:
         """Axes 2 and 3: what the table's pitch and yaw make of their optics."""

@@ -55,6 +55,7 @@ class ProbeLatch:
         self._servo = servo
         self._now_ns = 0
         self.channels = (ProbeInput(), ProbeInput())
+        servo.fast_inputs.append(self.pulse)
 
     @property
     def inputs(self) -> int:
@@ -74,6 +75,11 @@ class ProbeLatch:
         position = self._servo.position_actual_counts if position_counts is None else position_counts
         if level != probe.level:
             self._edge(probe, level, position)
+
+    def pulse(self, number: int) -> None:
+        """A short pulse on input 1 or 2, now: both its edges."""
+        self.set_input(number, True)
+        self.set_input(number, False)
 
     def reset(self) -> None:
         """The electronics start anew."""

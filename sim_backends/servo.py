@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 
 from drivers.errors import InputError
 from sim_backends.backlash_compensation import BacklashCompensation
@@ -40,6 +41,7 @@ class SimulatedServo:
         self.mechanics = mechanics
         self.backlash = BacklashCompensation(mechanics, p.counts_per_rev)
         self.table = TableStage()
+        self.fast_inputs: list[Callable[[int], None]] = []
         self._rng = random.Random(p.seed)
         self.powered = False
         self.stopping = False

@@ -64,6 +64,10 @@ class Servo(Protocol):
         """The place of its own correction table, for a face that shows one."""
 
     @property
+    def fast_inputs(self) -> list[Callable[[int], None]]:
+        """What hears a pulse on a fast input; each is called with its number, 1 or 2, at the moment of the pulse."""
+
+    @property
     def powered(self) -> bool: ...
     @property
     def stopping(self) -> bool:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.clock import NS_PER_S
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ class OneAxisStream(SetPointStream):
 
     def __init__(self, drive: CanOpenDrive, settings: SetPointSettings) -> None:
         self._stream = CyclicStream([drive], _by_sync(settings))
+        self._period_ns = round(settings.period_s * NS_PER_S)
+        self._found = 0, math.nan
 
     def __enter__(self) -> Self:
         self._stream.__enter__()
@@ -36,7 +40,13 @@ class OneAxisStream(SetPointStream):
 
     def cycle(self, position_load_mm: float) -> float:
         (feedback,) = self._stream.cycle([position_load_mm])
+        if not feedback.late:  # it is of the SYNC that this cycle was for
+            self._found = self._stream.next_sync_ns - self._period_ns, feedback.position_load_mm
         return feedback.position_load_mm
+
+    @property
+    def found(self) -> tuple[int, float]:
+        return self._found
 
     @property
     def reached_ns(self) -> int:

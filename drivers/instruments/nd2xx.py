@@ -7,6 +7,7 @@ RS-232-C, 7 data bits, even parity, 2 stop bits. A display says nothing by itsel
                        are blanks), blank, unit (blank mm, " inch, ? fault), sorting status, kind of a measurement series
     ESC A0200 CR    -> the count: STX, sign, 9 digits without a decimal point, CR LF
 
+A pulse on the display's external input (EXT) stores a value within a microsecond and sends what is displayed without being asked.
 An ESC command that is not understood is answered by NAK. Whatever arrives, `Nd2xxDecoder.feed` raises nothing.
 """
 
@@ -31,17 +32,23 @@ _TEXT = re.compile(rb"\x02(?=.*[A-Za-z])(?P<text>[ -~]{1,20})")
 
 
 class Nd2xxDecoder:
-    """Replies of either kind. count_mm: what one step of the count is; None where only the displayed value is asked for."""
+    """Replies of either kind. count_mm: what one step of the count is; None where only the displayed value is asked for.
 
-    def __init__(self, count_mm: float | None = None) -> None:
+    pulsed: nothing is asked for, its external input does
+    """
+
+    def __init__(self, count_mm: float | None = None, *, pulsed: bool = False) -> None:
         if count_mm is not None and not 0.0 < count_mm <= 1.0:
             raise InputError(f"ND 2xx count_mm is {count_mm:g}, expected more than 0 and at most 1")
         self._count_mm = count_mm
+        self._pulsed = pulsed
         self._lines = LineSplitter(LONGEST_BYTES, from_line_start=True)
 
     @property
     def request(self) -> bytes:
         """What asks for one value."""
+        if self._pulsed:
+            return b""
         return ASK_DISPLAYED if self._count_mm is None else ASK_COUNT
 
     def restart(self) -> None:
