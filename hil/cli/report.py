@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
-from hil.cli.instrument_identity import instrument_identity, uncertainty_of
+from hil.cli.instrument_identity import uncertainty_of
 from hil.cli.output import add_json_option, write_json
 from hil.cli.signatures import NOT_GOOD, signatures
 from hil.files import read_bytes, replace_file
@@ -66,14 +66,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--axis-file",
         metavar="AXIS.toml",
-        help="identity of axis and instrument, band and uncertainty from an axis file",
+        help="identity of axis, drive and instrument, band and uncertainty from an axis file",
     )
     parser.add_argument(
         "--builder",
         metavar="BUILDER.pub",
         help="whose signatures of the files to show; exit status 1 for one that is not good",
     )
-    parser.add_argument("--pdf", metavar="FILE", help="also write it as a PDF")
+    parser.add_argument(
+        "--pdf",
+        metavar="FILE",
+        help="also write it as a PDF: all of it, on numbered A4 sheets that name the hash of the HTML file",
+    )
     parser.add_argument("--png", metavar="DIR", help="also write every drawing as a PNG into DIR (made if need be)")
     add_json_option(parser)
     parser.set_defaults(run=run)
@@ -81,7 +85,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """0: written; 1: written, and a signature is not good. Raises InputError for bad files and arguments."""
-    from hil.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (only now: plots are slow to import)
+    from hil.cli.documents import identity  # noqa: PLC0415  (only now: plots are slow to import)
+    from hil.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415
     from hil.report.document import budgets, render_files, render_html  # noqa: PLC0415
 
     paths = _record_files(args)
@@ -98,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     document = ReportData(
         title=args.title,
         campaigns=tuple(campaigns),
-        identity=_axis_identity(axis) | dict(_identity(line) for line in args.identity),
+        identity=({} if axis is None else identity(axis)) | dict(_identity(line) for line in args.identity),
         band_um=_band(args, axis),
         tables=tuple(TableInForce(Path(path).name, _sha256(read_bytes(path))) for path in args.table),
         diagnosis=diagnosis,
@@ -115,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     if args.pdf:
         from hil.report.pdf import render_pdf  # noqa: PLC0415
 
-        replace_file(args.pdf, render_pdf(document))
+        replace_file(args.pdf, render_pdf(document, _sha256(page)))
         print(args.pdf)
     drawings = [] if args.png is None else _write_drawings(Path(args.png), render_files(document))
     if args.json:
@@ -142,13 +147,6 @@ def _record_files(args: argparse.Namespace) -> list[str]:
     if bool(args.records) == (args.compare is not None):
         raise InputError("expected record files, or --compare A B, and not both")
     return list(args.compare or args.records)
-
-
-def _axis_identity(axis: AxisConfig | None) -> dict[str, str]:
-    if axis is None:
-        return {}
-    travel = f"{axis.limits.travel_min_mm:g} to {axis.limits.travel_max_mm:g} mm"
-    return {"Axis": axis.name, "Travel": travel, **instrument_identity(axis.instrument)}
 
 
 def _band(args: argparse.Namespace, axis: AxisConfig | None) -> tuple[float, float] | None:

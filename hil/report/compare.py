@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from scipy.special import stdtrit
 
 from hil.records import Floats, Records
-from hil.report import markup
+from hil.report.blocks import Block, DataTable, Drawing, Heading, said
 from hil.report.data import NamedCampaign
-from hil.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
+from hil.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
 
 SAME_MM = 1e-4
 """Targets closer than this are the same target."""
@@ -97,10 +98,10 @@ def difference(a: Records, b: Records) -> Difference:
     return Difference(direction, target_mm, difference_um, limits_um, between)
 
 
-def difference_figure(found: Difference, theme: Theme) -> Figure:
+def difference_figure(found: Difference, theme: Theme, ground: Ground = fresh) -> FigureBase:
     """Difference against position, bars up to its limit."""
     with mpl.rc_context(RC):
-        figure = new_figure(9.6, 3.0)
+        figure = figure_on(ground, 9.6, 3.0)
         ax = figure.subplots()
         ax.axhline(0, color=theme.muted, lw=1)
         for sign, color, marker, name in ((1.0, theme.up, "^", "direction +"), (-1.0, theme.down, "v", "direction −")):
@@ -122,22 +123,30 @@ def difference_figure(found: Difference, theme: Theme) -> Figure:
         return figure
 
 
-def section(a: NamedCampaign, b: NamedCampaign) -> str:
-    """The part of a report, as HTML."""
+def section(a: NamedCampaign, b: NamedCampaign) -> list[Block]:
+    """The part of a report."""
     found = difference(a.records, b.records)
-    head = f"<h2>{markup.text(b.label)} against {markup.text(a.label)}</h2>"
+    head = Heading(f"{b.label} against {a.label}")
     if not len(found.target_mm):
-        return head + '<p class="callout">The two have no stretch in common.</p>'
-    svg = inline_svg(difference_figure(found, PAGE), "difference", "Difference against position")
-    caption = f"Mean error of {b.label} minus that of {a.label}, bars as long as 95 of 100 are by scatter alone."
+        return [head, said("The two have no stretch in common.", "callout")]
     columns = {
         "direction": found.direction,
         "target_mm": found.target_mm,
         "difference_um": found.difference_um,
         "limit_um": found.limit_um,
     }
-    table = markup.data_table("data-difference", "Data of this drawing", columns)
-    return head + f"<p>{markup.text(verdict(found))}</p>" + markup.figure(svg, caption) + table
+    return [
+        head,
+        said(verdict(found)),
+        Drawing(
+            "difference",
+            "difference",
+            partial(difference_figure, found),
+            "Difference against position",
+            f"Mean error of {b.label} minus that of {a.label}, bars as long as 95 of 100 are by scatter alone.",
+        ),
+        DataTable("data-difference", "Data of this drawing", columns),
+    ]
 
 
 def verdict(found: Difference) -> str:

@@ -5,14 +5,26 @@ Words and tables in here, `views` decides what is drawn of each finding, `plots`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 
 from hil.report import markup, plots
+from hil.report.blocks import (
+    Block,
+    Bullets,
+    DataTable,
+    Drawing,
+    Finding,
+    Heading,
+    Paragraph,
+    Span,
+    Table,
+    said,
+)
 from hil.report.data import NamedCampaign
-from hil.report.svg import PAGE, Theme, inline_svg
+from hil.report.svg import Ground, Theme
 from hil.report.views import View, finding_view, list_of, object_of, objects_of, position_view, value_of
 
 ACTIONS = {
@@ -22,50 +34,35 @@ ACTIONS = {
 }
 
 
-def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None) -> str:
-    """The whole part as HTML."""
+def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None) -> list[Block]:
+    """The whole part."""
     findings = objects_of(diagnosis.get("findings"))
-    parts = ["<h2>What is left, and why</h2>", _summary(diagnosis)]
+    parts: list[Block] = [Heading("What is left, and why"), *_summary(diagnosis)]
     if diagnosis.get("unexplained"):
         carried = "; ".join(
             ", ".join(map(str, list_of(one.get("columns")))) for one in objects_of(diagnosis.get("carried_by"))
         )
         along = f" It shows along: {carried}." if carried else ""
-        parts.append(
-            '<p class="callout"><strong>Structure is left that nothing in the catalogue explains.</strong>'
-            f"{markup.text(along)} Nothing was compensated for it.</p>"
-        )
+        left = Span("Structure is left that nothing in the catalogue explains.", "strong")
+        parts.append(Paragraph((left, Span(f"{along} Nothing was compensated for it.")), "callout"))
     elif not findings:
-        parts.append("<p>No effect was found beyond the declared model and the noise floor.</p>")
+        parts.append(said("No effect was found beyond the declared model and the noise floor."))
     if diagnosed is not None:
-        parts.append(_residual_figure(diagnosed, findings))
-    for index, finding in enumerate(findings, start=1):
-        parts.append(_finding(index, finding, diagnosed, alone=len(findings) == 1))
-    blind = [f"{one.get('effect')}: {one.get('reason')}" for one in objects_of(diagnosis.get("blind_to"))]
+        parts += _residual(diagnosed, findings)
+    parts += [_finding(i, one, diagnosed, alone=len(findings) == 1) for i, one in enumerate(findings, start=1)]
+    blind = tuple(f"{one.get('effect')}: {one.get('reason')}" for one in objects_of(diagnosis.get("blind_to")))
     if blind:
-        parts.append("<h3>What this campaign cannot show</h3>" + markup.paragraph_list(blind, "remarks"))
-    parts.append(markup.paragraph_list(map(str, list_of(diagnosis.get("notes"))), "remarks"))
-    return "\n".join(part for part in parts if part)
+        parts += [Heading("What this campaign cannot show", 3), Bullets(blind, "remarks")]
+    return [*parts, Bullets(tuple(map(str, list_of(diagnosis.get("notes")))), "remarks")]
 
 
-def finding_figures(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, theme: Theme) -> dict[str, Figure]:
-    """The figures of this part by name, for files of their own."""
-    findings = objects_of(diagnosis.get("findings"))
-    made = {} if diagnosed is None else {"residual": _draw(position_view(diagnosed.records, findings), theme)}
-    for index, finding in enumerate(findings, start=1):
-        view = finding_view(finding, diagnosed, alone=len(findings) == 1)
-        if view is not None:
-            made[f"finding-{index}"] = _draw(view, theme)
-    return made
-
-
-def _summary(diagnosis: Mapping[str, Any]) -> str:
+def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
     held_out = object_of(diagnosis.get("held_out"))
     rows = []
     for key, name in (("rms_um", "RMS residual, µm"), ("peak_um", "largest residual, µm")):
         before, after = value_of(diagnosis.get("before"), key), value_of(diagnosis.get("after"), key)
         if before is not None and after is not None:
-            rows.append([name, markup.number(before), markup.number(after), change(before, after)])
+            rows.append((name, markup.number(before), markup.number(after), change(before, after)))
     facts = []
     if (floor := value_of(diagnosis, "noise_floor_um")) is not None:
         spread = value_of(diagnosis, "noise_floor_std_um")
@@ -77,8 +74,9 @@ def _summary(diagnosis: Mapping[str, Any]) -> str:
         facts.append(
             f"Both columns are on {held_out.get('rows', '?')} rows that were not fitted ({held_out.get('how', 'how is not stated')})."
         )
-    head = ["", "declared model", "with the effects found", "change"]
-    return f"<p>{markup.text(' '.join(facts))}</p>" + (markup.table(head, rows, css="numbers") if rows else "")
+    head = ("", "declared model", "with the effects found", "change")
+    table = [Table(head, tuple(rows), "numbers")] if rows else []
+    return [said(" ".join(facts)), *table]
 
 
 def change(before: float | None, after: float | None) -> str:
@@ -86,40 +84,38 @@ def change(before: float | None, after: float | None) -> str:
     return "–" if not before or after is None else f"{100 * (after - before) / abs(before):+.0f} %"
 
 
-def _residual_figure(diagnosed: NamedCampaign, findings: list[Mapping[str, Any]]) -> str:
+def _residual(diagnosed: NamedCampaign, findings: list[Mapping[str, Any]]) -> list[Block]:
     view = position_view(diagnosed.records, findings)
-    svg = inline_svg(_draw(view, PAGE), "residual", "Residual against position")
     columns = {"run": diagnosed.records.run, "direction": view.direction, "target_mm": view.x}
     columns |= {"residual_um": view.residual_um, "laid_over_um": view.over_um}
     caption = f"Residual of {diagnosed.label} against position; laid over: {view.over}."
-    return markup.figure(svg, caption) + markup.data_table("data-residual", "Data of this drawing", columns)
+    return [
+        Drawing("residual", "residual", _drawer(view), "Residual against position", caption),
+        DataTable("data-residual", "Data of this drawing", columns),
+    ]
 
 
-def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> str:
+def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> Finding:
     effect = str(finding.get("effect", "unnamed"))
     action = str(finding.get("action", ""))
     confidence = value_of(finding, "confidence")
     sure = f" · confidence {_percent(confidence)}" if confidence is not None else ""
-    parts = [
-        f'<section class="finding"><h3>{index}. {markup.text(effect)}'
-        f'<span class="tag">{markup.text(ACTIONS.get(action, action or "no action stated"))}</span></h3>',
-        f'<p>{markup.text(finding.get("explanation", ""))}<span class="muted">{markup.text(sure)}</span></p>',
+    parts: list[Block] = [
+        Heading(f"{index}. {effect}", 3, ACTIONS.get(action, action or "no action stated")),
+        Paragraph((Span(str(finding.get("explanation", ""))), Span(sure, "muted"))),
     ]
-    rows = [
-        [name, markup.significant(value_of(value, "value")), markup.significant(value_of(value, "std"), 2)]
+    rows = tuple(
+        (name, markup.significant(value_of(value, "value")), markup.significant(value_of(value, "std"), 2))
         for name, value in object_of(finding.get("parameters")).items()
-    ]
+    )
     if rows:
-        parts.append(markup.table(["parameter", "value", "standard error"], rows, css="numbers"))
+        parts.append(Table(("parameter", "value", "standard error"), rows, "numbers"))
     for rival in objects_of(finding.get("rivals")):
         share = value_of(rival, "confidence")
         weight = f" ({_percent(share)})" if share is not None else ""
-        parts.append(
-            f"<p>Rival: <strong>{markup.text(rival.get('effect'))}</strong>{markup.text(weight)}. To tell them apart: "
-            f"{markup.text(rival.get('separate_by', 'not stated'))}</p>"
-        )
+        apart = f"{weight}. To tell them apart: {rival.get('separate_by', 'not stated')}"
+        parts.append(Paragraph((Span("Rival: "), Span(str(rival.get("effect")), "strong"), Span(apart))))
     if (view := finding_view(finding, diagnosed, alone=alone)) is not None:
-        svg = inline_svg(_draw(view, PAGE), f"finding{index}", f"Residual and {effect}")
         columns = {
             "x": view.x,
             "direction": view.direction,
@@ -127,9 +123,11 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
             "laid_over_um": view.over_um,
         }
         caption = f"Residual against {view.label[0].lower() + view.label[1:]}; laid over: {view.over}."
-        parts.append(markup.figure(svg, caption))
-        parts.append(markup.data_table(f"data-finding-{index}", f"Data of this drawing (x is {view.label})", columns))
-    return "\n".join(parts) + "</section>"
+        parts += [
+            Drawing(f"finding{index}", f"finding-{index}", _drawer(view), f"Residual and {effect}", caption),
+            DataTable(f"data-finding-{index}", f"Data of this drawing (x is {view.label})", columns),
+        ]
+    return Finding(tuple(parts))
 
 
 def _percent(share: float) -> str:
@@ -139,7 +137,17 @@ def _percent(share: float) -> str:
     return "below 0.1 %" if 0 <= share < 0.0005 else f"{100 * share:.1f} %"
 
 
-def _draw(view: View, theme: Theme) -> Figure:
-    return plots.residual_plot(
-        view.x, view.residual_um, view.over_um, view.direction, theme, x_label=view.label, over=view.over
-    )
+def _drawer(view: View) -> Callable[[Theme, Ground], FigureBase]:
+    def draw(theme: Theme, ground: Ground) -> FigureBase:
+        return plots.residual_plot(
+            view.x,
+            view.residual_um,
+            view.over_um,
+            view.direction,
+            theme,
+            x_label=view.label,
+            over=view.over,
+            ground=ground,
+        )
+
+    return draw

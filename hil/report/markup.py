@@ -94,7 +94,7 @@ def data_table(
     """
     size = len(next(iter(columns.values())))
     shown = min(size, MAX_TABLE_ROWS)
-    cells = {name: [_cell(name, v) for v in values[:shown].tolist()] for name, values in columns.items()}
+    cells = {name: [cell(name, v) for v in values[:shown].tolist()] for name, values in columns.items()}
     rows = ([str(row + 1), *(cells[name][row] for name in columns)] for row in range(shown))
     cut = f"<p>The first {shown} of {size} rows; the saved file holds all.</p>" if shown < size else ""
     state = '"data" open' if unfolded else '"data folded"'
@@ -112,7 +112,8 @@ def figure(svg: str, caption: str) -> str:
     return f"<figure>{svg}<figcaption>{text(caption)}</figcaption></figure>"
 
 
-def _cell(name: str, value: float) -> str:
+def cell(name: str, value: float) -> str:
+    """A value of a column as a table shows it, by what its name says it is."""
     if not math.isfinite(value):
         return ""
     if name.endswith("_um"):

@@ -12,13 +12,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.ticker import MaxNLocator
 
 from hil.iso230 import Iso230
 from hil.records import Floats, Records
 from hil.report.data import NamedCampaign, history, plain
-from hil.report.svg import RC, Theme, label_axes, new_figure
+from hil.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
 
 MANY_POINTS = 4000
 """Above this many points a cloud is embedded as a picture, so that the page stays light."""
@@ -35,10 +35,12 @@ _STYLE: dict[int, dict[str, Any]] = {
 _SIGN = {1: "+", -1: "−"}
 
 
-def error_plot(campaign: NamedCampaign, theme: Theme, band_um: tuple[float, float] | None = None) -> Figure:
+def error_plot(
+    campaign: NamedCampaign, theme: Theme, band_um: tuple[float, float] | None = None, ground: Ground = fresh
+) -> FigureBase:
     """Error against position: every run thin, mean bold, mean ± 2s shaded, the accuracy A as a bracket."""
     with mpl.rc_context(RC):
-        figure = new_figure(9.6, 4.0, right_in=0.95)
+        figure = figure_on(ground, 9.6, 4.0, right_in=0.95)
         ax = figure.subplots()
         figures = campaign.figures()
         _errors(ax, theme, campaign.records, figures, band_um)
@@ -50,11 +52,14 @@ def error_plot(campaign: NamedCampaign, theme: Theme, band_um: tuple[float, floa
 
 
 def before_after_plot(
-    campaigns: Sequence[NamedCampaign], theme: Theme, band_um: tuple[float, float] | None = None
-) -> Figure:
+    campaigns: Sequence[NamedCampaign],
+    theme: Theme,
+    band_um: tuple[float, float] | None = None,
+    ground: Ground = fresh,
+) -> FigureBase:
     """The campaigns side by side on one scale."""
     with mpl.rc_context(RC):
-        figure = new_figure(9.6, 3.9, top_in=0.6)
+        figure = figure_on(ground, 9.6, 3.9, top_in=0.6)
         axes = figure.subplots(1, len(campaigns), sharey=True, sharex=True, squeeze=False)[0]
         for ax, campaign in zip(axes, campaigns, strict=True):
             figures = campaign.figures()
@@ -67,14 +72,14 @@ def before_after_plot(
         return figure
 
 
-def history_plot(campaign: NamedCampaign, theme: Theme) -> Figure:
+def history_plot(campaign: NamedCampaign, theme: Theme, ground: Ground = fresh) -> FigureBase:
     """What is left along time: deviation from the mean of the same target and direction, run means, temperatures if recorded."""
     records = campaign.records
     along = history(records)
     temperatures = [n for n in records.columns if (n.startswith("temp_") and n.endswith("_c")) or n == "air_temp_c"]
     temperatures = [name for name in temperatures if np.any(np.isfinite(records[name]))]
     with mpl.rc_context(RC):
-        figure = new_figure(9.6, 4.4 if temperatures else 3.0, left_in=0.82)
+        figure = figure_on(ground, 9.6, 4.4 if temperatures else 3.0, left_in=0.82)
         ratios = [3, 1.3] if temperatures else [1]
         axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
         ax = axes[0]
@@ -111,15 +116,23 @@ def history_plot(campaign: NamedCampaign, theme: Theme) -> Figure:
 
 
 def residual_plot(
-    x: Floats, residual_um: Floats, over_um: Floats, direction: Floats, theme: Theme, *, x_label: str, over: str
-) -> Figure:
+    x: Floats,
+    residual_um: Floats,
+    over_um: Floats,
+    direction: Floats,
+    theme: Theme,
+    *,
+    x_label: str,
+    over: str,
+    ground: Ground = fresh,
+) -> FigureBase:
     """Residual against one column, with a curve laid over it.
 
     x, residual_um, over_um, direction: shape (n,). over_um is drawn against x in ascending order, for each direction where it
     differs between them.
     """
     with mpl.rc_context(RC):
-        figure = new_figure(9.6, 3.0)
+        figure = figure_on(ground, 9.6, 3.0)
         ax = figure.subplots()
         _zero(ax, theme)
         for sign, color in ((1, theme.up), (-1, theme.down)):
@@ -269,7 +282,7 @@ def _unique(ax: Axes) -> tuple[list[Any], list[Any]]:
     return [first[name] for name in names], names
 
 
-def _legend(figure: Figure, ax: Axes, theme: Theme) -> None:
+def _legend(figure: FigureBase, ax: Axes, theme: Theme) -> None:
     handles, names = _unique(ax)
     at = (ax.get_position().x0, 1)
     figure.legend(

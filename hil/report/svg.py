@@ -9,16 +9,16 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 
 from hil.report.markup import text as text_of
 
@@ -88,14 +88,37 @@ RC: dict[Any, Any] = {
 """Drawing settings, in force only while a figure is made or written."""
 
 
+AnyFigure = TypeVar("AnyFigure", bound=FigureBase)
+Ground = Callable[[float, float], FigureBase]
+"""Gives the empty figure to draw on, for a width and a height in inches."""
+
+
+def fresh(width_in: float, height_in: float) -> Figure:
+    """A transparent figure of its own."""
+    return Figure(figsize=(width_in, height_in), facecolor="none")
+
+
 def new_figure(
     width_in: float, height_in: float, *, right_in: float = 0.12, top_in: float = 0.4, left_in: float = 0.68
 ) -> Figure:
-    """An empty figure on a transparent ground with room for labels on the left and below, and for a legend above.
+    """An empty figure on a transparent ground with room for labels on the left and below, and for a legend above."""
+    return figure_on(fresh, width_in, height_in, right_in=right_in, top_in=top_in, left_in=left_in)
+
+
+def figure_on(
+    ground: Callable[[float, float], AnyFigure],
+    width_in: float,
+    height_in: float,
+    *,
+    right_in: float = 0.12,
+    top_in: float = 0.4,
+    left_in: float = 0.68,
+) -> AnyFigure:
+    """The same on a ground of the caller's, such as a part of a sheet.
 
     The margins are fixed: a layout engine would draw everything twice to find what is known beforehand.
     """
-    figure = Figure(figsize=(width_in, height_in), facecolor="none")
+    figure = ground(width_in, height_in)
     figure.subplots_adjust(
         left=left_in / width_in,
         right=1 - right_in / width_in,
@@ -119,7 +142,7 @@ def label_axes(ax: Axes, theme: Theme, x: str, y: str) -> None:
         spine.set_color(theme.muted)
 
 
-def inline_svg(figure: Figure, name: str, description: str) -> str:
+def inline_svg(figure: FigureBase, name: str, description: str) -> str:
     """The figure as an <svg> element for an HTML page. `name` keeps its ids apart from other figures'."""
     text = _svg(figure, name)
     text = text[text.index("<svg") :]
@@ -139,29 +162,36 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     return text.replace("<svg", f'<svg role="img" aria-label="{text_of(description)}"', 1).strip()
 
 
-def file_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
+def file_bytes(figure: FigureBase, kind: str, dpi: int = 160) -> bytes:
     """The figure as a file of its own on a white ground; `kind` is "png" or "svg"."""
     figure.set_facecolor(LIGHT.surface)
     if kind == "svg":
         return _svg(figure, "hil").encode("utf-8")
     out = io.BytesIO()
-    with _drawing():
-        canvas: Any = FigureCanvasAgg(figure)
-        figure.set_dpi(dpi)
+    with drawing_settings():
+        canvas: Any = FigureCanvasAgg(_whole(figure))
+        _whole(figure).set_dpi(dpi)
         canvas.print_png(out, metadata={"Software": None})
     return out.getvalue()
 
 
-def _svg(figure: Figure, salt: str) -> str:
+def _svg(figure: FigureBase, salt: str) -> str:
     out = io.StringIO()
-    with _drawing({"svg.hashsalt": salt}):
-        canvas: Any = FigureCanvasSVG(figure)
+    with drawing_settings({"svg.hashsalt": salt}):
+        canvas: Any = FigureCanvasSVG(_whole(figure))
         canvas.print_svg(out, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     return out.getvalue()
 
 
+def _whole(figure: FigureBase) -> Figure:
+    """The figure, which must not be a part of another: only a whole one can be written."""
+    if not isinstance(figure, Figure):
+        raise TypeError("a part of a figure cannot be written by itself")
+    return figure
+
+
 @contextmanager
-def _drawing(extra: Mapping[Any, Any] | None = None) -> Iterator[None]:
+def drawing_settings(extra: Mapping[Any, Any] | None = None) -> Iterator[None]:
     """Our settings for a while, without warnings about letters that the font lacks: a browser has them, a picture shows a box."""
     with mpl.rc_context({**RC, **(extra or {})}), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)

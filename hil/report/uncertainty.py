@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from drivers.errors import InputError
 from hil.iso230 import Iso230
 from hil.report import markup
+from hil.report.blocks import Block, Heading, Table, said
 from hil.report.data import NamedCampaign
 from hil.uncertainty import Budget, UncertaintyInputs, budget
 
@@ -30,22 +31,20 @@ def stated(value: float | None, name: str, known: Budget | str | None) -> str:
     return f"{text} ± {markup.number(known.figures_um[name])}"
 
 
-def section(budgets: Sequence[Budget | str | None], labels: Sequence[str]) -> str:
-    """The whole part as HTML, empty where nothing was known."""
-    parts = []
+def section(budgets: Sequence[Budget | str | None], labels: Sequence[str]) -> list[Block]:
+    """The whole part, empty where nothing was known."""
+    parts: list[Block] = []
     for label, known in zip(labels, budgets, strict=True):
         if isinstance(known, str):
-            parts.append(f'<p class="callout">No uncertainty for {markup.text(label)}: {markup.text(known)}.</p>')
+            parts.append(said(f"No uncertainty for {label}: {known}.", "callout"))
         elif known is not None:
-            rows = [[one.name, markup.number(one.expanded_um), one.how] for one in known.contributions]
-            caption = f"{label}: over {known.length_mm:g} mm"
-            parts.append(
-                markup.table(["Contribution", "U, µm (k = 2)", ""], rows, css="numbers meaning", caption=caption)
-            )
+            rows = tuple((one.name, markup.number(one.expanded_um), one.how) for one in known.contributions)
+            head = ("Contribution", "U, µm (k = 2)", "")
+            parts.append(Table(head, rows, "meaning", f"{label}: over {known.length_mm:g} mm"))
     if not parts:
-        return ""
+        return []
     lead = (
-        "<p>Figures stand with their expanded uncertainty (k = 2), from the contributions of ISO/TR 230-9 propagated to each. How they"
-        " would scatter if the campaign were made again is not in it.</p>"
+        "Figures stand with their expanded uncertainty (k = 2), from the contributions of ISO/TR 230-9 propagated to each. How they"
+        " would scatter if the campaign were made again is not in it."
     )
-    return "<h2>Uncertainty of measurement</h2>" + lead + "\n".join(parts)
+    return [Heading("Uncertainty of measurement"), said(lead), *parts]

