@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from typing import Protocol
 
 NS_PER_S = 1_000_000_000
 
@@ -32,15 +33,29 @@ class Clock(ABC):
         return Deadline(self, self.now_ns() + round(duration_s * NS_PER_S))
 
 
+class Waiting(Protocol):
+    """How time really passes for whoever waits on a clock; here somebody else can end the wait, by an error raised in the waiter."""
+
+    def real(self, duration_s: float) -> None:
+        """Let this much real time pass (0.0: only look whether the wait is to end)."""
+
+    def simulated(self, now_ns: int) -> None:
+        """Simulated time has come to `now_ns`: hold it back for as long as it should last."""
+
+
 class WallClock(Clock):
     """Real time."""
+
+    def __init__(self, waiting: Waiting | None = None) -> None:
+        self._wait = time.sleep if waiting is None else waiting.real
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
 
     def sleep_until_ns(self, time_ns: int) -> None:
+        self._wait(max(0, time_ns - time.monotonic_ns()) / NS_PER_S)
         while (left_ns := time_ns - time.monotonic_ns()) > 0:
-            time.sleep(left_ns / NS_PER_S)
+            self._wait(left_ns / NS_PER_S)
 
 
 class Deadline:

@@ -103,10 +103,13 @@ class ServoDrive(ABC):
     """One axis's drive. notes: what `open` found worth telling an engineer, one sentence each.
 
     corrected_outside: whoever commands it adds a correction of its own at present; its own table is then not switched on.
+    on_look: hears each sample that whoever watches the axis has looked at. destination_load_mm: where the last profile move leads.
     """
 
     notes: Sequence[str] = ()
     corrected_outside = False
+    on_look: Callable[[DriveSample], None] | None = None
+    destination_load_mm: float | None = None
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
         self.name = name
@@ -201,6 +204,12 @@ class ServoDrive(ABC):
         self.limits.check_velocity(velocity_mm_s)
         self._require_enabled("move")
         self._start_move(position_load_mm, velocity_mm_s)
+        self.destination_load_mm = position_load_mm
+
+    def looked_at(self, sample: DriveSample) -> None:
+        """Whoever watches the axis has looked at this sample."""
+        if self.on_look is not None:
+            self.on_look(sample)
 
     @abstractmethod
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None: ...
@@ -292,6 +301,7 @@ class ServoDrive(ABC):
         deadline = self.clock.deadline(timeout_s)
         while True:
             sample = self.sample()
+            self.looked_at(sample)
             if condition(sample):
                 return sample
             if deadline.expired:

@@ -24,6 +24,8 @@ from hil.files import read_bytes, read_text, replace_file, sync_directory
 from hil.records import Records, format_row, parse_csv
 
 CHECKSUMS = "SHA256SUMS"
+FINISHED = "finished"
+"""Name of the empty file in a campaign whose job came to its end: one without it can be gone on with."""
 BEGUN = "begun "
 """Of the comment line that says when a pass was begun."""
 
@@ -213,6 +215,20 @@ class Campaign:
         sums = checksums(self.directory) | {path.name: hashlib.sha256(read_bytes(path)).hexdigest()}
         text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
         replace_file(self.directory / CHECKSUMS, text.encode())
+
+    def finish(self) -> None:
+        """The job that this campaign was started for has come to its end."""
+        replace_file(self.directory / FINISHED, b"")
+
+    @staticmethod
+    def unfinished(parent: Path, kind: str) -> Path | None:
+        """The campaign of this kind that `numbered` would resume, if it has rows and its job did not come to its end."""
+        begun = [path.parent for path in parent.glob(f"{kind}-[0-9]*/campaign.json")]
+        with_rows = [
+            path for path in begun if path.name.removeprefix(f"{kind}-").isdecimal() and any(path.glob("*.csv"))
+        ]
+        last = max(with_rows, key=lambda path: int(path.name.rpartition("-")[2]), default=None)
+        return None if last is None or (last / FINISHED).exists() else last
 
     def columns(self, name: str) -> tuple[str, ...] | None:
         """The columns of a pass that was begun, None for one that was not."""

@@ -14,7 +14,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.table_cost import table_bits
 from drivers.canopen.table_map import load_table_map
-from drivers.clock import Clock, WallClock
+from drivers.clock import Clock, Waiting, WallClock
 from drivers.correction_table import RawTable, TableDescription
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import CapabilityError, InputError
@@ -59,21 +59,25 @@ class Machine:
 
 @contextmanager
 def connected(
-    axis: AxisConfig, bench: BenchParameters | None = None, conditions: Conditions | None = None
+    axis: AxisConfig,
+    bench: BenchParameters | None = None,
+    conditions: Conditions | None = None,
+    waiting: Waiting | None = None,
 ) -> Iterator[Machine]:
     """Connect the axis of an axis file; on leaving it is stopped, restored and let go.
 
     bench: for backend "bench", the simulated machine to build instead of the one the axis file names.
     conditions: who brings about the load and the like on a real machine; the bench does so itself.
+    waiting: through whom the axis's clock waits, so that somebody else can end a wait.
     Raises InputError for a bench whose travel or scaling is not the axis file's, or while another process has connected this axis
     file, and whatever connecting raises.
     """
     with ExitStack() as stack:
         stack.enter_context(held(axis.path))
         if axis.drive.backend == "bench":
-            machine = _on_bench(axis, bench or bench_parameters(axis), stack)
+            machine = _on_bench(axis, bench or bench_parameters(axis), stack, waiting)
         else:
-            machine = _on_hardware(axis, conditions, stack)
+            machine = _on_hardware(axis, conditions, stack, waiting)
         stack.enter_context(machine.session)
         yield machine
 
@@ -83,31 +87,34 @@ def bench_parameters(axis: DriveAxis) -> BenchParameters:
     return known_bench(axis.drive.machine, axis.drive.seed)
 
 
-def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack) -> Machine:
-    bench = _bench(axis, with_instrument(parameters, axis.instrument), stack)
+def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack, waiting: Waiting | None) -> Machine:
+    bench = _bench(axis, with_instrument(parameters, axis.instrument), stack, waiting)
     drive = _bench_drive(axis, bench, stack)
     looking = instrument(axis.instrument, bench.laser_path, bench.clock)
     return Machine(axis, session_of(axis, drive, looking, BenchConditions(bench.plant, axis.conditions.levels)), bench)
 
 
-def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack) -> Bench:
+def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack, waiting: Waiting | None = None) -> Bench:
     check_bench(axis, parameters)
-    return stack.enter_context(Bench(parameters))
+    clock = None if waiting is None else SimClock(parameters.step_s, waiting)
+    return stack.enter_context(Bench(parameters) if clock is None else Bench(parameters, clock=clock))
 
 
-def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack) -> Machine:
-    clock = WallClock()
+def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack, waiting: Waiting | None) -> Machine:
+    clock = WallClock(waiting)
     drive = hardware_drive(axis, clock, stack)
     return Machine(axis, session_of(axis, drive, instrument(axis.instrument, axis.instrument.port, clock), conditions))
 
 
 # -- drives ------------------------------------------------------------------------------------------------------------
 @contextmanager
-def connected_drive(axis: DriveAxis, bench: BenchParameters | None = None) -> Iterator[ServoDrive]:
-    """The drive alone, open, without an instrument. Nothing is enabled or moved. bench: as for `connected`."""
+def connected_drive(
+    axis: DriveAxis, bench: BenchParameters | None = None, waiting: Waiting | None = None
+) -> Iterator[ServoDrive]:
+    """The drive alone, open, without an instrument. Nothing is enabled or moved. bench, waiting: as for `connected`."""
     with ExitStack() as stack:
         stack.enter_context(held(axis.path))
-        yield stack.enter_context(_drive_alone(axis, stack, bench))
+        yield stack.enter_context(_drive_alone(axis, stack, bench, waiting))
 
 
 @contextmanager
@@ -126,10 +133,12 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
         yield drive.parameters
 
 
-def _drive_alone(axis: DriveAxis, stack: ExitStack, bench: BenchParameters | None = None) -> ServoDrive:
+def _drive_alone(
+    axis: DriveAxis, stack: ExitStack, bench: BenchParameters | None = None, waiting: Waiting | None = None
+) -> ServoDrive:
     if axis.drive.backend == "bench":
-        return _bench_drive(axis, _bench(axis, bench or bench_parameters(axis), stack), stack)
-    return hardware_drive(axis, WallClock(), stack)
+        return _bench_drive(axis, _bench(axis, bench or bench_parameters(axis), stack, waiting), stack)
+    return hardware_drive(axis, WallClock(waiting), stack)
 
 
 def described_table(axis: DriveAxis) -> TableDescription | None:

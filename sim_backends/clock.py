@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.clock import NS_PER_S, Clock
+from drivers.clock import NS_PER_S, Clock, Waiting
 
 Advance = Callable[[int, float], None]
 """advance(now_ns, dt_s): bring yourself from now_ns - dt_s to now_ns."""
@@ -21,13 +21,19 @@ Settle = Callable[[], None]
 """settle(): a sleep is over and its sleeper is about to look; put on the wire what you still hold."""
 
 
+BEAT_NS = 10_000_000
+"""How often simulated time that is held back (`Waiting`) asks how long it should last."""
+
+
 class SimClock(Clock):
     """A clock whose sleep is the only thing that makes simulated time pass.
 
     step_s: the longest step of anything that does not say itself how long a step it can bear.
+    waiting: who holds it back, so that a person can watch, and may end a sleep by an error; None: as fast as it goes.
     """
 
-    def __init__(self, step_s: float = 0.005) -> None:
+    def __init__(self, step_s: float = 0.005, waiting: Waiting | None = None) -> None:
+        self._waiting = waiting
         self._step_ns = round(step_s * NS_PER_S)
         self._now_ns = 0
         self._attached: list[Advance] = []
@@ -54,6 +60,18 @@ class SimClock(Clock):
     def sleep_until_ns(self, time_ns: int) -> None:
         if self._now_ns >= time_ns:
             return
+        if self._waiting is None:
+            self._advance_to(time_ns)
+            self._settled()
+            return
+        try:
+            while self._now_ns < time_ns:
+                self._advance_to(min(time_ns, self._now_ns + BEAT_NS))
+                self._waiting.simulated(self._now_ns)
+        finally:
+            self._settled()
+
+    def _advance_to(self, time_ns: int) -> None:
         attached, bearable = self._attached, self._bearable
         while (left_ns := time_ns - self._now_ns) > 0:
             step_ns = left_ns if self._all_bear and bearable else min(self._step_ns, left_ns)
@@ -63,5 +81,7 @@ class SimClock(Clock):
             dt_s = step_ns / NS_PER_S
             for advance in attached:
                 advance(self._now_ns, dt_s)
+
+    def _settled(self) -> None:
         for settle in self._settle:
             settle()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 
-from hil.axis import AxisConfig, DriveAxis
+from hil.axis import AxisConfig
 from hil.cli.output import add_json_option
 from hil.cli.passwords import KEY, READING, password
+from hil.jobs.plan import Plan, Write, measuring_plan
 from hil.procedures.measure import Step
 from hil.store import SealedStore
 
@@ -43,24 +44,22 @@ def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> 
     return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key)
 
 
-def drive_in_words(axis: DriveAxis) -> str:
-    """The drive as a report names it."""
-    if axis.drive.backend == "bench":
-        return f"bench, {axis.drive.machine} machine, as {axis.drive.face}"
-    return axis.drive.backend
-
-
 def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:
     """What would move how far, and what would be written."""
-    how = axis.measurement
-    targets = [step.target_mm for step in steps]
-    low = min(*targets, how.reference_mm) - how.overrun_mm
-    high = max(*targets, how.reference_mm) + how.overrun_mm
-    homing = "home it, " if how.home else ""
-    print(
-        f"axis {axis.name} over {axis.drive.backend}: would enable it, {homing}take the datum at {how.reference_mm:g} mm"
-    )
-    print(f"would move between {low:.3f} and {high:.3f} mm (corrections come on top) at {how.velocity_mm_s:g} mm/s")
-    print(f"would capture {len(steps)} positions, {how.dwell_s + how.reading_s:g} s at rest each")
-    for line in writes:
-        print(f"would write {line}")
+    print_plan(measuring_plan(axis, steps, [Write("", line) for line in writes]))
+
+
+_WRITTEN = {"rows": "rows of each pass below ", "tables": ""}
+
+
+def print_plan(plan: Plan) -> None:
+    """The plan of a job that measures along the axis."""
+    reach = plan.reach_mm
+    homing = "home it, " if plan.homes else ""
+    if reach is not None:
+        print(f"axis {plan.axis} over {plan.backend}: would enable it, {homing}take the datum at {plan.datum_mm:g} mm")
+        velocity = max(move.velocity_mm_s for move in plan.moves)
+        print(f"would move between {reach[0]:.3f} and {reach[1]:.3f} mm (corrections come on top) at {velocity:g} mm/s")
+        print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each")
+    for write in plan.writes:
+        print(f"would write {_WRITTEN.get(write.what, '')}{write.place}")

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Callable
-from dataclasses import replace
-from datetime import datetime
-from pathlib import Path
-from typing import Any
 
 from drivers.drive import ServoDrive
 from hil.axis import DriveAxis, load_drive_axis
-from hil.axis_backlash import METHODS, BacklashConfig, default_backlash
-from hil.backlash_settings import TABLE, backlash_settings
-from hil.cli.axis_options import add_axis_arguments, drive_in_words
+from hil.axis_backlash import METHODS, BacklashConfig
+from hil.backlash_settings import TABLE
+from hil.cli.axis_options import add_axis_arguments
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
 from hil.files import replace_file
-from hil.procedures.neutral_settings import BacklashSettings, restore
-from hil.procedures.torque_backlash import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
-from hil.wind_up.result import NAMES, fitted_lost_motion, mean_um, reversal_json
-from hil.wind_up.trace import ReversalTrace
+from hil.jobs.backlash import MeasuredBacklash, backlash_config, facts, form, measure, put_back, report_html, verdict
+from hil.procedures.torque_backlash import DIRECTIONS
+from hil.wind_up.result import NAMES, fitted_lost_motion, mean_um
 from hil.wiring import connected_drive
 
 EXAMPLE = """\
@@ -68,57 +61,29 @@ def _count(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     """0: measured; 1: detection limit exceeded."""
     axis = load_drive_axis(args.axis)
-    how = axis.backlash or default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
-    given = {"runs": args.runs, "method": args.method}
-    how = replace(how, **{name: value for name, value in given.items() if value is not None})
+    how = backlash_config(axis, runs=args.runs, method=args.method)
     if args.dry_run:
         _print_plan(axis, how, args)
         return 0
     with connected_drive(axis) as drive:
-        settings = backlash_settings(axis, how, drive)
         if args.restore:
-            return _restore(settings)
-        result, kept = _measure(axis, how, drive, settings, args.write)
-    facts = _facts(settings, result)
-    _print(result, facts, kept)
+            return _restore(axis, how, drive)
+        with terminal_progress() as listener:
+            measured = measure(axis, how, drive, write=args.write, listener=listener, tell=_say)
+    _print(measured)
     if args.report:
-        _write_report(args.report, axis, how, result, facts)
+        replace_file(args.report, report_html(axis, measured).encode())
     if args.json:
-        write_json(args.json, _form(axis, how, settings, result))
-    return 0 if result.lost_motion_um is not None else 1
-
-
-def _measure(
-    axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, settings: BacklashSettings, write: bool
-) -> tuple[TorqueBacklash, Path]:
-    check_drive(drive, how)
-    kept = _next_file(axis.store.directory)
-    with terminal_progress() as listener:
-        result = measure_backlash(drive, how, settings, write=write, keep=_keeper(kept), listener=listener, tell=_say)
-    return result, kept
+        write_json(args.json, form(axis, measured))
+    return 0 if measured.result.lost_motion_um is not None else 1
 
 
 def _say(text: str) -> None:
     print(f"hil: {' '.join(text.split())}", file=sys.stderr)
 
 
-def _next_file(directory: Path) -> Path:
-    taken = [int(path.stem.rpartition("-")[2]) for path in directory.glob("backlash-[0-9]*.jsonl")]
-    return directory / f"backlash-{max(taken, default=0) + 1:03d}.jsonl"
-
-
-def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
-    """One line of JSON for every reversal, whole or broken off."""
-
-    def keep(run: int, trace: ReversalTrace) -> None:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"run": run, **trace.to_json()}) + "\n")
-
-    return keep
-
-
-def _restore(settings: BacklashSettings) -> int:
-    found = restore(settings)
+def _restore(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> int:
+    found = put_back(axis, how, drive)
     if found is None:
         print("nothing to put back: the last measurement left everything as it was")
     else:
@@ -146,21 +111,8 @@ def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) 
     print(f"  the mean would {'take the place of the amount' if args.write else 'not be written'}")
 
 
-def _facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
-    """The parameters before and now."""
-    before = result.found.values
-    facts = {f"{name}, before": f"{value:g}" for name, value in before.items()}
-    facts[f"1 of {settings.amount.name}"] = f"{settings.amount_um:g} µm"
-    if result.written is None:
-        facts["now"] = "as before, nothing was written"
-    else:
-        facts[f"{settings.amount.name}, written and read back"] = f"{result.written:g}"
-    if result.found.from_note:
-        facts["note"] = "an earlier measurement had not put these back; this one has"
-    return facts
-
-
-def _print(result: TorqueBacklash, facts: dict[str, str], kept: Path) -> None:
+def _print(measured: MeasuredBacklash) -> None:
+    result = measured.result
     rows = [
         [
             f"{one.run}, {NAMES[one.trace.direction]}",
@@ -176,62 +128,12 @@ def _print(result: TorqueBacklash, facts: dict[str, str], kept: Path) -> None:
     by_rule = mean_um(result.reversals, "four-sample")
     fitted = "–" if found is None else f"{found.mean_um:.2f} ± {found.u95_um:.2f} µm (95 %)"
     means = {"fitted": fitted, "four-sample": "–" if by_rule is None else f"{by_rule:.1f} µm"}
-    print_facts({**{f"mean, {name}": text for name, text in means.items()}, **facts, "readings": str(kept)})
+    print_facts(
+        {
+            **{f"mean, {name}": text for name, text in means.items()},
+            **facts(measured.settings, result),
+            "readings": str(measured.kept),
+        }
+    )
     if result.lost_motion_um is None:
         print(verdict(result))
-
-
-def verdict(result: TorqueBacklash) -> str:
-    """The sentence for a measurement without a value, empty for one with."""
-    exceeded = result.exceeded
-    if exceeded is None:
-        return ""
-    reach_um = float(exceeded.trace.travel_um[-1])
-    seen = exceeded.published_um
-    hint = (
-        ""
-        if seen is None
-        else f"; the four-sample rule has a peak at {seen:.1f} µm, finer steps may show a wind-up there"
-    )
-    return (
-        f"detection limit exceeded: {NAMES[exceeded.trace.direction]} shows no break-away within {reach_um:.0f} µm"
-        f" ({len(exceeded.trace.position_load_mm) - 1} steps); everything is as it was, nothing was written{hint}"
-    )
-
-
-def _write_report(
-    path: str, axis: DriveAxis, how: BacklashConfig, result: TorqueBacklash, facts: dict[str, str]
-) -> None:
-    from hil.report.torque_backlash import BacklashReport, render_backlash  # noqa: PLC0415  (plots are slow to import)
-
-    identity = {
-        "Axis": axis.name,
-        "Drive": drive_in_words(axis),
-        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in DIRECTIONS),
-        "Steps": f"{how.step_um:g} µm at {how.velocity_mm_s:g} mm/s, {how.readings} readings after {how.settle_s:g} s at rest",
-    }
-    title = f"Lost motion of axis {axis.name} by torque"
-    page = render_backlash(BacklashReport(title, result.reversals, how.method, verdict(result), identity, facts))
-    replace_file(path, page.encode())
-
-
-def _form(axis: DriveAxis, how: BacklashConfig, settings: BacklashSettings, result: TorqueBacklash) -> dict[str, Any]:
-    found = fitted_lost_motion(result.reversals)
-    return {
-        "axis": axis.name,
-        "good": result.lost_motion_um is not None,
-        "detection_limit_exceeded": result.exceeded is not None,
-        "method": how.method,
-        "lost_motion_um": result.lost_motion_um,
-        "fitted": None if found is None else {"mean_um": found.mean_um, "u95_um": found.u95_um},
-        "four_sample": {"mean_um": mean_um(result.reversals, "four-sample")},
-        "by_direction_um": {NAMES[each]: mean_um(result.reversals, how.method, each) for each in DIRECTIONS},
-        "reversals": [reversal_json(one) for one in result.reversals],
-        "parameters": {
-            "before": result.found.values,
-            "amount": settings.amount.name,
-            "amount_um": settings.amount_um,
-            "written": result.written,
-        },
-    }

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from typing import Any
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run
+from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_plan
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
-from hil.cli.summary import error_figures, print_stages
+from hil.cli.summary import print_stages
 from hil.files import replace_file
-from hil.journal import Campaign
+from hil.jobs.calibrate import calibration_plan, run_calibration, summarise
 from hil.manual import read_manual_tables, read_straightness
-from hil.procedures.calibrate import Calibration, as_stored, calibrate
-from hil.procedures.measure import bidirectional_steps
-from hil.store import SealedStore
+from hil.procedures.calibrate import as_stored
 from hil.tables import SingleTable
 from hil.wiring import connected
 
@@ -57,11 +54,11 @@ def run(args: argparse.Namespace) -> int:
     if args.manual is not None:
         return _store_manual(args, axis, straightness)
     if args.dry_run:
-        steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
-        print_dry_run(axis, steps, [f"rows of each pass below {axis.store.directory}", str(axis.tables_path)])
+        print_plan(calibration_plan(axis))
         return 0
     store = open_store(args, axis, writing=True)
-    result = run_calibration(axis, store, straightness, resume=args.resume)
+    with connected(axis) as machine, terminal_progress() as listener:
+        result = run_calibration(machine, store, listener, straightness=straightness, resume=args.resume)
     summary = summarise(axis, result)
     print_stages({"before": summary["before"], **{f"round {n}": one for n, one in enumerate(summary["rounds"], 1)}})
     for section in result.outside:
@@ -96,38 +93,3 @@ def _store_manual(args: argparse.Namespace, axis: AxisConfig, straightness: Sing
     if args.json:
         write_json(args.json, {"axis": axis.name, "digest": tables.digest(), "tables": tables.to_dict()})
     return 0
-
-
-def run_calibration(
-    axis: AxisConfig, store: SealedStore, straightness: SingleTable | None = None, *, resume: bool
-) -> Calibration:
-    """Connect, prepare, calibrate; each set of tables is sealed before it is used."""
-    with connected(axis) as machine, terminal_progress() as listener:
-        campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=resume)
-        machine.session.prepare()
-        return calibrate(
-            machine.session,
-            campaign,
-            axis.correction,
-            store.save_tables,
-            listener,
-            straightness=straightness,
-        )
-
-
-def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
-    """What a calibration came to, as plain values."""
-    return {
-        "axis": axis.name,
-        "before": error_figures(result.before),
-        "rounds": [
-            {
-                **error_figures(one.records),
-                "tables": one.tables.digest(),
-                "outside": [vars(section) for section in one.outside],
-            }
-            for one in result.rounds
-        ],
-        "inside": result.inside,
-        "tables": result.tables.to_dict(),
-    }

@@ -13,9 +13,10 @@ from hil.cli.axis_options import add_axis_arguments, add_password_options, open_
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
-from hil.cli.summary import error_figures, print_findings, print_stages
+from hil.cli.summary import print_findings, print_stages
 from hil.diagnosis.planned_run import PlannedRun
 from hil.files import replace_file
+from hil.jobs.figures import error_figures
 from hil.journal import Campaign
 from hil.procedures.close_loop import MOST_RUNS, Consent, Loop, Turn, Turning, close_loop
 from hil.procedures.conditions import AskedConditions, Conditions

@@ -11,12 +11,13 @@ from typing import Any
 
 from hil.axis import AxisConfig, load_axis
 from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
-from hil.cli.axis_options import add_axis_arguments, add_password_options, drive_in_words, open_store, seed
+from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, seed
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
 from hil.compensation import Compensation
 from hil.files import replace_file
+from hil.jobs.identity import drive_in_words
 from hil.journal import Campaign
 from hil.procedures.lost_motion import (
     LostMotionResult,

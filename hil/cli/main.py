@@ -43,6 +43,7 @@ VERBS = (
     "open_",
     "sign",
     "check",
+    "panel",
     "sim",
 )
 """Modules of `hil.cli`, in the order of the help. Only the one that is asked for is loaded: scipy alone takes longer than a verb."""

@@ -5,30 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from drivers.errors import InputError
 from hil.cli.output import number, print_table
-from hil.iso230 import iso230
-from hil.records import Records
 
 if TYPE_CHECKING:  # loading it takes longer than calibrating needs to begin
     from hil.diagnosis import Diagnosis
-
-
-def error_figures(records: Records) -> dict[str, Any]:
-    """RMS and peak of the error as measured, and ISO 230-2 A, R, B and M where the rows allow them; µm."""
-    error = records.error_um
-    figures: dict[str, Any] = {
-        "rows": len(records),
-        "rms_um": float(np.sqrt(np.mean(error**2))),
-        "peak_um": float(np.max(np.abs(error))),
-    }
-    try:
-        iso = iso230(records)
-    except InputError:
-        return figures
-    return {**figures, "A_um": iso.A, "R_um": iso.R, "B_um": iso.B, "M_um": iso.M}
 
 
 def print_findings(diagnosis: Diagnosis) -> None:

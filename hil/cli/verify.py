@@ -9,20 +9,17 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run, seed
+from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_plan, seed
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.iso230 import print_figures
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
-from hil.cli.summary import error_figures, print_stages
+from hil.cli.summary import print_stages
 from hil.files import replace_file
-from hil.history import REPLAY
 from hil.iso230 import iso230
-from hil.journal import Campaign
-from hil.procedures.measure import bidirectional_steps, other_targets
-from hil.procedures.verify import verify
+from hil.jobs.calibrate import run_verification, verification_plan
+from hil.jobs.figures import error_figures
 from hil.replay_wiring import recorded, replayed
-from hil.store import compensation_in_force
 from hil.wiring import Machine, connected
 
 EXAMPLE = """\
@@ -72,18 +69,13 @@ def run(args: argparse.Namespace) -> int:
     """0: verified; 1: sections outside the band."""
     axis = load_axis(args.axis)
     if args.dry_run:
-        steps = bidirectional_steps(other_targets(axis.measurement, args.seed), axis.measurement.runs)
-        print_dry_run(axis, steps, [f"rows below {axis.store.directory}"])
+        print_plan(verification_plan(axis, args.seed))
         return 0
     compensation = open_store(args, axis, writing=False).load(read_effects(args.effects))
-    purpose = {**axis.purpose("verify"), **compensation_in_force(compensation), "seed": args.seed}
-    if args.replay:
-        purpose |= {"kind": REPLAY, "recording": Path(args.replay).name}
+    recording = Path(args.replay).name if args.replay else ""
     with _machine(args, axis) as machine, terminal_progress() as listener:
-        campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
-        machine.session.prepare()
-        machine.session.compensation = compensation
-        result = verify(machine.session, campaign, "verify", axis.correction.band, listener, seed=args.seed)
+        how = {"seed": args.seed, "resume": args.resume, "recording": recording}
+        result = run_verification(machine, compensation, listener, **how)
     figures = error_figures(result.records)
     try:
         print_figures(iso230(result.records))

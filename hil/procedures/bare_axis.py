@@ -83,6 +83,7 @@ class BareAxis:
     def look(self, what: str) -> DriveSample:
         """One sample of an enabled drive. Raises DriveFaultError and StateError."""
         sample = self.drive.sample()
+        self.drive.looked_at(sample)
         if sample.state in _FAULTS:
             code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
             raise DriveFaultError(f"drive {self.drive.name} went into {sample.state.value}{code}", sample.fault_code)

@@ -91,6 +91,7 @@ class AxisSession:
         self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
         self._stale_ns = round(stale_after_s * NS_PER_S)
         self._start_ns = self.clock.now_ns()
+        self.on_readings: Callable[[Sequence[Reading]], None] | None = None  # hears what the instrument sent
         self._datum_mm: float | None = None
         self._commanded_mm = math.nan  # the last command, known whenever the history is
         self._latest: Reading | None = None
@@ -127,6 +128,27 @@ class AxisSession:
             self._entered = self.drive.corrected_outside = False
             self._stopped_for = None
             self.history = None
+
+    @contextmanager
+    def one_job(self) -> Iterator[None]:
+        """One of several jobs on one connection: each begins as if the session had just been entered, and ends by putting the axis
+        back as it was found, stopped first where the job failed. What was in force of a correction is not any more."""
+        self._was_enabled = self.drive.sample().state is DriveState.ENABLED
+        self._latest = self._datum_mm = self.history = self._stopped_for = None
+        self._start_ns = self.clock.now_ns()
+        self.time_offset_s = 0.0
+        self.compensation = None
+        try:
+            yield
+        except BaseException as error:
+            self._stop_for(error)
+            if not self._was_enabled:
+                self._disable_if_reachable(raising=False)
+            raise
+        finally:
+            self.compensation = None
+        if not self._was_enabled:
+            self.drive.disable()
 
     def _stop_whatever_happens(self) -> None:
         """Quick stop on the way out; the error under way matters more than one of stopping, so that is not raised.
@@ -191,6 +213,7 @@ class AxisSession:
 
     def _look_alone(self) -> tuple[DriveSample, Sequence[Reading]]:
         sample = self.drive.sample()
+        self.drive.looked_at(sample)
         readings = self._poll()
         if sample.state in _FAULTS:
             code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
@@ -202,9 +225,12 @@ class AxisSession:
     def _poll(self) -> Sequence[Reading]:
         """A port of the instrument's that went away is a lost measurement, not a lost drive."""
         try:
-            return self.instrument.poll()
+            readings = self.instrument.poll()
         except LinkLostError as error:
             raise MeasurementLostError(f"instrument {self.instrument.name}: {error}") from error
+        if self.on_readings is not None and readings:
+            self.on_readings(readings)
+        return readings
 
     def _take(self, readings: Sequence[Reading]) -> None:
         for reading in readings:

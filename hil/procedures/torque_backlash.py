@@ -17,7 +17,7 @@ from drivers.drive import Capability, ServoDrive
 from drivers.errors import CapabilityError, ProtocolError
 from hil.axis_backlash import SLIDE_MM, SLIDES, BacklashConfig
 from hil.procedures.bare_axis import STEP_SLICE_S, BareAxis, check_reach
-from hil.procedures.events import Event, Listener, silent
+from hil.procedures.events import Event, Listener, Measured, Point, silent
 from hil.procedures.neutral_settings import BacklashSettings, Found, Tell, neutral
 from hil.procedures.one_correction import refuse_while_drive_corrects
 from hil.wind_up.fitted import fit_wind_up
@@ -90,6 +90,7 @@ def measure_backlash(
         for run in range(1, how.runs + 1):
             for direction in DIRECTIONS:
                 reversals.append(Reversal.of(run, measurement.reversal(run, direction)))
+                listener(measurement.result(reversals[-1]))
                 if reversals[-1].lost_motion_um(how.method) is None:
                     return TorqueBacklash(tuple(reversals), how.method, found)
     result = TorqueBacklash(tuple(reversals), how.method, found)
@@ -138,7 +139,7 @@ class _Measurement:
         The run-in goes to and fro: half of the torque that it leaves behind each way is the weight of a vertical axis.
         """
         how, turning, step_mm = self.how, self.how.turning_mm(direction), self.how.step_um / 1000.0
-        stage = f"run {run} of {how.runs}, {NAMES[direction]}"
+        stage = self._stage(run, direction)
         self.listener(Event(stage, "to the reference", 0, how.steps))
         self.axis.move_to(turning, how.travel_velocity_mm_s)
         left_behind = [self._step(place)[1] for place in (how.start_mm(direction), turning)]
@@ -149,15 +150,25 @@ class _Measurement:
                 recording.position_load_mm.append(position)
                 recording.torque_percent.append(torques)
                 travelled_um = abs(position - recording.position_load_mm[0]) * 1000.0
-                self.listener(Event(stage, f"{travelled_um:.1f} µm, {torques[0]:+.1f} %", index, how.steps))
+                said = f"{travelled_um:.1f} µm, {torques[0]:+.1f} %"
+                point = Point(_series(run, direction), travelled_um, float(np.mean(torques)))
+                self.listener(Event(stage, said, index, how.steps, point))
                 if index % _FIT_EVERY == 0 and _enough(recording.trace(), how.step_um):
                     self._slide(recording)
                     break
         finally:
             if recording.position_load_mm:
                 self.keep(run, recording.trace())
-        self.listener(Event(stage, "done", how.steps, how.steps))
         return recording.trace()
+
+    def _stage(self, run: int, direction: int) -> str:
+        return f"run {run} of {self.how.runs}, {NAMES[direction]}"
+
+    def result(self, one: Reversal) -> Event:
+        """What a reversal came to."""
+        direction = one.trace.direction
+        found = Measured(_series(one.run, direction), one.lost_motion_um(self.how.method), "µm")
+        return Event(self._stage(one.run, direction), "done", self.how.steps, self.how.steps, found)
 
     def _slide(self, recording: _Recording) -> None:
         """Longer ways in the new direction, at the measuring speed; what each leaves behind at rest."""
@@ -180,6 +191,11 @@ class _Measurement:
             if len(torques) == self.how.readings:
                 return sample.position_load_mm, torques
             axis.rest(READING_S)
+
+
+def _series(run: int, direction: int) -> str:
+    """How a reversal's points and figures are called."""
+    return f"{run}, {NAMES[direction]}"
 
 
 def _enough(trace: ReversalTrace, step_um: float) -> bool:

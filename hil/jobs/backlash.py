@@ -1,0 +1,313 @@
+"""Lost motion from the servo's torque (system B): measure it, put back what was interrupted, write it, switch its compensation.
+
+Beside the note of an interrupted measurement (`hil.procedures.neutral_settings`) one more file is kept in the axis's folder: what
+stood in the drive before a measured amount was first written, and which amount that was, so that the original can be had back and
+the compensation be switched off and on again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.drive import ServoDrive
+from drivers.errors import InputError, StateError
+from hil.axis import DriveAxis
+from hil.axis_backlash import BacklashConfig, default_backlash
+from hil.backlash_settings import NOTE, TABLE, backlash_settings
+from hil.files import read_text, replace_file
+from hil.jobs.identity import drive_in_words
+from hil.jobs.job import Job, Workplace
+from hil.jobs.plan import Move, Plan, Write
+from hil.procedures.events import Listener, silent
+from hil.procedures.neutral_settings import BacklashSettings, Found, restore
+from hil.procedures.torque_backlash import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
+from hil.wind_up.result import NAMES, fitted_lost_motion, mean_um, reversal_json
+from hil.wind_up.trace import ReversalTrace
+
+MEASURE, LOOK = "backlash", "backlash look"
+WRITE, RESTORE, SWITCH = "backlash write", "backlash restore", "backlash switch"
+WRITTEN = "backlash-written.json"
+
+
+def backlash_config(axis: DriveAxis, **given: Any) -> BacklashConfig:
+    """What the axis file says of it, or the defaults, with what was given instead. Raises InputError."""
+    how = axis.backlash or default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
+    return replace(how, **{name: value for name, value in given.items() if value is not None})
+
+
+def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
+    """What holds the amount and the switch of the acceleration, by name."""
+    if how.parameter is None:
+        return [str(axis.store.directory / TABLE)]
+    return [name for name in (how.parameter, how.acceleration) if name]
+
+
+# -- measure -------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class MeasuredBacklash:
+    """A measurement, and the file with its readings."""
+
+    how: BacklashConfig
+    settings: BacklashSettings
+    result: TorqueBacklash
+    kept: Path
+
+
+def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Plan:
+    """What a measurement moves and writes."""
+    moves = []
+    for direction in DIRECTIONS:
+        ends = (how.start_mm(direction), how.turning_mm(direction), how.end_mm(direction))
+        moves.append(Move(f"reverse {NAMES[direction]}", min(ends), max(ends), how.travel_velocity_mm_s))
+    places = _parameters(axis, how)
+    writes = [Write("meanwhile", place) for place in places] if how.parameter else []
+    writes += [Write("parameter", places[0])] if write else []
+    return Plan(axis.name, axis.drive.backend, tuple(moves), tuple(writes), how.home, locked=write)
+
+
+def measure(
+    axis: DriveAxis,
+    how: BacklashConfig,
+    drive: ServoDrive,
+    *,
+    write: bool = False,
+    listener: Listener = silent,
+    tell: Callable[[str], None],
+) -> MeasuredBacklash:
+    """Measure on an open drive; every reversal is kept as it comes, also one that was broken off."""
+    settings = backlash_settings(axis, how, drive)
+    check_drive(drive, how)
+    kept = _next_file(axis.store.directory)
+    result = measure_backlash(drive, how, settings, write=write, keep=_keeper(kept), listener=listener, tell=tell)
+    if result.written is not None:
+        _remember(axis, result.found.values, result.written)
+    return MeasuredBacklash(how, settings, result, kept)
+
+
+def measuring_job(axis: DriveAxis, how: BacklashConfig) -> Job:
+    """For the desk: returns a MeasuredBacklash; nothing is written to stay."""
+
+    def work(place: Workplace) -> MeasuredBacklash:
+        return measure(axis, how, place.drive, listener=place.listener, tell=place.tell)
+
+    return Job(MEASURE, measuring_plan(axis, how), work)
+
+
+def _next_file(directory: Path) -> Path:
+    taken = [int(path.stem.rpartition("-")[2]) for path in directory.glob("backlash-[0-9]*.jsonl")]
+    return directory / f"backlash-{max(taken, default=0) + 1:03d}.jsonl"
+
+
+def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
+    """One line of JSON for every reversal, whole or broken off."""
+
+    def keep(run: int, trace: ReversalTrace) -> None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"run": run, **trace.to_json()}) + "\n")
+
+    return keep
+
+
+# -- the parameter ---------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Compensating:
+    """The drive's backlash compensation at present.
+
+    amount: in the parameter's own unit, of which 1 is amount_um; original, written: before and by us, None while we wrote none
+    """
+
+    name: str
+    amount: float
+    amount_um: float
+    original: float | None = None
+    written: float | None = None
+    interrupted: bool = False  # a measurement did not get to put the settings back
+
+    @property
+    def on(self) -> bool:
+        return self.amount != 0.0
+
+
+def compensating(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> Compensating:
+    """Read it from the open drive."""
+    settings = backlash_settings(axis, how, drive)
+    written = _written(axis)
+    original = None if written is None else written["before"].get(settings.amount.name)
+    last = None if written is None else written["amount"]
+    noted = settings.note.exists()
+    return Compensating(settings.amount.name, settings.amount.read(), settings.amount_um, original, last, noted)
+
+
+def look_job(axis: DriveAxis, how: BacklashConfig) -> Job:
+    """For the desk: returns a Compensating; moves and writes nothing."""
+    plan = Plan(axis.name, axis.drive.backend)
+    return Job(LOOK, plan, lambda place: compensating(axis, how, place.drive))
+
+
+def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Job:
+    """For the desk: write a measured mean to the drive's parameter, and read it back; returns a Compensating."""
+
+    def work(place: Workplace) -> Compensating:
+        settings = backlash_settings(axis, how, place.drive)
+        before = {setting.name: setting.read() for setting in settings.settings()}
+        amount = settings.amount_of(lost_motion_um)
+        settings.amount.write(amount)
+        _remember(axis, before, amount)
+        return compensating(axis, how, place.drive)
+
+    return Job(WRITE, _parameter_plan(axis, how), work)
+
+
+def restore_job(axis: DriveAxis, how: BacklashConfig) -> Job:
+    """For the desk: put back what an interrupted measurement left changed, else what stood there before we wrote; a Compensating."""
+    interrupted = unrestored(axis)
+
+    def work(place: Workplace) -> Compensating:
+        settings = backlash_settings(axis, how, place.drive)
+        if restore(settings) is None:
+            _write_original(axis, settings)
+        return compensating(axis, how, place.drive)
+
+    plan = _parameter_plan(axis, how)
+    return Job(RESTORE, replace(plan, locked=not interrupted), work)
+
+
+def switch_job(axis: DriveAxis, how: BacklashConfig, *, on: bool) -> Job:
+    """For the desk: the compensation off (its amount 0), or on again with the amount it had; returns a Compensating."""
+
+    def work(place: Workplace) -> Compensating:
+        settings = backlash_settings(axis, how, place.drive)
+        present = settings.amount.read()
+        if on and present == 0.0:
+            written = _written(axis)
+            if written is None or not written["amount"]:
+                raise StateError("there is no amount to switch on: measure the lost motion and write it first")
+            settings.amount.write(written["amount"])
+        elif not on and present != 0.0:
+            before = {setting.name: setting.read() for setting in settings.settings()}
+            _remember(axis, before, present)
+            settings.amount.write(0)
+        return compensating(axis, how, place.drive)
+
+    return Job(SWITCH, _parameter_plan(axis, how), work)
+
+
+def unrestored(axis: DriveAxis) -> bool:
+    """Whether an interrupted measurement left the drive's settings changed."""
+    return (axis.store.directory / NOTE).exists()
+
+
+def put_back(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> Found | None:
+    """What an interrupted measurement left changed is put back; None where nothing was. Raises NotRestoredError."""
+    return restore(backlash_settings(axis, how, drive))
+
+
+def _parameter_plan(axis: DriveAxis, how: BacklashConfig) -> Plan:
+    return Plan(axis.name, axis.drive.backend, writes=(Write("parameter", _parameters(axis, how)[0]),), locked=True)
+
+
+def _write_original(axis: DriveAxis, settings: BacklashSettings) -> None:
+    written = _written(axis)
+    if written is None:
+        raise StateError("nothing to restore: no amount was written since the drive was as it is")
+    for setting in settings.settings():
+        if setting.name in written["before"]:
+            setting.write(written["before"][setting.name])
+    (axis.store.directory / WRITTEN).unlink()
+
+
+def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:
+    """Keep what stood there before the first amount of ours, and the last amount of ours."""
+    earlier = _written(axis)
+    kept = before if earlier is None else earlier["before"]
+    form = {"before": kept, "amount": amount}
+    replace_file(axis.store.directory / WRITTEN, (json.dumps(form, indent=2) + "\n").encode())
+
+
+def _written(axis: DriveAxis) -> dict[str, Any] | None:
+    path = axis.store.directory / WRITTEN
+    if not path.exists():
+        return None
+    try:
+        form = json.loads(read_text(path))
+        return {"before": {str(k): float(v) for k, v in form["before"].items()}, "amount": float(form["amount"])}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("does not hold what was written to the drive, and what was there before", path=path) from error
+
+
+# -- what came of it -------------------------------------------------------------------------------------------------------
+def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
+    """The parameters before and now."""
+    before = result.found.values
+    lines = {f"{name}, before": f"{value:g}" for name, value in before.items()}
+    lines[f"1 of {settings.amount.name}"] = f"{settings.amount_um:g} µm"
+    if result.written is None:
+        lines["now"] = "as before, nothing was written"
+    else:
+        lines[f"{settings.amount.name}, written and read back"] = f"{result.written:g}"
+    if result.found.from_note:
+        lines["note"] = "an earlier measurement had not put these back; this one has"
+    return lines
+
+
+def verdict(result: TorqueBacklash) -> str:
+    """The sentence for a measurement without a value, empty for one with."""
+    exceeded = result.exceeded
+    if exceeded is None:
+        return ""
+    reach_um = float(exceeded.trace.travel_um[-1])
+    seen = exceeded.published_um
+    hint = (
+        ""
+        if seen is None
+        else f"; the four-sample rule has a peak at {seen:.1f} µm, finer steps may show a wind-up there"
+    )
+    return (
+        f"detection limit exceeded: {NAMES[exceeded.trace.direction]} shows no break-away within {reach_um:.0f} µm"
+        f" ({len(exceeded.trace.position_load_mm) - 1} steps); everything is as it was, nothing was written{hint}"
+    )
+
+
+def report_html(axis: DriveAxis, measured: MeasuredBacklash) -> str:
+    """The report as a page."""
+    from hil.report.torque_backlash import BacklashReport, render_backlash  # noqa: PLC0415  (plots are slow to import)
+
+    how, result = measured.how, measured.result
+    identity = {
+        "Axis": axis.name,
+        "Drive": drive_in_words(axis),
+        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in DIRECTIONS),
+        "Steps": f"{how.step_um:g} µm at {how.velocity_mm_s:g} mm/s, {how.readings} readings after {how.settle_s:g} s at rest",
+    }
+    title = f"Lost motion of axis {axis.name} by torque"
+    parameters = facts(measured.settings, result)
+    return render_backlash(BacklashReport(title, result.reversals, how.method, verdict(result), identity, parameters))
+
+
+def form(axis: DriveAxis, measured: MeasuredBacklash) -> dict[str, Any]:
+    """The machine-readable result."""
+    result, method = measured.result, measured.how.method
+    found = fitted_lost_motion(result.reversals)
+    return {
+        "axis": axis.name,
+        "good": result.lost_motion_um is not None,
+        "detection_limit_exceeded": result.exceeded is not None,
+        "method": method,
+        "lost_motion_um": result.lost_motion_um,
+        "fitted": None if found is None else {"mean_um": found.mean_um, "u95_um": found.u95_um},
+        "four_sample": {"mean_um": mean_um(result.reversals, "four-sample")},
+        "by_direction_um": {NAMES[each]: mean_um(result.reversals, method, each) for each in DIRECTIONS},
+        "reversals": [reversal_json(one) for one in result.reversals],
+        "parameters": {
+            "before": result.found.values,
+            "amount": measured.settings.amount.name,
+            "amount_um": measured.settings.amount_um,
+            "written": result.written,
+        },
+    }

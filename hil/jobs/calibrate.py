@@ -1,0 +1,125 @@
+"""Calibration and verification along an axis (system A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from hil.axis import AxisConfig
+from hil.compensation import Compensation
+from hil.history import REPLAY
+from hil.jobs.figures import error_figures
+from hil.jobs.job import Job, Workplace
+from hil.jobs.plan import Plan, Write, measuring_plan
+from hil.journal import Campaign
+from hil.procedures.calibrate import Calibration, calibrate
+from hil.procedures.events import Listener, silent
+from hil.procedures.measure import bidirectional_steps, other_targets
+from hil.procedures.verify import Verification, verify
+from hil.store import SealedStore, compensation_in_force
+from hil.tables import SingleTable
+from hil.wiring import Machine
+
+CALIBRATE, VERIFY = "calibrate", "verify"
+
+
+# -- calibrate -----------------------------------------------------------------------------------------------------------
+def calibration_plan(axis: AxisConfig) -> Plan:
+    """What a calibration moves and writes."""
+    steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
+    writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
+    return measuring_plan(axis, steps, writes, locked=True)
+
+
+def run_calibration(
+    machine: Machine,
+    store: SealedStore,
+    listener: Listener = silent,
+    *,
+    straightness: SingleTable | None = None,
+    resume: bool = False,
+) -> Calibration:
+    """Prepare and calibrate; each set of tables is sealed before it is used."""
+    axis = machine.axis
+    campaign = Campaign.numbered(axis.store.directory, axis.purpose(CALIBRATE), resume=resume)
+    machine.session.prepare()
+    store_tables = store.save_tables
+    result = calibrate(machine.session, campaign, axis.correction, store_tables, listener, straightness=straightness)
+    campaign.finish()
+    return result
+
+
+def calibration_job(axis: AxisConfig, *, resume: bool = False) -> Job:
+    """For the desk: returns a Calibration."""
+    return Job(
+        CALIBRATE,
+        calibration_plan(axis),
+        lambda place: run_calibration(place.machine(), place.opened_store(), place.listener, resume=resume),
+    )
+
+
+def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
+    """What a calibration came to, as plain values."""
+    return {
+        "axis": axis.name,
+        "before": error_figures(result.before),
+        "rounds": [
+            {
+                **error_figures(one.records),
+                "tables": one.tables.digest(),
+                "outside": [vars(section) for section in one.outside],
+            }
+            for one in result.rounds
+        ],
+        "inside": result.inside,
+        "tables": result.tables.to_dict(),
+    }
+
+
+# -- verify --------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Verified:
+    """A verification, and what was in force."""
+
+    compensation: Compensation
+    result: Verification
+
+
+def verification_plan(axis: AxisConfig, seed: int) -> Plan:
+    """What a verification moves and writes."""
+    steps = bidirectional_steps(other_targets(axis.measurement, seed), axis.measurement.runs)
+    return measuring_plan(axis, steps, [Write("rows", str(axis.store.directory))])
+
+
+def run_verification(
+    machine: Machine,
+    compensation: Compensation,
+    listener: Listener = silent,
+    *,
+    seed: int = 1,
+    resume: bool = False,
+    recording: str = "",
+) -> Verification:
+    """Prepare, put the compensation into force, measure at other targets. recording: file name of what is replayed, if anything is."""
+    axis = machine.axis
+    purpose = {**axis.purpose(VERIFY), **compensation_in_force(compensation), "seed": seed}
+    if recording:
+        purpose |= {"kind": REPLAY, "recording": recording}
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
+    machine.session.prepare()
+    machine.session.compensation = compensation
+    result = verify(machine.session, campaign, "verify", axis.correction.band, listener, seed=seed)
+    campaign.finish()
+    return result
+
+
+def verification_job(axis: AxisConfig, *, seed: int = 1, resume: bool = False) -> Job:
+    """For the desk: returns a Verified, of the compensation in the axis's store."""
+
+    def work(place: Workplace) -> Verified:
+        compensation = place.opened_store().load()
+        return Verified(
+            compensation, run_verification(place.machine(), compensation, place.listener, seed=seed, resume=resume)
+        )
+
+    return Job(VERIFY, verification_plan(axis, seed), work)

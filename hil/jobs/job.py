@@ -1,0 +1,58 @@
+"""A job as the operator's desk runs it: what it is called, what it would do, and the work itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.clock import Clock
+from drivers.drive import ServoDrive
+from drivers.errors import CapabilityError
+from hil.axis import AxisConfig, DriveAxis
+from hil.jobs.plan import Plan
+from hil.procedures.events import Listener
+from hil.procedures.session import AxisSession
+from hil.store import SealedStore
+from hil.wiring import Machine
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """A connected axis as a job finds it; session: None for an axis without an instrument.
+
+    store: with the builder's key while a builder is at the desk, without it where only the reading password was given, else None.
+    """
+
+    axis: DriveAxis
+    drive: ServoDrive
+    session: AxisSession | None
+    listener: Listener
+    tell: Tell
+    store: SealedStore | None = None
+
+    @property
+    def clock(self) -> Clock:
+        return self.drive.clock
+
+    def machine(self) -> Machine:
+        """The axis with its instrument. Raises CapabilityError where it has none."""
+        if self.session is None or not isinstance(self.axis, AxisConfig):
+            raise CapabilityError(f"axis {self.axis.name} has no instrument: its file ends with the drive")
+        return Machine(self.axis, self.session)
+
+    def opened_store(self) -> SealedStore:
+        """The axis's store. Raises CapabilityError while nobody has given its password."""
+        if self.store is None:
+            raise CapabilityError(f"the tables of axis {self.axis.name} are sealed: give the reading password first")
+        return self.store
+
+
+@dataclass(frozen=True)
+class Job:
+    """kind: "backlash", "calibrate" …, of which one desk remembers the last; work: runs in the thread that owns the axis."""
+
+    kind: str
+    plan: Plan
+    work: Callable[[Workplace], object]

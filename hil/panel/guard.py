@@ -1,0 +1,134 @@
+"""Who may talk to the server: an ASGI layer around all of it, web sockets included.
+
+A request is answered only if it was meant for this server (Host) and comes from a page of this server (Origin): a page from elsewhere
+that is open in the same browser can neither send anything here nor, by a name that it lets point to this machine, pretend to be us.
+Beyond loopback every browser is asked for the access token first.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from hil.panel.browsers import COOKIE, new_cookie
+
+Message = MutableMapping[str, Any]
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+ACCESS = "hil-access"
+LOGIN = "/access"
+_LONGEST_FORM = 4096
+
+
+class Guard:
+    """hosts: names under which this server may be asked for, without port; access_token: None on loopback."""
+
+    def __init__(self, app: App, hosts: Iterable[str], access_token: str | None, form: str, *, secure: bool) -> None:
+        self.app = app
+        self._hosts = frozenset(host.lower() for host in hosts)
+        self._token = access_token
+        self._form = form
+        self._cookie_flags = "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        if not self._meant_for_us(headers.get("host", "")):
+            await _refuse(scope, send, 421, "this server does not go by that name")
+        elif not self._from_our_page(scope, headers):
+            await _refuse(scope, send, 403, "not from a page of this server")
+        elif not self._admitted(headers):
+            await self._ask(scope, receive, send)
+        else:
+            await self._pass_on(scope, headers, receive, send)
+
+    def _meant_for_us(self, host: str) -> bool:
+        return _host_name(host) in self._hosts
+
+    def _from_our_page(self, scope: Scope, headers: dict[str, str]) -> bool:
+        """Reading needs no Origin (a browser sends none with a plain visit); anything else needs ours."""
+        origin = headers.get("origin")
+        if origin is None:
+            return scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        return urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+
+    def _admitted(self, headers: dict[str, str]) -> bool:
+        if self._token is None:
+            return True
+        given = cookies(headers).get(ACCESS, "")
+        return hmac.compare_digest(given.encode(), self._token.encode())
+
+    async def _ask(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await _refuse(scope, send, 401, "")
+            return
+        if scope["path"] == LOGIN and scope["method"] == "POST":
+            given = parse_qs((await _body(receive)).decode("utf-8", "replace")).get("token", [""])[0]
+            if self._token is not None and hmac.compare_digest(given.encode(), self._token.encode()):
+                cookie = f"{ACCESS}={self._token}{self._cookie_flags}"
+                await _answer(send, 303, "", [("location", "/"), ("set-cookie", cookie)])
+                return
+        await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
+
+    async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
+        """Further in; a browser without a number gets one."""
+        if COOKIE in cookies(headers) or scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        cookie = new_cookie()
+        before = headers.get("cookie")
+        pair = f"{COOKIE}={cookie}" if not before else f"{before}; {COOKIE}={cookie}"
+        others = [(name, value) for name, value in scope["headers"] if name != b"cookie"]
+        numbered = {**scope, "headers": [*others, (b"cookie", pair.encode("latin-1"))]}
+
+        async def with_cookie(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                flags = f"{COOKIE}={cookie}{self._cookie_flags}"
+                message["headers"] = [*message.get("headers", []), (b"set-cookie", flags.encode("latin-1"))]
+            await send(message)
+
+        await self.app(numbered, receive, with_cookie)
+
+
+def cookies(headers: dict[str, str]) -> dict[str, str]:
+    """The cookies of a request by name; none of a header that is not one."""
+    try:
+        return {name: morsel.value for name, morsel in SimpleCookie(headers.get("cookie", "")).items()}
+    except CookieError:
+        return {}
+
+
+def _host_name(host: str) -> str:
+    """Without the port."""
+    return (urlsplit(f"//{host}").hostname or "").lower() if host else ""
+
+
+async def _body(receive: Receive) -> bytes:
+    body = b""
+    while len(body) <= _LONGEST_FORM:
+        message = await receive()
+        body += message.get("body", b"")
+        if not message.get("more_body", False):
+            break
+    return body[:_LONGEST_FORM]
+
+
+async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    await _answer(send, status, why, [("content-type", "text/plain; charset=utf-8")])
+
+
+async def _answer(send: Send, status: int, text: str, headers: list[tuple[str, str]]) -> None:
+    raw = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers]
+    await send({"type": "http.response.start", "status": status, "headers": raw})
+    await send({"type": "http.response.body", "body": text.encode()})

@@ -1,0 +1,9 @@
+"""The pages, in the order of the navigation. One file each; a new one is added here."""
+
+from hil.panel.frame import Page
+from hil.panel.pages import backlash, overview
+
+PAGES = (
+    Page("overview", overview.draw),
+    Page("backlash", backlash.draw),
+)

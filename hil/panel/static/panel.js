@@ -1,0 +1,45 @@
+// What the pages need beside their elements: the stop, and plots that grow point by point.
+"use strict";
+
+// -- stop: a finger, a mouse, Esc or the space bar; straight to the server, whatever else the page is doing ---------------------
+async function hilStop() {
+  const mark = document.querySelector("[data-name='stop']");
+  if (mark) mark.classList.add("pressed");
+  try {
+    const answer = await fetch("/stop", { method: "POST", keepalive: true });
+    if (!answer.ok) throw new Error(String(answer.status));
+  } catch (_error) {
+    const lost = document.querySelector("[data-name='stop-lost']");
+    if (lost) lost.hidden = false;
+  }
+  if (mark) setTimeout(() => mark.classList.remove("pressed"), 400);
+}
+
+document.addEventListener("pointerdown", (event) => {
+  if (event.target.closest("[data-name='stop']")) hilStop();
+}, true);
+
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.closest("input, textarea, [contenteditable='true']");
+  if (event.key === "Escape" || (event.key === " " && !typing)) {
+    hilStop();
+    if (event.key === " ") event.preventDefault();
+  }
+}, true);
+
+// -- plots ---------------------------------------------------------------------------------------------------------------------
+const hilPlots = new Map();
+
+// Append points to the series of a chart. series: [[name, [[x, y], ...]], ...]; keep: points of each; anew: forget what was there.
+function hilAppend(id, series, keep, anew) {
+  const chart = getElement(id)?.chart;
+  if (!chart) return;
+  const kept = anew ? new Map() : hilPlots.get(id) ?? new Map();
+  for (const [name, points] of series) {
+    const all = (kept.get(name) ?? []).concat(points);
+    kept.set(name, all.length > keep ? all.slice(all.length - keep) : all);
+  }
+  hilPlots.set(id, kept);
+  const drawn = [...kept].map(([name, data]) => ({ id: name, name, data, type: "line", showSymbol: false, animation: false }));
+  chart.setOption({ series: drawn }, anew ? { replaceMerge: ["series"] } : {});
+}
