@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers.errors import InputError
 from hil.effects import ALL, Effect, Term, term_from_json
-from hil.effects.base import numbers
 from hil.effects.history import complete
+from hil.effects.reading import numbers
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]

@@ -17,8 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from drivers.errors import InputError, StateError
 from hil.axis import AxisConfig
 from hil.compensation import Compensation
-from hil.effects import ALL
-from hil.effects.base import Effect, Term, term_from_json
+from hil.effects import ALL, Effect, Term, term_from_json
 from hil.files import held, naming, read_bytes, replace_file
 from hil.lost_motion.shapes import rise_from_json
 from hil.sealed import check, load_private_key, load_public_key, open_sealed, reseal, seal

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import BridgeError, InputError
-from hil.effects import ALL, Action, Effect, Rival, survey_of
+from hil.effects import ALL, BESIDE, Action, Effect, Rival, survey_of
 from hil.effects.history import complete
 
 GROUP = "hil.effects"
@@ -35,12 +35,12 @@ def catalogue_with(paths: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
     one whose id is taken.
     """
     effects: dict[str, Effect] = {effect.id: effect for effect in ALL}
-    origin = dict.fromkeys(effects, "the catalogue")
+    origin = dict.fromkeys((effect.id for effect in (*ALL, *BESIDE)), "the catalogue")
     found = [(_package(entry), _effects_of(_loaded(entry), _package(entry))) for entry in entry_points(group=GROUP)]
     found.extend((str(path), effects_of_file(path)) for path in paths)
     for place, own in found:
         for effect in own:
-            if effect.id in effects:
+            if effect.id in origin:
                 raise InputError(f"defines the effect {effect.id!r}, which {origin[effect.id]} has already", path=place)
             effects[effect.id], origin[effect.id] = effect, place
     return tuple(effects.values())

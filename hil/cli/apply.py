@@ -10,6 +10,7 @@ from drivers.errors import InputError
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import add_json_option, print_facts, write_json
 from hil.cli.records_input import add_records_argument, read_model, read_records
+from hil.effects.non_parametric import without_cause
 from hil.files import replace_file
 from hil.records import to_csv
 from hil.user_effects import blaming
@@ -69,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
             "written": str(args.out),
         }
     )
+    for term in without_cause(model.terms):
+        print(f"{term.effect.id}: {term.effect.explain(term)}")
     if args.json:
         write_json(args.json, figures)
     return 0

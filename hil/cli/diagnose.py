@@ -19,6 +19,7 @@ example:
   hil diagnose records.csv --json diagnosis.json --out extended.json
   hil diagnose check.csv --model model.json --json diagnosis.json --out extended.json
   hil diagnose records.csv --effects coolant_level.py
+  hil diagnose records.csv --out extended.json --non-parametric     corrects what is unexplained too, its cause unknown
 
 Without --model the declared model (a table per direction) is fitted from the records themselves. Exit 0: what is left is
 explained or within the noise; 1: structure is left that nothing in the catalogue explains.
@@ -41,6 +42,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--axis", metavar="AXIS.toml", help="the axis file: its pitch decides where the next measurement looks"
     )
+    parser.add_argument(
+        "--non-parametric",
+        action="store_true",
+        help="where something is unexplained: put a smooth function of the columns that carry it into the extended model, though its"
+        " cause is unknown; refused where it does not help on runs left out, or a column is not known when a command is issued",
+    )
     add_effects_option(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)
@@ -48,6 +55,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write. Returns 1 when something is left unexplained. Raises InputError for bad records or model."""
+    if args.non_parametric and not args.out:
+        raise InputError("--non-parametric is about the extended model, expected --out EXTENDED with it")
     effects = read_effects(args.effects)
     with blaming(effects):
         declared = read_model(args.model, effects) if args.model else None
@@ -57,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
             diagnosis = diagnose(records, declared, effects=effects)
         except InputError as error:
             raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+        if args.non_parametric:
+            diagnosis = _without_a_cause(diagnosis)
         means = means_of_records(records, _pitches(args.axis))
         follow = follow_up(diagnosis, records, declared, means, effects=effects)
     if args.out:
@@ -67,6 +78,13 @@ def run(args: argparse.Namespace) -> int:
     if follow.run is not None:
         print(f"next measurement: {follow.run.describe()}; then diagnose both files together")
     return 1 if diagnosis.unexplained else 0
+
+
+def _without_a_cause(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis with what is unexplained corrected. Raises InputError where that cannot be had."""
+    if isinstance(diagnosis.non_parametric, str):
+        raise InputError(f"--non-parametric is refused: {diagnosis.non_parametric}")
+    return diagnosis.non_parametric
 
 
 def _pitches(axis: str | None) -> tuple[float, ...]:
@@ -96,7 +114,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         for rival in finding.rivals:
             print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
     if diagnosis.unexplained:
-        carried = "; ".join(" × ".join(c.columns) for c in diagnosis.carriers)
+        carried = "; ".join(map(str, diagnosis.carriers))
         print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
     for note in diagnosis.notes:
         print(f"note: {note}")

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.candidates import BLIND, Candidates, enumerate_candidates, score
 from hil.diagnosis.evidence import Bench, Extra, Noise
-from hil.diagnosis.fit import JointFit, Known, Setting, start_noise, static_part
-from hil.diagnosis.judge import FoldJudge, FoldScout, NullJudge, Scout
+from hil.diagnosis.fit import Choice, JointFit, Known, Setting, start_noise, static_part
+from hil.diagnosis.judge import FoldJudge, FoldScout, Hit, NullJudge, Scout
 from hil.diagnosis.noise_fit import fit_noise
 from hil.diagnosis.searcher import FULL, LIGHT, Searcher
 from hil.diagnosis.select import Selected, select
@@ -102,6 +102,17 @@ class Chosen:
     @property
     def last(self) -> Selected:
         return self.selections[-1]
+
+    @property
+    def hits(self) -> tuple[Hit, ...]:
+        """The unexplained structures, all of them in the fit of the last selection."""
+        return tuple(hit for selected in self.selections for hit in selected.hits)
+
+    @property
+    def kept(self) -> tuple[Choice, ...]:
+        """The choices of the last selection whose effects are in the fit."""
+        names = {term.effect.id for term in self.fit.found}
+        return tuple(choice for choice in self.last.choices if choice.effect.id in names)
 
 
 def choose(problem: Problem) -> Chosen:

@@ -16,17 +16,18 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import BLIND
+from hil.diagnosis.carried import Carried, carried, rms_of_term
 from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.faint import faint_note, is_faint
 from hil.diagnosis.fit import joint_fit
 from hil.diagnosis.held_out import ONCE, HeldOut, earns_its_place, held_out
 from hil.diagnosis.judge import SURE
 from hil.diagnosis.leaning import leaning
+from hil.diagnosis.offer import offered
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.select import structure_rms
 from hil.diagnosis.thin import AllRows
-from hil.effects import ALL, Effect, Estimate, Survey
-from hil.effects.base import Term
+from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.model import Model
 from hil.records import Records
@@ -68,23 +69,22 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     if faint:
         chosen = without(chosen, {finding.effect for finding in faint})
     doubtful = {
-        f.effect: f.rms_um
-        for f in findings
-        if any(r.effect == OUTSIDE and r.confidence > f.confidence for r in f.rivals)
+        f.effect: f.term for f in findings if any(r.effect == OUTSIDE and r.confidence > f.confidence for r in f.rivals)
     }
     unexplained = unexplained or bool(doubtful)
+    structures = carried(chosen.last.searcher, chosen.hits, chosen.kept, noise) if unexplained else ()
     suspected = None if dropped or faint or unexplained else leaning(problem, chosen)
     extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     dof = max(len(campaign) - problem.free.bench.table.table_width, 4)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
-    return Diagnosis(
+    found_out = Diagnosis(
         noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
         declared=base,
         extended=extended.extended,
         findings=findings,
         unexplained=unexplained,
-        carriers=tuple(_carriers(chosen, doubtful, campaign.survey)) if unexplained else (),
+        carriers=tuple(_carriers(chosen, doubtful, structures, campaign)) if unexplained else (),
         blind=_blind(problem),
         before_um=left_out.before,
         after_um=left_out.after,
@@ -97,8 +97,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *map(faint_note, faint),
             *(_suspicion(term) for term in extended.found if suspected is not None),
         ),
-        seconds=time.perf_counter() - started,
     )
+    fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
+    told = offered(found_out, structures, left_out, fitted_um, alone)
+    return replace(told, seconds=time.perf_counter() - started)
 
 
 def _notes(
@@ -127,7 +129,7 @@ def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, .
     last = chosen.last
     sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(SURE))}
     kept = tuple(c for c in last.choices if c.effect.id in sure or earns_its_place(left_out.gain[c.effect.id]))
-    hits = [hit for selected in chosen.selections for hit in selected.hits]
+    hits = chosen.hits
     unexplained = bool(hits) and (max(hit.gain for hit in hits) > SURE or earns_its_place(left_out.structure))
     unexplained = unexplained or last.memory is not None
     if len(kept) == len(last.choices):
@@ -138,11 +140,8 @@ def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, .
 
 def without(chosen: Chosen, effects: Collection[str]) -> Chosen:
     """The fit again without some effects."""
-    last = chosen.last
-    kept = [
-        choice for choice in last.choices if choice.effect.id in {t.effect.id for t in chosen.fit.found} - set(effects)
-    ]
-    return replace(chosen, fit=last.searcher.fit(kept, last.noise))
+    kept = [choice for choice in chosen.kept if choice.effect.id not in effects]
+    return replace(chosen, fit=chosen.last.searcher.fit(kept, chosen.last.noise))
 
 
 def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, ...]:
@@ -184,7 +183,7 @@ def _doubted(weights: dict[str, float], chosen: Chosen, term: Term) -> dict[str,
     own = set(term.needs) | {"target_mm", "direction"}
     last = chosen.last
     columns = last.searcher.bench.campaign.columns
-    hits = [hit for selected in chosen.selections for hit in selected.hits if set(hit.structure.columns) <= own]
+    hits = [hit for hit in chosen.hits if set(hit.structure.columns) <= own]
     if not hits:
         return weights
     other = sum(structure_rms(last.searcher, hit, last.choices, last.noise) ** 2 for hit in hits)
@@ -201,18 +200,20 @@ def _separate_by(effect: Effect, rival: str) -> str:
     return "a campaign in which the columns the two read vary apart"
 
 
-def _carriers(chosen: Chosen, doubtful: Mapping[str, float], survey: Survey) -> Iterator[Carrier]:
-    """doubtful: RMS in µm of the findings that a cause outside the catalogue explains better than their own effect."""
+def _carriers(
+    chosen: Chosen, doubtful: Mapping[str, Term], structures: Sequence[Carried], campaign: Campaign
+) -> Iterator[Carrier]:
+    """doubtful: the terms of findings that a cause outside the catalogue explains better than their own effect."""
+    for structure in structures:
+        yield Carrier(structure.columns, structure.rms, structure.probability)
     for selected in chosen.selections:
-        for hit in selected.hits:
-            rms = structure_rms(selected.searcher, hit, selected.choices, selected.noise)
-            yield Carrier(hit.structure.columns, rms, hit.probability)
         for effect, stranger in selected.foreign.items():
             if effect in doubtful:
-                yield Carrier(stranger.columns, doubtful[effect], math.exp(-max(stranger.gain, 0.0)))
+                rms_um = rms_of_term(doubtful[effect], campaign.columns)
+                yield Carrier(stranger.columns, rms_um, math.exp(-max(stranger.gain, 0.0)))
     if chosen.last.memory is not None:
         found = chosen.last.memory
-        yield Carrier((survey.time_column,), found.noise.ar * chosen.fit.white_um, math.exp(-found.log_odds))
+        yield Carrier((campaign.survey.time_column,), found.rms_um, math.exp(-found.log_odds))
 
 
 def _blind(problem: Problem) -> tuple[Blind, ...]:

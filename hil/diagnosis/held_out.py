@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.diagnosis.carried import carried
 from hil.diagnosis.choose import Chosen, Problem, choose_without
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.refine import refine
@@ -34,6 +35,7 @@ class HeldOut:
     gain: by effect chosen on all rows, the squared error it takes away in each fold, shape (folds,), µm²: everything refitted
         without the fold, with it and without it
     structure: the same of unexplained structure, where the choice without the fold finds any
+    carried: what that structure, as a term of a model, says of each row, (n,); carried_gain: what it takes away in each fold
     """
 
     before: Floats
@@ -41,6 +43,8 @@ class HeldOut:
     setup: Floats
     gain: dict[str, Floats]
     structure: Floats
+    carried: Floats
+    carried_gain: Floats
     how: str
 
 
@@ -63,10 +67,10 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
     fold, how = folds(problem.campaign.run)
     fold_of_all = rows.folds(fold)
     y, n = rows.error_um, len(rows)
-    before, after, setup = np.zeros(n), np.zeros(n), np.zeros(n)
+    before, after, setup, carries = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gain: dict[str, list[float]] = {}
     count = int(np.max(fold)) + 1
-    structure = np.zeros(count)
+    structure, carried_gain = np.zeros(count), np.zeros(count)
     for index in range(count):
         out, left = fold == index, fold_of_all == index
         columns = {name: values[left] for name, values in rows.columns.items()}
@@ -81,11 +85,16 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
         before[left] = y[left] - base.error_um(columns)
         setup[left] = y[left] - chosen.fit.whole.error_um(columns)
         after[left] = y[left] - chosen.fit.extended.error_um(columns)
+        last = chosen.last
+        for found in carried(last.searcher, chosen.hits, last.choices, last.noise):
+            carries[left] += found.error_um(columns)
+        carried_gain[index] = float(np.sum(setup[left] ** 2) - np.sum((setup[left] - carries[left]) ** 2))
         for effect, fall in gains_without(problem, whole.last, out).items():
             gain.setdefault(effect, []).append(fall)
         kept = setup[rows.kept[out]]
         structure[index] = float(np.sum(kept**2) - np.sum((kept - chosen.fit.nuisance_um[out]) ** 2))
-    return HeldOut(before, after, setup, {name: np.array(values) for name, values in gain.items()}, structure, how)
+    by_effect = {name: np.array(values) for name, values in gain.items()}
+    return HeldOut(before, after, setup, by_effect, structure, carries, carried_gain, how)
 
 
 def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:

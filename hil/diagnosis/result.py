@@ -5,14 +5,14 @@ What may go in: results only, with everything a report needs to plot them; no st
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.effects import Action, Estimate, Term
+from hil.effects.non_parametric import without_cause
 from hil.model import Model
 
 Floats = NDArray[np.float64]
@@ -56,11 +56,25 @@ class Finding:
 
 @dataclass(frozen=True)
 class Carrier:
-    """Columns that carry a residual nothing in the catalogue explains: its RMS along them, and the chance of seeing that in noise."""
+    """Columns that carry a residual nothing in the catalogue explains, and the chance of seeing as much in noise.
+
+    rms: of what follows them over the rows, µm: as far as a smooth function of the columns shows it, beside table and effects
+    """
 
     columns: tuple[str, ...]
-    rms_um: float
+    rms: Estimate
     probability: float
+
+    def __str__(self) -> str:
+        return f"{' × '.join(self.columns)} ({self.rms} µm RMS)"
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "columns": list(self.columns),
+            "rms_um": self.rms.value,
+            "rms_std_um": self.rms.std,
+            "probability": self.probability,
+        }
 
 
 @dataclass(frozen=True)
@@ -92,6 +106,7 @@ class Diagnosis:
     before_um, after_um: held-out residual of each row with either model, shape (n,)
     setup_um: after, with the instrument effects taken out too
     residual_um: of the extended model and the instrument effects on the rows it was fitted to, shape (n,)
+    non_parametric: the same with a correction of what is unexplained, its cause unknown, for who asks for it; or why there is none
     """
 
     noise_floor: Estimate
@@ -109,7 +124,7 @@ class Diagnosis:
     recommended: bool
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
-    extra: Mapping[str, float] = field(default_factory=dict)
+    non_parametric: Diagnosis | str = "nothing is left unexplained"
 
     @property
     def before(self) -> Figures:
@@ -127,8 +142,10 @@ class Diagnosis:
             "declared": self.declared.declared,
             "findings": [_finding(finding) for finding in self.findings],
             "unexplained": self.unexplained,
-            "carried_by": [
-                {"columns": list(c.columns), "rms_um": c.rms_um, "probability": c.probability} for c in self.carriers
+            "carried_by": [carrier.to_json() for carrier in self.carriers],
+            "non_parametric": [
+                {"columns": list(term.needs), "explanation": term.effect.explain(term)}
+                for term in without_cause(self.extended.terms)
             ],
             "blind_to": [{"effect": b.effect, "reason": b.reason} for b in self.blind],
             "before": _figures(self.before),

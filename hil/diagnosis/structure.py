@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.candidates import Blocks, Stack
 from hil.diagnosis.evidence import Whitened
+from hil.effects.base import Columns, Form
 from hil.effects.history import LONG_STROKE_MM
+from hil.effects.non_parametric import NonParametric, fine_form, powers, smooth_form, spread_of
 
 Floats = NDArray[np.float64]
 
@@ -28,12 +31,18 @@ FINE = 4
 class Structure:
     """A block: the columns it depends on, and its design columns (n, r) of unit size.
 
-    whole: with the lower orders that a dependence on these columns has too, shape (n, w)
+    form: of the dependence as a whole, with the lower orders that one on these columns has too; values: of all columns, each (n,)
     """
 
     columns: tuple[str, ...]
     design: Floats
-    whole: Floats
+    form: Form
+    values: Columns = field(repr=False)
+
+    @cached_property
+    def whole(self) -> Floats:
+        """The design columns of the whole dependence, shape (n, w)."""
+        return NonParametric().basis(self.form, (), self.values)
 
 
 @dataclass(frozen=True)
@@ -62,24 +71,26 @@ def structures(campaign: Campaign) -> Catalogue:
         names.append("row_order")
     d = campaign.d
     both = survey.has("direction")
-    powers = {name: _powers(campaign.columns[name]) for name in names}
+    spreads = {name: spread_of(name, campaign.columns) for name in names}
+    polynomials = {name: powers(name, spreads[name], campaign.columns) for name in names}
     found: list[Structure] = []
+
+    def add(design: Floats, *mine: str, turned: bool) -> None:
+        form = smooth_form(mine, [spreads[name] for name in mine], turned=turned)
+        found.append(Structure(form.inputs, design, form, campaign.columns))
+
     for name in names:
-        p = powers[name]
+        p = polynomials[name]
         if name != "target_mm":
-            found.append(Structure((name,), p, p))
+            add(p, name, turned=False)
         if both and name != "target_mm":
-            turned = p[:, :3] * d[:, None]
-            found.append(Structure((name, "direction"), turned, np.hstack([p[:, :3], turned])))
+            add(p[:, :3] * d[:, None], name, turned=True)
     for a, b in itertools.combinations(names, 2):
-        pa, pb = powers[a], powers[b]
+        pa, pb = polynomials[a], polynomials[b]
         product = np.column_stack([pa[:, 0] * pb[:, 0], pa[:, 1] * pb[:, 0], pa[:, 0] * pb[:, 1], pa[:, 1] * pb[:, 1]])
-        mains = np.hstack([*(powers[name][:, :3] for name in (a, b) if name != "target_mm"), product])
-        found.append(Structure((a, b), product, mains))
+        add(product, a, b, turned=False)
         if both:
-            turned = product[:, :1] * d[:, None]
-            whole = np.hstack([mains, turned, pa[:, :1] * d[:, None], pb[:, :1] * d[:, None]])
-            found.append(Structure((a, b, "direction"), turned, whole))
+            add(product[:, :1] * d[:, None], a, b, turned=True)
     blocks = Blocks.of([s.design for s in found], len(campaign))
     return Catalogue(tuple(found), blocks, _fine(campaign))
 
@@ -94,25 +105,14 @@ def _fine(campaign: Campaign) -> tuple[Structure, ...]:
     if campaign.repeated or not campaign.survey.has("target_mm"):
         return ()
     knots = campaign.basis.knots_mm
-    x = campaign.x
     count = int(min(FINE * len(knots), len(campaign) // 2))
-    hats = np.maximum(
-        0.0, 1.0 - np.abs(x[:, None] - np.linspace(knots[0], knots[-1], count)) * (count - 1) / np.ptp(knots)
-    )
-    both = campaign.survey.has("direction")
-    out = [Structure(("target_mm",), hats, hats)]
-    if both:
-        turned = hats * campaign.d[:, None]
-        out.append(Structure(("target_mm", "direction"), turned, turned))
+    out = []
+    for turned in (False, True) if campaign.survey.has("direction") else (False,):
+        form = fine_form(float(knots[0]), float(knots[-1]), count, campaign.columns, turned=turned)
+        hats = NonParametric().basis(form, (), campaign.columns)
+        out.append(Structure(form.inputs, hats, form, campaign.columns))
     return tuple(out)
 
 
 def _usable(campaign: Campaign, name: str) -> bool:
     return not (name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM))
-
-
-def _powers(values: Floats) -> Floats:
-    """Legendre polynomials 1 to 4 of a column brought to -1 … 1 by its spread, outliers clipped, shape (n, 4)."""
-    low, high = np.quantile(values, [0.01, 0.99])
-    v = np.clip((2 * values - low - high) / max(high - low, 1e-300), -1.2, 1.2)
-    return np.asarray(np.polynomial.legendre.legvander(v, 4)[:, 1:])

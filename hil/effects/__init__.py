@@ -10,7 +10,7 @@ from hil.effects.abbe import Abbe
 from hil.effects.air_index import AirIndex
 from hil.effects.backlash import Backlash
 from hil.effects.backlash_position import BacklashPosition
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term, term_from_json
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
 from hil.effects.beam_drift import BeamDrift
 from hil.effects.cosine import Cosine
 from hil.effects.cross_axis import CrossAxis
@@ -21,6 +21,7 @@ from hil.effects.load_deflection import LoadDeflection
 from hil.effects.local_wear import LocalWear
 from hil.effects.lost_motion import LostMotion
 from hil.effects.pitch_shape import PitchShape
+from hil.effects.reading import BESIDE, term_from_json
 from hil.effects.survey import Survey, survey_of
 from hil.effects.thermal_drift import ThermalDrift
 from hil.effects.thermal_expansion import ThermalExpansion
@@ -48,6 +49,7 @@ ALL: tuple[Effect, ...] = (
 
 __all__ = [
     "ALL",
+    "BESIDE",
     "Action",
     "Columns",
     "Effect",

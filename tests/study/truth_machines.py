@@ -98,19 +98,27 @@ class Machine:
 
     def _draw(self, number: int, plan: Plan) -> tuple[Columns, Array, dict[str, Array]]:
         """Columns, table error and the unscaled shape of each effect."""
+        c, base, half, origin = self._conditions(number, plan)
+        usual = c if number == 0 else self._conditions(0, plan)[0]
+        shapes: dict[str, Array] = {}
+        for index, name in enumerate(self.effects):
+            own = np.random.default_rng([self.seed, 3, index])
+            happening = np.random.default_rng([self.seed, 4, index, number])
+            if name in OUTSIDE_EFFECTS:
+                shapes[name] = OUTSIDE_EFFECTS[name](c, usual, own, happening, half, origin)
+            else:
+                shapes[name] = EFFECTS[name](c, own, happening, half, origin)
+        return c, base, shapes
+
+    def _conditions(self, number: int, plan: Plan) -> tuple[Columns, Array, float, float]:
+        """Columns and table error, half the travel and its middle."""
         fixed = np.random.default_rng([self.seed, 1])
         rng = np.random.default_rng([self.seed, 2, number])
         half = float(fixed.choice([150.0, 250.0, 400.0, 600.0]))
         origin = float(fixed.choice([0.0, 0.0, half, half * 0.3]))
         c = _motion(fixed, rng, plan, half, origin)
         _sensors(c, fixed, rng, half, self.sensors)
-        base = _pitch(c, fixed, half, origin)
-        shapes: dict[str, Array] = {}
-        for index, name in enumerate(self.effects):
-            own = np.random.default_rng([self.seed, 3, index])
-            happening = np.random.default_rng([self.seed, 4, index, number])
-            shapes[name] = (EFFECTS | OUTSIDE_EFFECTS)[name](c, own, happening, half, origin)
-        return c, base, shapes
+        return c, _pitch(c, fixed, half, origin), half, origin
 
 
 def _motion(fixed: np.random.Generator, rng: np.random.Generator, plan: Plan, half: float, origin: float) -> Columns:
@@ -417,27 +425,41 @@ MAIN_PARAMETERS: dict[str, Callable[[np.random.Generator, float], tuple[str, flo
 """The others saturate, stretch or lag: no single number of theirs is the fitted one."""
 
 
-def _unit(z: Array) -> Array:
-    return (z - np.mean(z)) / (np.std(z) or 1.0)
+def _unit(z: Array, usual: Array) -> Array:
+    """About the usual mean, in usual standard deviations: those of the first campaign, so that the machine stays the same."""
+    return (z - np.mean(usual)) / (np.std(usual) or 1.0)
 
 
 def _telegraph(now: np.random.Generator, n: int) -> Array:
     return np.where(np.cumsum(now.random(n) < 0.12) % 2 == 0, 1.0, -1.0)
 
 
-OUTSIDE_EFFECTS: dict[str, Maker] = {
-    "humidity_times_position": lambda c, _o, _n, half, origin: (
-        _unit(c["air_humidity_percent"]) * (c["target_mm"] - origin) / half
-    ),
-    "coolant": lambda c, _o, _n, _h, _x: np.tanh(_unit(c["coolant_lpm"])),
-    "torque_times_temperature": lambda c, _o, _n, _h, _x: (
-        _unit(c["torque_percent"] * c["direction"]) * _unit(c["temp_bed_c"])
-    ),
-    "chirp": lambda c, own, _n, half, origin: np.sin(
+Outsider = Callable[[Columns, Columns, np.random.Generator, np.random.Generator, float, float], Array]
+"""The second columns are those of the first campaign."""
+
+
+def _of(column: str) -> Callable[[Columns, Columns], Array]:
+    return lambda c, usual: _unit(c[column], usual[column])
+
+
+_humidity, _coolant, _bed, _load, _cross = map(
+    _of, ("air_humidity_percent", "coolant_lpm", "temp_bed_c", "load_kg", "pos_y_mm")
+)
+
+
+def _friction(c: Columns) -> Array:
+    return c["torque_percent"] * c["direction"]
+
+
+OUTSIDE_EFFECTS: dict[str, Outsider] = {
+    "humidity_times_position": lambda c, u, _o, _n, half, origin: _humidity(c, u) * (c["target_mm"] - origin) / half,
+    "coolant": lambda c, u, _o, _n, _h, _x: np.tanh(_coolant(c, u)),
+    "torque_times_temperature": lambda c, u, _o, _n, _h, _x: _unit(_friction(c), _friction(u)) * _bed(c, u),
+    "chirp": lambda c, _u, own, _n, half, origin: np.sin(
         2 * np.pi * own.uniform(6, 12) * (1 + (c["target_mm"] - origin) / half) ** 2
     ),
-    "feed_resonance": lambda c, _o, _n, _h, _x: np.exp(-0.5 * ((c["velocity_mm_s"] - 50) / 4) ** 2),
-    "telegraph": lambda c, _o, now, _h, _x: _telegraph(now, len(c["run"])),
-    "cross_product": lambda c, _o, _n, _h, _x: _unit(c["pos_y_mm"]) * _unit(c["load_kg"]),
-    "direction_times_humidity": lambda c, _o, _n, _h, _x: c["direction"] * _unit(c["air_humidity_percent"]),
+    "feed_resonance": lambda c, _u, _o, _n, _h, _x: np.exp(-0.5 * ((c["velocity_mm_s"] - 50) / 4) ** 2),
+    "telegraph": lambda c, _u, _o, now, _h, _x: _telegraph(now, len(c["run"])),
+    "cross_product": lambda c, u, _o, _n, _h, _x: _cross(c, u) * _load(c, u),
+    "direction_times_humidity": lambda c, u, _o, _n, _h, _x: c["direction"] * _humidity(c, u),
 }

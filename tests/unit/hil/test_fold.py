@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import InputError
 from hil.compensation import Compensation
-from hil.effects import ALL, Term
-from hil.effects.base import term_from_json
+from hil.effects import ALL, Term, term_from_json
 from hil.fold import FINE_UM, folded
 from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 

@@ -13,8 +13,7 @@ from drivers.drive import DriveLimits
 from drivers.errors import InputError
 from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
 from hil.compensation import Compensation
-from hil.effects import ALL
-from hil.effects.base import term_from_json
+from hil.effects import ALL, term_from_json
 from hil.lost_motion.estimate import Estimate, Uncertain
 from hil.lost_motion.running import after_full_stroke, moved_to
 from hil.lost_motion.shapes import TWO_TANH, Rise
