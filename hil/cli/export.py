@@ -12,7 +12,7 @@ from drivers.errors import InputError
 from hil.axis import load_axis
 from hil.cli.axis_options import add_password_options, open_store
 from hil.cli.effects_input import add_effects_option, read_effects
-from hil.cli.format_options import CONTROLLER_OPTIONS, add_options, controller_names, settings_from
+from hil.cli.format_options import CONTROLLER_OPTIONS, add_options, as_typed, controller_names, settings_from
 from hil.cli.output import add_json_option, print_facts, write_json
 from hil.compensation import Compensation
 from hil.files import naming, read_bytes, replace_file
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """0: written. Raises InputError for tables that the format cannot hold, saying what to change."""
     controller = next(one for one in CONTROLLERS if one.name == args.format)
     settings = settings_from(args, args.format, controller.settings, CONTROLLER_OPTIONS)
-    with naming(args.source):
+    with naming(args.source), as_typed(CONTROLLER_OPTIONS):
         tables = tables_only(read_source(args), leave_out_effects=args.tables_only)
         made = controller.export(tables, settings)
     if not args.dry_run:

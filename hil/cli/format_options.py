@@ -6,7 +6,9 @@ Each option belongs to the formats whose settings have its field; given for anot
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -95,6 +97,18 @@ def add_options(parser: argparse.ArgumentParser, title: str, options: tuple[Opti
         else:
             metavar = option.flag.rpartition("-")[2].upper()
             group.add_argument(option.flag, dest=option.dest, metavar=metavar, type=option.convert, help=option.help)
+
+
+@contextmanager
+def as_typed(options: Iterable[Option]) -> Iterator[None]:
+    """InputErrors raised inside that name a setting in brackets, as what to change, name the option that was or could be typed."""
+    try:
+        yield
+    except InputError as error:
+        what = error.what
+        for option in options:
+            what = re.sub(rf"\({option.field}\b", f"({option.flag}", what)
+        raise type(error)(what, path=error.path, line=error.line) from error
 
 
 def settings_from(args: argparse.Namespace, name: str, settings: type[Any], options: tuple[Option, ...]) -> Any:

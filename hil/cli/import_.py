@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import codecs
 import json
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from hil.cli.format_options import CONTROLLER_OPTIONS, Option, add_options, controller_names, settings_from
+from hil.cli.format_options import (
+    CONTROLLER_OPTIONS,
+    Option,
+    add_options,
+    as_typed,
+    controller_names,
+    settings_from,
+)
 from hil.cli.output import add_json_option, print_facts, write_json
 from hil.files import naming, read_bytes, replace_file
 from hil.formats import CONTROLLERS, MEASUREMENTS, manual_csv
@@ -30,7 +38,7 @@ Options of a controller's format that the file does not say (unit, type, referen
 
 MEASUREMENT_OPTIONS = (
     Option("--delimiter", "delimiter", str, "csv, iso-wide: what parts the columns (default: found)"),
-    Option("--decimal", "decimal", str, "csv, iso-wide: decimal mark, . (default) or ,"),
+    Option("--decimal", "decimal", str, "csv, iso-wide, keysight: decimal mark, . (default) or ,"),
     Option("--infer", "infer", None, "csv: read run and direction off the order of the targets", switch=True),
     Option("--cells", "cells", str, "iso-wide: deviation_um (default), deviation_mm or position_mm"),
     Option("--column", "columns", None, "csv: where a column stands"),
@@ -71,22 +79,29 @@ def run(args: argparse.Namespace) -> int:
     for controller in CONTROLLERS:
         if controller.name == args.format:
             settings = settings_from(args, args.format, controller.settings, options)
-            with naming(args.file):
+            with naming(args.file), as_typed(options):
                 tables = controller.load(_text(args.file), settings)
             return _write_tables(args, tables)
     measurement = next(one for one in MEASUREMENTS if one.name == args.format)
     settings = settings_from(args, args.format, measurement.settings, options)
-    with naming(args.file):
+    with naming(args.file), as_typed(options):
         records = measurement.load(_text(args.file), settings)
     return _write_records(args, records)
 
 
 def _text(path: str) -> str:
+    """UTF-8; UTF-16 where it begins with its mark, as office programs write it; else Latin-1, as older programs do."""
     data = read_bytes(path)
     try:
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return data.decode("utf-16")
+        if b"\0" in data:
+            raise InputError("holds zero bytes, expected text (UTF-8, Latin-1, or UTF-16 with its mark)", path=path)
         return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")  # what older programs write
+    except UnicodeDecodeError as error:
+        if error.encoding.startswith("utf-16"):
+            raise InputError("begins as UTF-16 text and does not go on so", path=path) from error
+        return data.decode("latin-1")
 
 
 def _write_tables(args: argparse.Namespace, tables: TableSet) -> int:

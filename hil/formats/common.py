@@ -16,7 +16,7 @@ from drivers.errors import InputError
 from hil.compensation import Compensation, ErrorTerm
 from hil.effects import Term
 from hil.fold import folded
-from hil.records import Floats
+from hil.records import Floats, parse_number, shown
 from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 
 NM_IN_UM = 1e-3
@@ -278,15 +278,26 @@ def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
     yield from ((number, line.strip()) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1))
 
 
-def number(text: str, what: str, line: int) -> float:
-    """A finite number from a file. Raises InputError with the line."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise InputError(f"{what} is {text!r}, expected a number", line=line)
+def number(text: str, what: str, line: int, decimal: str = ".") -> float:
+    """A finite number from a file, with this decimal mark; a printed minus is one too. Raises InputError with the line.
+
+    The other mark is no part of a number: between thousands it would make another one of it.
+    """
+    value = _number(text, decimal)
+    if value is None or not np.isfinite(value):
+        other = "," if decimal == "." else "."
+        hint = (
+            f"; with another decimal mark (decimal {other}) it is one" if value is None and _number(text, other) else ""
+        )
+        raise InputError(f"{what} is {shown(text)}, expected a number{hint}", line=line)
     return value
+
+
+def _number(text: str, decimal: str) -> float | None:
+    typed = text.replace("\N{MINUS SIGN}", "-")
+    if decimal == ",":
+        typed = typed.replace(".", "?").replace(",", ".")
+    return parse_number(typed)
 
 
 def require(condition: bool, complaint: str) -> None:

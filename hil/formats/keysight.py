@@ -4,6 +4,8 @@ The file is text, one field per line: `Identify=<name>,<type>=<value>`. Two are 
 their unit, and `LinearErr` with `TextUnit=`, the errors and theirs, cycle after cycle: the targets forward, then the same targets
 backward. Numbers are separated by blanks, commas, semicolons or tabs; the unit stands at the end. Several lines of one name follow
 each other. Everything else (set-up, environment, the software's own figures) is left alone.
+
+A comma between numbers or within them is not told apart by the file: what could be both is refused, until the decimal mark is given.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
-from hil.formats.common import numbered_lines
+from hil.formats.common import number, numbered_lines, require
 from hil.records import Floats, Records
 
 LENGTH_MM = {
@@ -29,12 +31,18 @@ LENGTH_MM = {
     "inch": 25.4,
 }
 
+_COMMA_WITHIN = re.compile(r"\d+,\d+")
 _FIELD = re.compile(r"Identify\s*=\s*([^,=]+?)\s*,\s*([^=]+?)\s*=\s*(.*)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class KeysightSettings:
-    """Nothing to choose: the file says its units."""
+    """decimal: the decimal mark, "." or ","; the file says its units"""
+
+    decimal: str = "."
+
+    def __post_init__(self) -> None:
+        require(self.decimal in (".", ","), f"decimal mark is {self.decimal!r}, expected . or ,")
 
 
 def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
@@ -49,7 +57,7 @@ def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
         name, kind, value = match[1].lower(), match[2], match[3]
         if kind.lower() != "textunit":
             raise InputError(f"{match[1]} is given as {kind!r}, expected TextUnit", line=line_number)
-        (targets if name == "positions" else errors).extend(_lengths_mm(value, match[1], line_number))
+        (targets if name == "positions" else errors).extend(_lengths_mm(value, match[1], line_number, settings.decimal))
         last_line[name] = line_number
     for name, values in (("Positions", targets), ("LinearErr", errors)):
         if not values:
@@ -57,6 +65,8 @@ def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
     per_cycle = 2 * len(targets)
     if len(set(targets)) != len(targets):
         raise InputError("names a position twice", line=last_line["positions"])
+    if len(targets) > 1 and len(set(np.sign(np.diff(targets)))) > 1:
+        raise InputError("names positions that neither ascend nor descend", line=last_line["positions"])
     if len(errors) % per_cycle:
         raise InputError(
             f"holds {len(errors)} errors for {len(targets)} positions, expected a multiple of {per_cycle}"
@@ -66,23 +76,20 @@ def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
     return _records(np.array(targets), np.array(errors), per_cycle)
 
 
-def _lengths_mm(text: str, name: str, line: int) -> list[float]:
-    tokens = [token for token in re.split(r"[\s,;]+", text.strip().strip('"')) if token]
+def _lengths_mm(text: str, name: str, line: int, decimal: str) -> list[float]:
+    text = text.strip().strip('"')
+    tokens = re.split(r"[\s;]+" if decimal == "," else r"[\s,;]+", text)
+    tokens = [token for token in (token.rstrip(",") for token in tokens) if token]
     if not tokens:
         raise InputError(f"{name} is empty", line=line)
     unit = tokens[-1].lower()
     if unit not in LENGTH_MM:
         raise InputError(f"{name} ends in {tokens[-1]!r}, expected a unit of length such as mm or um", line=line)
-    values = []
-    for token in tokens[:-1]:
-        try:
-            value = float(token)
-        except ValueError:
-            value = float("nan")
-        if not np.isfinite(value):
-            raise InputError(f"{name} holds {token!r}, expected a number", line=line)
-        values.append(value * LENGTH_MM[unit])
-    return values
+    if decimal == "." and (both := _COMMA_WITHIN.search(text)) and len(re.split(r"[\s;]+", text)) > 2:
+        raise InputError(
+            f"{name} holds {both[0]!r}: one number or two? With a decimal comma, say so (decimal ,)", line=line
+        )
+    return [number(token, f"a value of {name}", line, decimal) * LENGTH_MM[unit] for token in tokens[:-1]]
 
 
 def _records(targets: Floats, errors: Floats, per_cycle: int) -> Records:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.errors import InputError
-from hil.formats.common import numbered_lines, require
+from hil.formats.common import number, numbered_lines, require
 from hil.formats.keysight import LENGTH_MM
 from hil.records import UM_PER_MM, Floats, Records
 
@@ -128,12 +128,7 @@ def _value(name: str, cell: str, settings: MeasuredCsvSettings, line: int) -> fl
                 f"direction is {cell!r}, expected +1 or -1 (or up and down, forward and reverse)", line=line
             )
         return DIRECTIONS[cell.lower()]
-    try:
-        value = float(cell.replace(",", ".") if settings.decimal == "," else cell)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise InputError(f"{name} is {cell!r}, expected a number", line=line)
+    value = number(cell, name, line, settings.decimal)
     if name == "run" and value != int(value):
         raise InputError(f"run is {cell!r}, expected a whole number", line=line)
     unit = settings.column(name).unit.lower()

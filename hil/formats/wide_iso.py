@@ -57,7 +57,7 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     for line_number, cells in rows[1:]:
         if len(cells) != len(header):
             raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=line_number)
-        values = [_number(cell, label, settings, line_number) for cell, label in zip(cells, header, strict=True)]
+        values = [number(cell, label, line_number, settings.decimal) for cell, label in zip(cells, header, strict=True)]
         if any(values[0] == target for target, _ in table):
             raise InputError(f"target {cells[0]} comes a second time", line=line_number)
         table.append((values[0], values[1:]))
@@ -114,8 +114,3 @@ def _column(label: str, line: int) -> tuple[int, float]:
     if match := _SIGN_FIRST.fullmatch(label.strip()):
         return int(match[2]), DIRECTIONS[match[1].lower()]
     raise InputError(f"column {label!r} names no run and direction, expected such as 1+ or run 1 reverse", line=line)
-
-
-def _number(cell: str, label: str, settings: WideIsoSettings, line: int) -> float:
-    text = cell.replace(",", ".") if settings.decimal == "," else cell
-    return number(text, label, line)

@@ -86,6 +86,50 @@ def test_what_a_format_cannot_hold_is_one_line_and_writes_nothing(
     assert "+5.0000 µm taken out" in capsys.readouterr().out
 
 
+def test_what_to_change_is_named_as_it_is_typed(
+    manual: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "x.ini")
+    assert main(["export", manual, "--format", "sinumerik", "--out", out, "--reference-mm", "10"]) == 2
+    assert "allow the shift (--allow-shift)" in capsys.readouterr().err
+    assert main(["export", manual, "--format", "sinumerik", "--out", out, "--max-points", "2"]) == 2
+    assert "(--tolerance-um), or more points (--max-points)" in capsys.readouterr().err
+
+
+WIDE = "target;1\N{UPWARDS ARROW};1\N{DOWNWARDS ARROW}\r\n0,5;1,5;\N{MINUS SIGN}1,5\r\n100;2;\N{MINUS SIGN}2\r\n"
+ASCII = WIDE.translate({0x2191: "+", 0x2193: "-", 0x2212: "-"})
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (WIDE.encode(), None),
+        (WIDE.encode("utf-8-sig"), None),
+        (WIDE.encode("utf-16"), None),
+        (b"\xfe\xff" + WIDE.encode("utf-16-be"), None),
+        (ASCII.replace("target", "Weg in \N{MICRO SIGN}m").encode("latin-1"), None),
+        (ASCII.replace("\r\n", "\r").encode(), None),
+        (WIDE.encode("utf-16-le"), "holds zero bytes, expected text"),
+        (WIDE.encode("utf-16")[:-1], "begins as UTF-16 text and does not go on so"),
+        (b"", "holds no table"),
+    ],
+)
+def test_text_of_any_office_program_is_read_or_refused_in_a_line(
+    data: bytes, says: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "wide.csv", tmp_path / "records.csv"
+    path.write_bytes(data)
+    status = main(["import", str(path), "--format", "iso-wide", "--decimal", ",", "--out", str(out)])
+    if says is not None:
+        error = capsys.readouterr().err
+        assert (status, error.count("\n")) == (2, 1)
+        assert says in error
+        return
+    assert status == 0
+    assert read_csv(out).target_mm.tolist() == [0.5, 100.0, 100.0, 0.5]
+    assert read_csv(out).error_um == pytest.approx([1.5, 2.0, -2.0, -1.5])
+
+
 def test_tables_as_json_from_here_and_from_calibrate(manual: str, tmp_path: Path) -> None:
     tables = read_manual_tables(manual)
     (tmp_path / "tables.json").write_text(json.dumps(tables.to_dict()))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import InputError
 from hil.formats import keysight, measured_csv, wide_iso
+from hil.formats.keysight import KeysightSettings
 from hil.formats.measured_csv import Column, MeasuredCsvSettings, parse_column
 from hil.formats.wide_iso import WideIsoSettings
 from hil.iso230 import iso230
@@ -78,12 +79,26 @@ def test_keysight_units_and_refusals() -> None:
         (("1 2 3 4 um", "1 2 3 um"), "3 errors for 2 positions, expected a multiple of 4"),
         (("4 um", "4"), "ends in '4', expected a unit"),
         (("0 1 in", "0 0 in"), "twice"),
-        (("1 2 3", "1 x 3"), "holds 'x'"),
+        (("1 2 3", "1 x 3"), "is 'x', expected a number"),
         (("LinearErr", "AngularErr"), "no field LinearErr"),
         (("Positions,TextUnit", "Positions,Text"), "expected TextUnit"),
     ):
         with pytest.raises(InputError, match=complaint):
             keysight.load(text.replace(*change))
+
+
+def test_keysight_commas_within_numbers_are_never_taken_for_commas_between_them() -> None:
+    """Six targets or three? Read as a list, the fields below would fit together and give six."""
+    text = "Identify=Positions,TextUnit=0,1 10,5 20,7 mm\nIdentify=LinearErr,TextUnit=1,5 2,5 3,5 3,6 2,6 1,6 um\n"
+    with pytest.raises(InputError, match=r"holds '0,1': one number or two\?") as caught:
+        keysight.load(text)
+    assert caught.value.line == 1
+    records = keysight.load(text, KeysightSettings(decimal=","))
+    assert records.target_mm.tolist() == [0.1, 10.5, 20.7, 20.7, 10.5, 0.1]
+    assert records.error_um == pytest.approx([1.5, 2.5, 3.5, 3.6, 2.6, 1.6])
+    same(keysight.load(text.replace(" ", ";"), KeysightSettings(decimal=",")), records)
+    with pytest.raises(InputError, match="neither ascend nor descend"):
+        keysight.load("Identify=Positions,TextUnit=0,2,1 mm\nIdentify=LinearErr,TextUnit=1,2,3,3,2,1 um\n")
 
 
 # -- CSV ---------------------------------------------------------------------------------------------------------------
@@ -147,6 +162,34 @@ def test_csv_refusals_name_the_line(text: str, chosen: MeasuredCsvSettings, comp
     with pytest.raises(InputError, match=complaint) as caught:
         measured_csv.load(text, chosen)
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimal", "expected"),
+    [
+        ("\N{MINUS SIGN}1.5", ".", -1.5),
+        ("\N{MINUS SIGN}1,5", ",", -1.5),
+        ("1e1", ".", 10.0),
+        ("1,5", ".", "expected a number; with another decimal mark"),
+        ("1.5", ",", "expected a number; with another decimal mark"),
+        ("1.000,5", ",", "'1.000,5', expected a number$"),
+        ("1_0", ".", "expected a number$"),
+        ("\N{ARABIC-INDIC DIGIT ONE}", ".", "expected a number$"),
+        ("nan", ".", "expected a number$"),
+        ("1e999", ".", "expected a number$"),
+    ],
+)
+def test_a_number_is_read_as_it_was_meant_or_not_at_all(cell: str, decimal: str, expected: float | str) -> None:
+    wide = f"target;1+\n{cell};0\n", lambda text: wide_iso.load(text, WideIsoSettings(decimal=decimal))
+    names = "run;direction;target_mm;measured_mm"
+    long = f"{names}\n1;+;{cell};0\n", lambda text: measured_csv.load(text, MeasuredCsvSettings(decimal=decimal))
+    for text, load in (wide, long):
+        if isinstance(expected, float):
+            assert load(text).target_mm.tolist() == [expected]
+            continue
+        with pytest.raises(InputError, match=expected) as caught:
+            load(text)
+        assert caught.value.line == 2
 
 
 def test_csv_columns_are_checked() -> None:
