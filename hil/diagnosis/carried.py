@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.evidence import Noise
+from hil.diagnosis.evidence import Extra, Noise
 from hil.diagnosis.fit import Choice
 from hil.diagnosis.judge import Hit
 from hil.diagnosis.searcher import Searcher
@@ -24,27 +24,30 @@ from hil.effects.non_parametric import NonParametric
 Floats = NDArray[np.float64]
 
 
+FEW = 0.1
+"""Columns of a structure, over the rows, up to which they are free in the fit that says its size."""
+FREE = 1e3
+"""Variance ratio of columns that are as good as free."""
+
+
 @dataclass(frozen=True)
 class Carried:
     """What follows some columns, in one structure or in several on the same columns, which only together have a size.
 
-    coefficients (w,), of all structures in turn, and their covariance (w, w), in µm and µm²; probability: of as much in noise
+    coefficients (w,), of all structures in turn, and their covariance (w, w), in µm and µm², as random effects
+    rms: over the rows of the campaign, of the part that a smooth function of the columns can hold, µm
+    probability: of as much in noise
     """
 
     structures: tuple[Structure, ...]
     coefficients: Floats
     covariance: Floats
+    rms: Estimate
     probability: float
 
     @property
     def columns(self) -> tuple[str, ...]:
         return max((structure.columns for structure in self.structures), key=len)
-
-    @property
-    def rms(self) -> Estimate:
-        """Over the rows of the campaign, of the part that a smooth function of the columns can hold, µm."""
-        whole = np.hstack([structure.whole for structure in self.structures])
-        return rms_of(whole, self.coefficients, self.covariance)
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -68,23 +71,48 @@ def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], 
     if not hits:
         return ()
     extra = searcher.extra(choices)
+    places = [_place(extra.random, hit.extra.random) for hit in hits]
+    coefficients, covariance = _solved(searcher, extra, noise)
+    free = extra.random.copy()
+    for hit, place in zip(hits, places, strict=True):
+        if _few(hit):
+            free[:, place] = hit.structure.whole * math.sqrt(FREE)
+    freely, freely_known = _solved(searcher, Extra(extra.free, free), noise)
+    out = []
+    for group in _groups(hits):
+        place = np.concatenate([places[hits.index(hit)] for hit in group])
+        root = np.concatenate([np.full(hit.structure.whole.shape[1], math.sqrt(hit.variance)) for hit in group])
+        mine = np.ix_(place, place)
+        whole = np.hstack([hit.structure.whole for hit in group])
+        if all(map(_few, group)):
+            rms = rms_of(whole, freely[place] * math.sqrt(FREE), freely_known[mine] * FREE)
+        else:
+            rms = rms_of(whole, coefficients[place] * root, covariance[mine] * np.outer(root, root), shrunk=True)
+        out.append(
+            Carried(
+                tuple(hit.structure for hit in group),
+                coefficients[place] * root,
+                covariance[mine] * np.outer(root, root),
+                rms,
+                min(hit.probability for hit in group),
+            )
+        )
+    return tuple(out)
+
+
+def _few(hit: Hit) -> bool:
+    rows, columns = hit.structure.whole.shape
+    return bool(columns <= FEW * rows)
+
+
+def _solved(searcher: Searcher, extra: Extra, noise: Noise) -> tuple[Floats, Floats]:
+    """Coefficients of the random columns of a fit, (s,), and their covariance (s, s), with everything else free beside them."""
     frame = searcher.frame(noise, extra)
     solution = frame.solve(np.zeros((len(searcher.y), 0)))
     posterior = frame.inverse_lower.T @ frame.inverse_lower * solution.variance
     first = frame.whitened.table.shape[1]
-    out = []
-    for group in _groups(hits):
-        places, roots = [], []
-        for hit in group:
-            own = hit.extra.random
-            start = first + _where(extra.random, own)
-            places.append(np.arange(start, start + own.shape[1]))
-            roots.append(np.full(own.shape[1], math.sqrt(hit.variance)))
-        place, root = np.concatenate(places), np.concatenate(roots)
-        spread = posterior[np.ix_(place, place)] * np.outer(root, root)
-        probability = min(hit.probability for hit in group)
-        out.append(Carried(tuple(hit.structure for hit in group), solution.table[place] * root, spread, probability))
-    return tuple(out)
+    random = slice(first, first + extra.random.shape[1])
+    return solution.table[random], posterior[random, random]
 
 
 def _groups(hits: Sequence[Hit]) -> list[list[Hit]]:
@@ -100,24 +128,29 @@ def _groups(hits: Sequence[Hit]) -> list[list[Hit]]:
     return groups
 
 
-def _where(columns: Floats, block: Floats) -> int:
-    """Index of the first of the columns (n, s) at which the block (n, w) stands."""
+def _place(columns: Floats, block: Floats) -> NDArray[np.int64]:
+    """Indices of the block (n, w) among the columns (n, s)."""
     width = block.shape[1]
-    return next(i for i in range(columns.shape[1] - width + 1) if np.array_equal(columns[:, i : i + width], block))
+    for start in range(columns.shape[1] - width + 1):
+        if np.array_equal(columns[:, start : start + width], block):
+            return np.arange(start, start + width)
+    raise LookupError("a structure is not among the columns of the fit")
 
 
-def rms_of(design: Floats, coefficients: Floats, covariance: Floats) -> Estimate:
-    """RMS about the mean of design (n, k) @ coefficients, where these are normal about their estimate with that covariance.
+def rms_of(design: Floats, coefficients: Floats, covariance: Floats, *, shrunk: bool = False) -> Estimate:
+    """RMS about the mean of design (n, k) @ true coefficients, from an estimate of these with its covariance.
 
-    The mean square is c'Gc + tr GV with variance 4 c'GVGc + 2 tr GVGV (quadratic form of normal variables; Mathai & Provost 1992,
-    ch. 3), G the centred cross products per row; its root by the delta method.
+    With G the centred cross products per row, c'Gc of a free estimate is too large by tr GV on average, that of a shrunk one too
+    small by as much; its variance is 4 c'GVGc + 2 tr GVGV (quadratic form of normal variables; Mathai & Provost 1992, ch. 3), and the
+    root's is by the delta method.
     """
     centred = design - np.mean(design, axis=0)
     gram = centred.T @ centred / len(design)
     spread = gram @ covariance
-    square = float(coefficients @ gram @ coefficients + np.trace(spread))
+    seen, bias = float(coefficients @ gram @ coefficients), float(np.trace(spread))
+    square = max(seen + bias if shrunk else seen - bias, 0.25 * seen, 1e-300)
     variance = float(4.0 * coefficients @ spread @ gram @ coefficients + 2.0 * np.sum(spread * spread.T))
-    rms = math.sqrt(max(square, 1e-300))
+    rms = math.sqrt(square)
     return Estimate(rms, math.sqrt(max(variance, 0.0)) / (2.0 * rms))
 
 
@@ -125,4 +158,5 @@ def rms_of_term(term: Term, columns: Columns) -> Estimate:
     """The same of a fitted effect over rows, its non-linear parameters held."""
     k = len(term.coefficients)
     basis = term.effect.basis(term.form, term.theta, columns)
-    return rms_of(basis, np.array(term.coefficients), np.array(term.covariance)[:k, :k])
+    covariance = np.array(term.covariance)[:k, :k]
+    return rms_of(basis, np.array(term.coefficients), covariance, shrunk=term.form.shrunk)

@@ -1,0 +1,65 @@
+"""What a diagnosis looks like: for each finding, the residual and the effect over the column it follows, and what the table left.
+
+Added to the JSON form of a diagnosis, so that a report made of it later draws the same as one made at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.diagnosis.result import Diagnosis
+from hil.effects.history import complete
+from hil.records import Floats, Records
+
+MOST_POINTS = 4000
+"""Of a drawing: more of them show nothing more; of longer records every so manieth row is taken."""
+NM = 3
+"""Decimals of a µm."""
+
+
+def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
+    """The form with a `plot` in each finding, and `residual_um`: what the declared model leaves of each row, not fitted to it.
+
+    records: those that were diagnosed. Longer ones than are drawn have no `residual_um`.
+    """
+    columns = complete(records.columns)
+    shown = np.arange(0, len(records), -(-len(records) // MOST_POINTS))
+    findings = []
+    for finding, plain in zip(diagnosis.findings, form["findings"], strict=True):
+        effect_um = finding.term.error_um(columns)
+        effect_um = effect_um - np.mean(effect_um)
+        name = _column(finding.term.needs, columns)
+        made_up = name == "time_s" and name not in records
+        plot = {
+            "column": "row" if made_up else name,
+            "unit": "" if made_up else _unit(name),
+            "x": (shown + 1 if made_up else columns[name][shown]).tolist(),
+            "direction": records.direction[shown].astype(int).tolist(),
+            "residual_um": _rounded(diagnosis.residual_um + effect_um, shown),
+            "effect_um": _rounded(effect_um, shown),
+        }
+        findings.append({**plain, "plot": plot})
+    whole = {"residual_um": _rounded(diagnosis.before_um, shown)} if len(shown) == len(records) else {}
+    return {**form, "findings": findings, **whole}
+
+
+def _column(needs: Sequence[str], columns: Mapping[str, Floats]) -> str:
+    """The column that tells most: the first the effect reads beyond position and direction, else the position."""
+    for name in needs:
+        if name not in ("target_mm", "direction") and name in columns:
+            return name
+    return "target_mm"
+
+
+def _unit(column: str) -> str:
+    for ending, unit in (("_mm_s", "mm/s"), ("_mm", "mm"), ("_c", "°C"), ("_s", "s"), ("_kg", "kg"), ("_percent", "%")):
+        if column.endswith(ending):
+            return unit
+    return ""
+
+
+def _rounded(values: Floats, shown: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> list[float]:
+    return [float(value) for value in np.round(values[shown], NM)]

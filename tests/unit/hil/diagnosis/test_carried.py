@@ -1,0 +1,114 @@
+"""The size of an unexplained structure: its interval holds the true one, and the structure as a term says what the fit said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from support.campaigns import campaign, wavy
+
+from hil.diagnosis.campaign import prepare
+from hil.diagnosis.candidates import enumerate_candidates
+from hil.diagnosis.carried import Carried, carried, rms_of
+from hil.diagnosis.evidence import Noise
+from hil.diagnosis.fit import Setting
+from hil.diagnosis.judge import hit_of
+from hil.diagnosis.searcher import LIGHT, Searcher
+from hil.diagnosis.structure import structures
+
+Array = np.ndarray
+SMOOTH = Noise(even=300.0, odd=300.0)
+NOISE_UM = 0.3
+
+
+def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    n = len(c["run"])
+    return {name: rng.uniform(-1.0, 1.0, n) for name in ("coolant_l_min", "load_kg")}
+
+
+def found(error_um: Callable[[dict[str, Array]], Array], seed: int, *structure: tuple[str, ...]) -> tuple[Carried, ...]:
+    """What follows the columns of these structures, each known beforehand to be there."""
+    prepared = prepare(campaign(lambda c: wavy(c) + error_um(c), sensors=sensors, noise_um=NOISE_UM, runs=5, seed=seed))
+    searcher = Searcher(Setting.free(prepared), enumerate_candidates(prepared, ()), None, LIGHT)
+    by_columns = {one.columns: one for one in structures(prepared).structures}
+    hits = []
+    for columns in structure:
+        hits.append(hit_of(searcher.frame(SMOOTH), by_columns[columns], 40.0, 0.001))
+        searcher.add_nuisance(hits[-1].extra)
+    return carried(searcher, hits, (), searcher.fit_noise((), SMOOTH))
+
+
+KNOWN: list[tuple[Callable[[dict[str, Array]], Array], tuple[str, ...]]] = [
+    (lambda c: 0.5 * c["coolant_l_min"], ("coolant_l_min",)),
+    (lambda c: 0.9 * c["direction"] * c["coolant_l_min"] ** 2, ("coolant_l_min", "direction")),
+    (lambda c: 0.9 * c["coolant_l_min"] * c["load_kg"], ("coolant_l_min", "load_kg")),
+]
+"""Each about as large as the noise."""
+
+
+def sizes(seeds: int) -> tuple[Array, Array]:
+    """Of each known error in so many campaigns: the stated size over the true one, and how far off it is in stated deviations.
+
+    The true one is over the rows of that campaign, beside what a constant per direction makes.
+    """
+    ratio, off = [], []
+    for seed in range(seeds):
+        for error_um, columns in KNOWN:
+            (one,) = found(error_um, seed, columns)
+            values = one.structures[0].values
+            made = error_um(dict(values))
+            table = np.column_stack([np.ones(len(made)), values["direction"]])
+            true = float(np.std(made - table @ np.linalg.lstsq(table, made, rcond=None)[0]))
+            ratio.append(one.rms.value / true)
+            off.append((one.rms.value - true) / one.rms.std)
+    return np.array(ratio), np.array(off)
+
+
+def test_the_interval_of_the_size_holds_the_true_one() -> None:
+    ratio, off = sizes(14)
+    assert 0.88 <= np.mean(np.abs(off) <= 1.96) <= 1.0
+    assert 0.7 < np.sqrt(np.mean(off**2)) < 1.3
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.06)
+
+
+def test_two_structures_on_the_same_columns_have_one_size_together() -> None:
+    """Each alone holds what the other may hold too; only their sum is known."""
+    (one,) = found(
+        lambda c: 0.9 * c["coolant_l_min"] * c["load_kg"],
+        3,
+        ("coolant_l_min", "load_kg"),
+        ("coolant_l_min", "load_kg", "direction"),
+    )
+    assert one.columns == ("coolant_l_min", "load_kg", "direction")
+    assert len(one.terms) == 2
+    assert one.rms.value == pytest.approx(0.3, abs=3 * one.rms.std)
+    assert one.rms.std < 0.06
+
+
+def test_as_a_term_it_says_what_the_fit_said_and_nothing_new_beyond_the_range() -> None:
+    (one,) = found(lambda c: 1.5 * c["coolant_l_min"], 4, ("coolant_l_min",))
+    values = one.structures[0].values
+    np.testing.assert_allclose(one.error_um(values), one.structures[0].whole @ one.coefficients, atol=1e-12)
+    ends = {"coolant_l_min": np.array([np.min(values["coolant_l_min"]), np.max(values["coolant_l_min"])])}
+    far = {"coolant_l_min": np.array([-50.0, 50.0])}
+    np.testing.assert_array_equal(one.error_um(far), one.error_um(ends))
+    assert float(np.diff(one.error_um(ends))[0]) == pytest.approx(
+        1.5 * float(np.diff(ends["coolant_l_min"])[0]), rel=0.15
+    )
+
+
+def test_the_size_of_a_known_normal_estimate_is_that_of_many_draws() -> None:
+    rng = np.random.default_rng(8)
+    design = rng.normal(size=(60, 4)) @ rng.normal(size=(4, 4))
+    middle = np.array([1.0, -0.6, 0.3, 0.8])
+    root = 0.15 * rng.normal(size=(4, 4))
+    drawn = middle + rng.normal(size=(4000, 4)) @ root.T
+    sizes = np.std(design @ drawn.T, axis=0)
+    stated = rms_of(design, middle, root @ root.T, shrunk=True)
+    assert stated.value == pytest.approx(float(np.sqrt(np.mean(sizes**2))), rel=0.02)
+    assert stated.std == pytest.approx(float(np.std(sizes)), rel=0.1)
+    squares = [rms_of(design, one, root @ root.T).value ** 2 for one in drawn[:2000]]
+    assert np.mean(squares) == pytest.approx(float(np.var(design @ middle)), rel=0.02), (
+        "a free estimate's excess is taken out"
+    )
