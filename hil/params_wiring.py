@@ -15,7 +15,7 @@ from drivers.canopen.eds import load_eds
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import load_table_map
-from drivers.clock import WallClock
+from drivers.clock import Clock, Waiting, WallClock
 from drivers.errors import CapabilityError, InputError
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
@@ -30,6 +30,7 @@ from hil.wiring import bench_parameters
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import attach_to_wire
 from sim_backends.canopen_wire import SimWire
+from sim_backends.clock import SimClock
 
 Bus = tuple[str, str]
 """python-can's interface and channel."""
@@ -39,21 +40,27 @@ _BOOT_S = 0.01  # of the bench's drive
 
 @dataclass
 class _Lines:
-    """What the drives share."""
+    """What the drives share. waiting: through whom their clocks wait."""
 
+    waiting: Waiting | None = None
     can: dict[Bus, CanLine] = field(default_factory=dict)
     modbus: dict[Endpoint, ModbusLine] = field(default_factory=dict)
 
+    @property
+    def wall_clock(self) -> Clock:
+        return WallClock(self.waiting)
+
 
 @contextmanager
-def connected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParameters]]:
+def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = None) -> Iterator[list[RawParameters]]:
     """The parameters of each axis's drive, in the order of the axes. Reading and writing only; nothing is set up in a drive.
 
+    waiting: through whom the drives' clocks wait, so that somebody else can end a wait.
     Raises InputError for an axis given twice or in use by another process, CapabilityError for a drive without parameters on a wire,
     and whatever connecting raises.
     """
     with ExitStack() as stack:
-        lines = _Lines()
+        lines = _Lines(waiting)
         drives = []
         for axis in axes:
             if any(other.name == axis.name for other in axes if other is not axis):
@@ -94,13 +101,13 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
     if axis.drive.backend == "modbus":
         endpoint = _endpoint(axis)
         if endpoint not in lines.modbus:
-            link = ModbusLink(endpoint, WallClock())
+            link = ModbusLink(endpoint, lines.wall_clock)
             link.open()
             stack.callback(link.close)
             lines.modbus[endpoint] = ModbusLine(link)
         return _modbus(axis, lines.modbus[endpoint])
     if axis.drive.backend == "bench" and axis.drive.face == "canopen":
-        bench = stack.enter_context(Bench(bench_parameters(axis)))
+        bench = stack.enter_context(_bench(axis, lines.waiting))
         wire = SimWire(bench.clock, axis.drive.bitrate)  # waiting for an answer lets the bench's time pass
         attach_to_wire(wire, bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
         bus = ("bench", axis.name)
@@ -112,11 +119,16 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
     )
 
 
+def _bench(axis: DriveAxis, waiting: Waiting | None) -> Bench:
+    parameters = bench_parameters(axis)
+    return Bench(parameters, clock=SimClock(parameters.step_s, waiting))
+
+
 def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawParameters:
     config, (interface, channel) = axis.drive, bus
     if bus not in lines.can:
         bitrate = None if interface == "virtual" else config.bitrate
-        link = CanLink.open(WallClock(), interface=interface, channel=channel, bitrate=bitrate)
+        link = CanLink.open(lines.wall_clock, interface=interface, channel=channel, bitrate=bitrate)
         lines.can[bus] = CanLine(stack.enter_context(link))
     eds = None if config.eds is None else load_eds(config.eds, config.node_id)
     table = load_table_map(config.correction_table) if config.correction_table else None

@@ -5,29 +5,26 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from dataclasses import asdict
-from datetime import datetime
-from typing import Any
 
 from hil.axis import AxisConfig, load_axis
-from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
+from hil.axis_lost_motion import LostMotionConfig
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, seed
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
 from hil.compensation import Compensation
 from hil.files import replace_file
-from hil.jobs.identity import drive_in_words
-from hil.journal import Campaign
-from hil.procedures.lost_motion import (
-    LostMotionResult,
-    measure_lost_motion,
-    proof_steps,
-    rms,
-    stroke_steps,
-    verdict,
+from hil.jobs.lost_motion import (
+    MeasuredLostMotion,
+    facts,
+    form,
+    lost_motion_config,
+    measuring_plan,
+    report_html,
+    run_lost_motion,
+    sentences,
 )
-from hil.store import SealedStore, compensation_in_force
+from hil.store import SealedStore
 from hil.wiring import connected
 
 EXAMPLE = """\
@@ -65,27 +62,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """0: measured, proven and stored; 1: not proven."""
     axis = load_axis(args.axis)
-    how = axis.lost_motion or default_lost_motion(axis.path, axis.limits, axis.measurement.targets_mm)
+    how = lost_motion_config(axis)
     if args.dry_run:
         _print_plan(axis, how, args)
         return 0
     present, store = _present(args, axis)
-    purpose = {**axis.purpose("lost-motion"), "how": asdict(how), "seed": args.seed}
-    purpose |= {} if present is None else compensation_in_force(present)
     with connected(axis) as machine, terminal_progress() as listener:
-        campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
-        machine.session.prepare()
-        result = measure_lost_motion(machine.session, campaign, how, present, listener, seed=args.seed)
-        if store is not None and result.good:
-            store.save(result.compensation)
-    stored = str(store.path) if store is not None and result.good else "nothing"
-    facts = _facts(result, present, stored, str(campaign.directory))
-    _print(result, facts)
+        measured = run_lost_motion(machine, how, present, listener, seed=args.seed, resume=args.resume)
+        if store is not None and measured.result.good:
+            store.save(measured.result.compensation)
+    stored = str(store.path) if store is not None and measured.result.good else "nothing"
+    _print(measured, stored)
     if args.report:
-        _write_report(args.report, axis, how, result, facts)
+        replace_file(args.report, report_html(axis, measured, stored).encode())
     if args.json:
-        write_json(args.json, _form(axis, how, result, stored=store is not None and result.good))
-    return 0 if result.good else 1
+        write_json(args.json, form(axis, measured, stored=stored != "nothing"))
+    return 0 if measured.result.good else 1
 
 
 def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation | None, SealedStore | None]:
@@ -99,20 +91,16 @@ def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation |
 
 
 def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespace) -> None:
-    rows = len(stroke_steps(how)) + 2 * len(proof_steps(how, args.seed))
-    rest_s = axis.measurement.dwell_s + axis.measurement.reading_s
-    homing = "home it, " if axis.measurement.home else ""
+    plan = measuring_plan(axis, how, args.seed, store=not args.only_measure)
+    homing = "home it, " if plan.homes else ""
+    minutes = plan.positions * (plan.at_rest_s + 0.2) / 60.0
+    print(f"axis {plan.axis} over {plan.backend}: would enable it, {homing}take the datum at {plan.datum_mm:g} mm")
     print(
-        f"axis {axis.name} over {axis.drive.backend}: would enable it, {homing}take the datum at {axis.measurement.reference_mm:g} mm"
-    )
-    print(
-        f"would go to and fro between {how.low_mm:g} and {how.high_mm:g} mm {how.runs} times at {axis.measurement.velocity_mm_s:g}"
+        f"would go to and fro between {how.low_mm:g} and {how.high_mm:g} mm {how.runs} times at {plan.moves[0].velocity_mm_s:g}"
         f" mm/s, uncorrected, at rest at {how.places} places from {how.finest_um:g} µm on after each turning"
     )
     print(f"would then make {how.proof_moves} moves of all lengths there twice, without the new correction and with it")
-    print(
-        f"would capture {rows} positions, {rest_s:g} s at rest each, some {rows * (rest_s + 0.2) / 60.0:.0f} min in all"
-    )
+    print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each, some {minutes:.0f} min in all")
     print(f"would write rows below {axis.store.directory}")
     print(
         "would store nothing"
@@ -121,25 +109,7 @@ def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespac
     )
 
 
-def _facts(result: LostMotionResult, present: Compensation | None, stored: str, kept: str) -> dict[str, str]:
-    found, proof = result.estimate, result.proof
-    parameters = {name.replace("_", " "): str(each) for name, each in found.parameters.items()}
-    before = (
-        "nothing" if present is None else "the tables" if present.rise is None else "the tables and an earlier rise"
-    )
-    return {
-        "lost motion": f"{found.amount_um:.2f} µm, rising as {found.rise.shape.name}",
-        **{f"  {name}": text for name, text in parameters.items()},
-        "noise of a reading": f"{result.stretch.noise_um:.3f} µm",
-        "proof, before": f"{rms(proof.before_um):.2f} µm RMS, {abs(proof.before_um).max():.2f} at worst, with {before} in force",
-        "proof, after": f"{rms(proof.after_um):.2f} µm RMS, {abs(proof.after_um).max():.2f} at worst",
-        "over-compensated": f"{proof.over_um:.2f} µm at worst, {100.0 * proof.over_um / found.amount_um:.1f} % of the lost motion",
-        "stored": stored,
-        "rows": kept,
-    }
-
-
-def _print(result: LostMotionResult, facts: dict[str, str]) -> None:
+def _print(measured: MeasuredLostMotion, stored: str) -> None:
     rows = [
         [
             one.fitted.shape.name,
@@ -147,48 +117,9 @@ def _print(result: LostMotionResult, facts: dict[str, str]) -> None:
             number(one.rms_um, 3),
             number(one.held_out_rms_um, 3),
         ]
-        for one in result.estimate.contenders
+        for one in measured.result.estimate.contenders
     ]
     print_table(["shape", "amount, µm", "RMS, µm", "RMS on strokes held out, µm"], rows)
-    print_facts(facts)
-    for sentence in verdict(result):
+    print_facts(facts(measured, stored))
+    for sentence in sentences(measured):
         print(sentence)
-
-
-def _write_report(
-    path: str, axis: AxisConfig, how: LostMotionConfig, result: LostMotionResult, facts: dict[str, str]
-) -> None:
-    from hil.report.lost_motion import LostMotionReport, render_lost_motion  # noqa: PLC0415  (plots are slow to import)
-
-    identity = {
-        "Axis": axis.name,
-        "Drive": drive_in_words(axis),
-        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        "Strokes": f"{how.stroke_mm:g} mm around {how.at_mm:g} mm, {how.runs} to and fro, {how.places} places after each turning",
-        "Proof": f"{how.proof_moves} moves of all lengths there, before and after",
-    }
-    title = f"Lost motion of axis {axis.name} after a reversal"
-    report = LostMotionReport(title, result.estimate, result.proof, verdict(result), identity, facts)
-    replace_file(path, render_lost_motion(report).encode())
-
-
-def _form(axis: AxisConfig, how: LostMotionConfig, result: LostMotionResult, *, stored: bool) -> dict[str, Any]:
-    proof = result.proof
-    return {
-        "axis": axis.name,
-        "good": result.good,
-        "stored": stored,
-        **result.estimate.to_json(),
-        "noise_um": result.stretch.noise_um,
-        "reversals": [
-            {"direction": one.direction, "travel_mm": one.travel_mm.tolist(), "error_um": one.error_um.tolist()}
-            for one in result.estimate.reversals
-        ],
-        "proof": {
-            "moves": how.proof_moves,
-            "before": {"rms_um": rms(proof.before_um), "peak_um": float(abs(proof.before_um).max())},
-            "after": {"rms_um": rms(proof.after_um), "peak_um": float(abs(proof.after_um).max())},
-            "over_compensation_um": proof.over_um,
-        },
-        "verdict": list(verdict(result)),
-    }

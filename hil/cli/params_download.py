@@ -10,16 +10,13 @@ from hil.axis import DriveAxis
 from hil.cli.output import write_json
 from hil.cli.params_options import add_job, load_axes, sets_of, showing, tell_person
 from hil.cli.params_output import print_costs, print_reports
-from hil.params.compare import compare
+from hil.jobs.parameters import compare_axes, set_before_last, set_of_last, write_axes
 from hil.params.defaults import load_defaults
-from hil.params.download import Target, download
-from hil.params.journal import Download
 from hil.params.predict import Prediction, predict
 from hil.params.preflight import Objection, match_set
-from hil.params.recover import set_after, set_before
 from hil.params.report import Ending, JobReport
 from hil.params.set_file import ParameterSet
-from hil.params_wiring import connected_parameters, journal_of, unconnected_parameters
+from hil.params_wiring import connected_parameters, unconnected_parameters
 
 
 def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -53,12 +50,9 @@ def _download(args: argparse.Namespace) -> int:
 def _write(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet], *, store: bool) -> int:
     if args.audit and not store:
         raise InputError("--audit needs --store: what is not kept is gone after a restart")
-    with connected_parameters(axes) as drives, showing() as progress:
-        targets = [
-            Target(drive, contents, journal_of(axis), args.any_version)
-            for drive, contents, axis in zip(drives, sets, axes, strict=True)
-        ]
-        reports = download(targets, store=store, ask=tell_person if args.audit else None, progress=progress)
+    ask = tell_person if args.audit else None
+    with showing() as progress:
+        reports = write_axes(axes, sets, store=store, ask=ask, any_version=args.any_version, progress=progress)
     return print_reports(reports, args.json)
 
 
@@ -95,9 +89,9 @@ def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence
 def _store(args: argparse.Namespace) -> int:
     """0: every drive held its set and stored it; 1: one does not hold it, or did not store."""
     axes = load_axes(args)
-    sets = sets_of(args, axes) if args.sets else [set_after(_last(axis)) for axis in axes]
-    with connected_parameters(axes) as drives, showing() as progress:
-        compared = compare(list(zip(drives, sets, strict=True)), any_version=args.any_version, progress=progress)
+    sets = sets_of(args, axes) if args.sets else [set_of_last(axis) for axis in axes]
+    with showing() as progress:
+        compared = compare_axes(axes, sets, any_version=args.any_version, progress=progress)
     differing = [each for each in compared if not each.same]
     for each in differing:
         why = each.error or "; ".join(str(objection) for objection in each.objections) or "it holds other values"
@@ -109,25 +103,13 @@ def _store(args: argparse.Namespace) -> int:
     return _write(args, axes, sets, store=True)
 
 
-def _last(axis: DriveAxis) -> Download:
-    """The axis's last download. Raises InputError where there is none that ended with the drive holding its set."""
-    last = journal_of(axis).last()
-    if last is None:
-        raise InputError(
-            f"has no download of {axis.name} in its journal, expected --set FILE", path=journal_of(axis).folder
-        )
-    if last.finished and last.ending not in (Ending.WRITTEN.name, Ending.UNCHANGED.name):
-        raise InputError("ended with everything put back, expected --set FILE", path=last.path)
-    return last
-
-
 # -- restore -----------------------------------------------------------------------------------------------------------
 def _restore(args: argparse.Namespace) -> int:
     """0: every drive holds what it held before; 1: they were refused, put back, or are unfinished."""
     axes = load_axes(args)
     if args.factory:
         return _factory(args, axes)
-    sets = sets_of(args, axes) if args.sets else [set_before(_last(axis)) for axis in axes]
+    sets = sets_of(args, axes) if args.sets else [set_before_last(axis) for axis in axes]
     return _write(args, axes, sets, store=args.store)
 
 

@@ -11,10 +11,10 @@ from hil.axis import DriveAxis
 from hil.cli.output import Align, print_table, write_json
 from hil.cli.params_options import add_job, load_axes, sets_of, showing
 from hil.cli.params_output import print_costs, shown
-from hil.params.compare import Comparison, Side, compare
-from hil.params.formats import FORMATS, write_any
-from hil.params.snapshot import Backup, back_up
-from hil.params_wiring import connected_parameters
+from hil.jobs.parameters import back_up_axes, compare_axes
+from hil.params.compare import Comparison, Side
+from hil.params.formats import FORMATS
+from hil.params.snapshot import Backup
 
 _MOST_ROWS = 60
 
@@ -41,13 +41,12 @@ def _backup(args: argparse.Namespace) -> int:
     """0: every drive was read; 1: one was not."""
     axes = load_axes(args)
     paths = _outputs(args, axes)
-    with connected_parameters(axes) as drives, showing() as progress:
-        backups = back_up(drives, everything=args.everything, progress=progress)
+    with showing() as progress:
+        backups = back_up_axes(axes, paths, args.format, everything=args.everything, progress=progress)
     for axis, path, backup in zip(axes, paths, backups, strict=True):
         if backup.contents is None:
             print(f"{axis.name}: {backup.error}")
             continue
-        write_any(path, backup.contents, backup.drive, args.format, axis.drive.eds)
         print(f"{axis.name}: {len(backup.contents.entries)} parameters in {path}")
         for address, why in (backup.unreadable or {}).items():
             print(f"{axis.name}: {address} is left out: {why}")
@@ -100,8 +99,8 @@ def _verify(args: argparse.Namespace) -> int:
 def _compared(args: argparse.Namespace) -> list[Comparison]:
     axes = load_axes(args)
     sets = sets_of(args, axes)
-    with connected_parameters(axes) as drives, showing() as progress:
-        return compare(list(zip(drives, sets, strict=True)), any_version=args.any_version, progress=progress)
+    with showing() as progress:
+        return compare_axes(axes, sets, any_version=args.any_version, progress=progress)
 
 
 def _write(args: argparse.Namespace, comparisons: Sequence[Comparison]) -> None:

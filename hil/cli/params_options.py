@@ -6,18 +6,15 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from drivers.errors import InputError
 from hil.axis import DriveAxis, load_drive_axis
 from hil.cli.output import add_json_option
 from hil.cli.progress import terminal_progress
-from hil.files import naming, read_bytes
-from hil.params.formats import read_any
+from hil.jobs.parameters import load_set
 from hil.params.set_file import ParameterSet
 from hil.params.works import Progress
 from hil.procedures.events import Event
-from hil.sealed import check_detached, load_public_key
 
 EXAMPLE = """\
 example:
@@ -80,24 +77,6 @@ def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[Paramet
         raise InputError(f"--set is given {len(args.sets)} times, expected once, or once for each of {len(axes)} axes")
     paths = args.sets * len(axes) if len(args.sets) == 1 else args.sets
     return [load_set(path, axis, signed=args.signed) for path, axis in zip(paths, axes, strict=True)]
-
-
-def load_set(path: str, axis: DriveAxis, *, signed: bool) -> ParameterSet:
-    """A set's file, its builder's signature checked where there is one."""
-    check_signature(Path(path), axis, demanded=signed)
-    return read_any(path)
-
-
-def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
-    """Raise unless the signature beside a file is the builder's, or there is none and none is demanded."""
-    beside = path.with_name(f"{path.name}.sig")
-    if not beside.exists():
-        if demanded:
-            raise InputError(f"has no signature beside it, expected {beside.name} (`hil sign`)", path=path)
-        return
-    public = load_public_key(axis.store.builder_public)
-    with naming(beside):
-        check_detached(read_bytes(path), read_bytes(beside), public)
 
 
 def tell_person(what: str) -> None:

@@ -8,8 +8,7 @@ from functools import partial
 from hil.cli.output import write_json
 from hil.cli.params_options import add_job, load_axes, showing
 from hil.cli.params_output import print_reports
-from hil.params.recover import Unfinished, recover
-from hil.params_wiring import connected_parameters, journal_of
+from hil.jobs.parameters import recover_axes
 
 
 def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,13 +23,11 @@ def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _recover(args: argparse.Namespace, *, forward: bool) -> int:
     """0: finished, or there was nothing to finish; 1: it is still not finished."""
-    axes = [axis for axis in load_axes(args) if journal_of(axis).unfinished() is not None]
-    if not axes:
+    with showing() as progress:
+        reports = recover_axes(load_axes(args), forward=forward, progress=progress)
+    if not reports:
         print("nothing to do: no download was cut off")
         if args.json:
             write_json(args.json, {"good": True, "drives": []})
         return 0
-    with connected_parameters(axes) as drives, showing() as progress:
-        targets = [Unfinished(drive, journal_of(axis)) for drive, axis in zip(drives, axes, strict=True)]
-        reports = recover(targets, forward=forward, progress=progress)
     return print_reports(reports, args.json)
