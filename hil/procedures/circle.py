@@ -20,7 +20,7 @@ from drivers.set_points import SetPointSettings
 from hil.compensation import Compensation
 from hil.lost_motion.circle import Circle, Trace, trace_of
 from hil.procedures.events import Event, Listener, silent
-from hil.procedures.sample_times import SampleTimes
+from hil.procedures.sample_times import Dates, dates_of
 from hil.procedures.session import AxisSession
 from hil.records import Floats
 
@@ -97,7 +97,7 @@ def _to_the_start(axes: Sequence[AxisSession], circle: Circle) -> None:
 
 
 def _stream(axes: Sequence[AxisSession], circle: Circle, stage: str, period_s: float, listener: Listener) -> CircleRun:
-    clocks = [SampleTimes(axis) for axis in axes]
+    clocks = [dates_of(axis) for axis in axes]
     samples: list[list[tuple[int, Reading]]] = [[] for _ in axes]
     for times in clocks:
         times.find_arrival()
@@ -130,7 +130,7 @@ def _stream(axes: Sequence[AxisSession], circle: Circle, stage: str, period_s: f
     return CircleRun(trace, (when[0][both] - when[0][both][0]) / 1e9, position, missed)
 
 
-def _dated(axis: AxisSession, times: SampleTimes, samples: list[tuple[int, Reading]]) -> tuple[Floats, Floats]:
+def _dated(axis: AxisSession, times: Dates, samples: list[tuple[int, Reading]]) -> tuple[Floats, Floats]:
     """Moments, ns, and positions, mm, of the samples of one axis."""
-    when = np.array([times.taken_ns(number) for number, _ in samples], dtype=np.float64)
+    when = np.array([times.taken_ns(number, reading) for number, reading in samples], dtype=np.float64)
     return when, np.array([axis.load_position_mm(reading) for _, reading in samples])

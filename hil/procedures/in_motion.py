@@ -1,14 +1,16 @@
 """Measuring while the axis moves: passes at several feeds, each set-point of a stream corrected in its cycle.
 
 What only shows in motion (a lag in proportion to velocity) no campaign at rest can see, and no correction at rest can mend. A row is
-one sample of the instrument on a stretch of constant velocity: its target is where the path is at that moment.
+one sample of the instrument on a stretch of constant velocity: its target is where the path is at that moment. The moment is that of
+its arrival less the instrument's latency (on the fly), or that of an edge which drive and instrument share (triggered).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,10 +19,12 @@ from drivers.errors import InputError
 from drivers.instrument import Reading
 from drivers.set_points import SetPointSettings, SetPointStream
 from hil.journal import Campaign
+from hil.latency import DELAY
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.measure import BASE_COLUMNS
-from hil.procedures.sample_times import SampleTimes
+from hil.procedures.sample_times import Dates, dates_of
 from hil.procedures.session import AxisSession
+from hil.procedures.shared_edges import EdgeWatch, shared_edges
 from hil.records import Floats, Records
 
 
@@ -29,7 +33,8 @@ class InMotion:
     """How passes are made.
 
     feeds_mm_s: at each, up and down in every run; stretch_mm: of constant velocity; rows: kept of each pass, evenly;
-    latency_s: of the instrument, see `SampleTimes`; lag_mm: how far the axis may be behind its set-point
+    latency_s: of the instrument, see `hil.latency`, dated_by: how it is known; trigger_input: of the drive, captures at the edges that
+    come there with the instrument's samples, None: on the fly; lag_mm: how far the axis may be behind its set-point
     """
 
     feeds_mm_s: tuple[float, ...]
@@ -39,6 +44,8 @@ class InMotion:
     acceleration_mm_s2: float = 400.0
     period_s: float = 0.002
     latency_s: float = 0.0
+    dated_by: str = ""
+    trigger_input: int | None = None
     lag_mm: float = 2.0
 
 
@@ -58,7 +65,7 @@ class Pass:
 
 def check_passes(session: AxisSession, how: InMotion) -> None:
     """Raises CapabilityError or InputError, before anything moves, for passes that this axis cannot make."""
-    session.drive.require(Capability.STREAMING)
+    session.drive.require(Capability.STREAMING, *([] if how.trigger_input is None else [Capability.TOUCH_PROBE]))
     plan_passes(session, how, 0)
 
 
@@ -102,21 +109,27 @@ def ramped_path(this: Pass, acceleration_mm_s2: float, period_s: float) -> Float
 
 @dataclass
 class _Trace:
-    """What a pass leaves behind: the path in time, and the numbered samples."""
+    """What a pass leaves behind: the path in time, where the drive was found, the numbered samples, and latches."""
 
-    times: SampleTimes
+    times: Dates
     session: AxisSession
-    reached_ns: list[int]
-    command_mm: list[float]
-    since_reversal_mm: list[float]
-    samples: list[tuple[int, Reading]]
+    edges: EdgeWatch | None
+    reached_ns: list[int] = field(default_factory=list)
+    command_mm: list[float] = field(default_factory=list)
+    since_reversal_mm: list[float] = field(default_factory=list)
+    found: list[tuple[int, float]] = field(default_factory=list)
+    samples: list[tuple[int, Reading]] = field(default_factory=list)
 
     def look(self, stream: SetPointStream) -> None:
         history = self.session.history
         self.reached_ns.append(stream.reached_ns)
         self.command_mm.append(self.session.commanded_mm)
         self.since_reversal_mm.append(math.nan if history is None else history.since_reversal_mm)
+        if not self.found or stream.found[0] > self.found[-1][0]:  # one that came late is not told again
+            self.found.append(stream.found)
         self.samples += self.session.readings()
+        if self.edges is not None:
+            self.edges.look()
 
 
 def measure_in_motion(
@@ -134,13 +147,17 @@ def measure_in_motion(
     where the drive takes no set-points in its cycle.
     """
     session.drive.require(Capability.STREAMING)
-    columns = (*BASE_COLUMNS, *sorted(column for column in session.known() if column not in BASE_COLUMNS))
-    times = SampleTimes(session, how.latency_s)
+    edges = None if how.trigger_input is None else EdgeWatch(session, how.trigger_input)
+    beside = sorted(column for column in session.known() if column not in BASE_COLUMNS)
+    columns = (*BASE_COLUMNS, *beside, *([] if edges is None else [DELAY]))
+    times = dates_of(session, how.latency_s)
     with campaign.rows(name, columns) as journal:
         done = _passes_done(journal.records(), passes)
+        if not done and (how.dated_by or how.latency_s):
+            journal.note(f"dated by {how.dated_by or f'a latency of {1e3 * how.latency_s:g} ms'}")
         listener(Event(name, done=done, total=len(passes)))
         for number, this in enumerate(passes[done:], start=done + 1):
-            for row in _measure_pass(session, times, this, how):
+            for row in _measure_pass(session, _Trace(times, session, edges), this, how):
                 journal.append({**dict.fromkeys(columns, math.nan), **row})
             listener(Event(name, f"{this.feed_mm_s:g} mm/s", number, len(passes)))
         records = journal.records()
@@ -160,33 +177,42 @@ def _passes_done(records: Records | None, passes: Sequence[Pass]) -> int:
     return keys.index(last) + 1
 
 
-def _measure_pass(session: AxisSession, times: SampleTimes, this: Pass, how: InMotion) -> Iterator[dict[str, float]]:
+_Moment = tuple[float, tuple[int, Reading], dict[str, float]]
+"""When, which sample, and more columns of its row."""
+
+
+def _measure_pass(session: AxisSession, trace: _Trace, this: Pass, how: InMotion) -> Iterator[dict[str, float]]:
     session.approach(this.from_mm - this.direction * session.how.overrun_mm)
     session.move_to(this.from_mm)
     session.watch(session.how.dwell_s)
     path = ramped_path(this, how.acceleration_mm_s2, how.period_s)
-    trace = _Trace(times, session, [], [], [], [])
-    times.find_arrival()
+    trace.times.find_arrival()
     known = session.known()
     stroke_mm = session.stroke_or_long_mm
     settings = SetPointSettings(how.period_s, following_error_mm=how.lag_mm)
-    session.stream_along(((float(x), float(v)) for x, v in path), settings, trace.look)
+    with nullcontext() if trace.edges is None else trace.edges.armed():
+        session.stream_along(((float(x), float(v)) for x, v in path), settings, trace.look)
     session.watch(session.how.dwell_s)
-    times.find_arrival()
-    for row in _rows(this, path, trace, how.rows):
+    trace.times.find_arrival()
+    for row in _rows(this, path, trace, how):
         yield {**known, **row, "time_s": known["time_s"] + row["time_s"], "stroke_mm": stroke_mm}
 
 
-def _rows(this: Pass, path: Floats, trace: _Trace, wanted: int) -> Iterator[dict[str, float]]:
+def _rows(this: Pass, path: Floats, trace: _Trace, how: InMotion) -> Iterator[dict[str, float]]:
     """Samples on the stretch of constant velocity, some evenly spread ones of them."""
     reached = np.array(trace.reached_ns, dtype=np.float64)
+    found_ns, found_mm = np.array(trace.found, dtype=np.float64).T
     even = np.flatnonzero(path[:, 1] >= this.feed_mm_s * (1 - 1e-9))
     settled = even[len(even) // 4 :]  # the first quarter is left for the servo's lag to build up
     first_ns, last_ns = reached[settled[0]], reached[settled[-1]]
-    dated = [(trace.times.taken_ns(index), reading) for index, reading in trace.samples]
-    inside = [(time_ns, reading) for time_ns, reading in dated if first_ns <= time_ns <= last_ns]
-    for pick in np.unique(np.linspace(0, len(inside) - 1, min(wanted, len(inside))).round().astype(int)):
-        time_ns, reading = inside[pick]
+    moments: list[_Moment]
+    if trace.edges is None:
+        moments = [(float(trace.times.taken_ns(*sample)), sample, {}) for sample in trace.samples]
+    else:
+        moments = _at_edges(trace, found_ns, found_mm, (found_ns >= first_ns) & (found_ns <= last_ns))
+    inside = [moment for moment in moments if first_ns <= moment[0] <= last_ns]
+    for pick in np.unique(np.linspace(0, len(inside) - 1, min(how.rows, len(inside))).round().astype(int)):
+        time_ns, (_, reading), more = inside[pick]
         yield {
             "run": float(this.run),
             "direction": float(this.direction),
@@ -196,4 +222,18 @@ def _rows(this: Pass, path: Floats, trace: _Trace, wanted: int) -> Iterator[dict
             "time_s": (time_ns - reached[0]) / 1e9,
             "velocity_mm_s": this.feed_mm_s,
             "since_reversal_mm": float(np.interp(time_ns, reached, trace.since_reversal_mm)),
+            "motor_mm": float(np.interp(time_ns, found_ns, found_mm)),
+            **more,
         }
+
+
+def _at_edges(
+    trace: _Trace, found_ns: Floats, found_mm: Floats, settled: np.ndarray[tuple[int], np.dtype[np.bool_]]
+) -> list[_Moment]:
+    """When an edge came, the sample that belongs to it, and how late that was here."""
+    if trace.edges is None or not trace.samples or not settled.any():
+        return []
+    measured = np.array([trace.session.load_position_mm(reading) for _, reading in trace.samples])
+    edges = shared_edges(trace.edges.latched_mm, found_ns[settled], found_mm[settled], trace.samples, measured)
+    late = [(trace.times.arrived_ns(edge.index, edge.reading) - edge.time_ns) / 1e9 for edge in edges]
+    return [(edge.time_ns, (edge.index, edge.reading), {DELAY: s}) for edge, s in zip(edges, late, strict=True)]

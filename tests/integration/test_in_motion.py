@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support import bench_axis
 
+from drivers.instrument import Reading, ReadingStatus
 from hil.axis import load_axis
 from hil.compensation import Compensation
 from hil.journal import Campaign
@@ -46,7 +47,9 @@ def test_samples_are_dated_to_microseconds(tmp_path: Path) -> None:
             assert arrival.doubt_ns <= 2000
             # the simulated laser takes a sample every 20 ms of its own time, which began with the clock's
             assert arrival.time_ns % 20_000_000 <= 2000
-        assert times.taken_ns(arrivals[0].index + 7) == pytest.approx(arrivals[0].time_ns + 7 * 20_000_000, abs=2000)
+        assert times.arrived_ns(arrivals[0].index + 7, Reading(0, ReadingStatus.GOOD, 0.0, 0)) == pytest.approx(
+            arrivals[0].time_ns + 7 * 20_000_000, abs=2000
+        )
 
 
 @pytest.mark.slow
