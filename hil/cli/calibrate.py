@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"outside the band: {section}")
     print(f"stored {store.path}")
     if args.report:
-        from hil.cli.documents import calibration_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.jobs.documents import calibration_report  # noqa: PLC0415  (plots are slow to import)
 
         replace_file(args.report, calibration_report(axis, result).encode())
     if args.json:

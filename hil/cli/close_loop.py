@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from typing import Any
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
@@ -16,9 +15,8 @@ from hil.cli.progress import terminal_progress
 from hil.cli.summary import print_findings, print_stages
 from hil.diagnosis.planned_run import PlannedRun
 from hil.files import replace_file
-from hil.jobs.figures import error_figures
-from hil.journal import Campaign
-from hil.procedures.close_loop import MOST_RUNS, Consent, Loop, Turn, Turning, close_loop
+from hil.jobs.close_loop import loop_is_good, loop_stages, run_loop
+from hil.procedures.close_loop import MOST_RUNS, Consent, Turn, Turning
 from hil.procedures.conditions import AskedConditions, Conditions
 from hil.procedures.explore import Exploration
 from hil.procedures.in_motion import InMotion
@@ -125,25 +123,13 @@ def run(args: argparse.Namespace) -> int:
     in_motion = None
     if args.feeds:
         in_motion = InMotion(args.feeds, stretch_mm=args.stretch, period_s=args.period)
-    exploration = vars(how) if plan is None else {"plan": repr(plan)}
-    purpose = {**axis.purpose("close-loop"), "exploration": exploration}
-    if in_motion is not None:
-        purpose["in_motion"] = {**vars(in_motion), "feeds_mm_s": list(args.feeds)}
-    campaign = Campaign.numbered(axis.store.directory, purpose, resume=args.resume)
+    turning = Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion)
     with (
         blaming(effects),
         connected(axis, conditions=_asked(axis)) as machine,
         terminal_progress() as listener,
     ):
-        machine.session.prepare()
-        loop = close_loop(
-            machine.session,
-            campaign,
-            axis.correction,
-            store.save,
-            listener,
-            turning=Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion),
-        )
+        loop = run_loop(machine, store, turning, listener, resume=args.resume)
     stages = loop_stages(loop)
     print_stages(stages)
     print_findings(loop.turn.diagnosis)
@@ -152,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
         print("in motion:")
         print_findings(loop.in_motion.diagnosis)
     if args.report:
-        from hil.cli.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.jobs.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
 
         replace_file(args.report, loop_report(axis, loop).encode())
     good = loop_is_good(loop)
@@ -215,30 +201,3 @@ def print_runs(turn: Turn) -> None:
                 print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
     if follow.run is not None:
         print(f"next measurement, not made: {follow.run.describe()}")
-
-
-def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
-    """The measured stages of a loop with their figures."""
-    stages = {
-        "uncorrected": error_figures(loop.calibration.before),
-        "table": error_figures(loop.calibration.rounds[-1].records),
-        "table, explored": error_figures(loop.turn.before),
-        "extended, explored": error_figures(loop.turn.after),
-    }
-    if loop.in_motion is not None:
-        stages["in motion"] = error_figures(loop.in_motion.before)
-        stages["in motion, extended"] = error_figures(loop.in_motion.after)
-    return stages
-
-
-def loop_is_good(loop: Loop) -> bool:
-    """Everything found, no measurement left that needs a person, and the axis measured no worse than before."""
-    follow = loop.turn.follow
-    waits = follow is not None and follow.run is not None and bool(follow.run.person)
-    turns = [loop.turn] if loop.in_motion is None else [loop.turn, loop.in_motion]
-    return not waits and all(_turn_is_good(turn) for turn in turns)
-
-
-def _turn_is_good(turn: Turn) -> bool:
-    before, after = error_figures(turn.before)["rms_um"], error_figures(turn.after)["rms_um"]
-    return not turn.diagnosis.unexplained and bool(after <= max(before, 2 * turn.diagnosis.noise_floor.value))

@@ -13,11 +13,11 @@ from drivers.clock import NS_PER_S
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import seed
-from hil.cli.close_loop import loop_stages
 from hil.cli.output import print_facts, write_json
 from hil.cli.progress import terminal_progress
 from hil.cli.summary import print_findings, print_stages
 from hil.files import replace_file
+from hil.jobs.close_loop import loop_stages
 from hil.journal import Campaign
 from hil.procedures.close_loop import Loop, Turning, close_loop
 from hil.procedures.explore import Exploration
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         campaign = Campaign.numbered(axis.store.directory, axis.purpose("demo"), resume=False)
         loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=TURNING)
         machine_s = machine.clock.now_ns() / NS_PER_S
-    from hil.cli.documents import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
+    from hil.jobs.documents import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
 
     replace_file(directory / "report.html", loop_report(axis, loop).encode())
     replace_file(directory / "before-after.png", loop_image(loop))

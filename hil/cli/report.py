@@ -12,10 +12,10 @@ from typing import Any
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
-from hil.cli.instrument_identity import uncertainty_of
 from hil.cli.output import add_json_option, write_json
 from hil.cli.signatures import NOT_GOOD, signatures
 from hil.files import read_bytes, replace_file
+from hil.jobs.identity import identity, uncertainty_of
 from hil.records import parse_csv
 from hil.sealed import load_public_key
 from hil.uncertainty import Budget
@@ -85,9 +85,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """0: written; 1: written, and a signature is not good. Raises InputError for bad files and arguments."""
-    from hil.cli.documents import identity  # noqa: PLC0415  (only now: plots are slow to import)
-    from hil.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415
+    from hil.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (plots are slow to import)
     from hil.report.document import budgets, render_files, render_html  # noqa: PLC0415
+    from hil.report.views import diagnosed  # noqa: PLC0415
 
     paths = _record_files(args)
     labels = args.label or _default_labels(paths)
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         band_um=_band(args, axis),
         tables=tuple(TableInForce(Path(path).name, _sha256(read_bytes(path))) for path in args.table),
         diagnosis=diagnosis,
-        diagnosed=None if diagnosis is None else campaigns[-1],
+        diagnosed=None if diagnosis is None else diagnosed(campaigns[-1], diagnosis),
         notes=tuple(args.note),
         compare=args.compare is not None,
         uncertainty=None if axis is None else uncertainty_of(axis),

@@ -25,6 +25,7 @@ from hil.diagnosis.planned_run import PlannedRun
 from hil.effects import ALL, Effect
 from hil.journal import Campaign
 from hil.procedures.calibrate import Calibration, calibrate
+from hil.procedures.computing import Computing, at_once
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.explore import Exploration, Run, explore, plan_runs
 from hil.procedures.extend import compensation_of, issuable, model_of
@@ -50,7 +51,7 @@ class Turning:
 
     exploration, or instead of it plan: what is measured before and after; consent: asks for a person where a run needs one, without
     it only runs that the axis makes alone are made; most_further: runs to tell causes apart; effects: the catalogue, and what stands
-    beside it; in_motion: passes of a second turn, at feed, where they are wanted
+    beside it; in_motion: passes of a second turn, at feed, where they are wanted; computing: how the diagnosis is made
     """
 
     exploration: Exploration = field(default_factory=Exploration)
@@ -59,6 +60,7 @@ class Turning:
     most_further: int = MOST_RUNS
     effects: Sequence[Effect] = ALL
     in_motion: InMotion | None = None
+    computing: Computing = field(default=at_once)
 
 
 @dataclass(frozen=True)
@@ -109,11 +111,10 @@ def close_loop(
     turn = turn_loop(session, campaign, calibration.tables, store, listener, turning=turning)
     if turning.in_motion is None:
         return Loop(calibration, turn)
-    return Loop(
-        calibration,
-        turn,
-        turn_in_motion(session, campaign, turning.in_motion, store, listener, effects=turning.effects),
+    moving = turn_in_motion(
+        *(session, campaign, turning.in_motion, store, listener), effects=turning.effects, computing=turning.computing
     )
+    return Loop(calibration, turn, moving)
 
 
 def turn_loop(
@@ -151,6 +152,7 @@ def turn_in_motion(
     listener: Listener = silent,
     *,
     effects: Sequence[Effect] = ALL,
+    computing: Computing = at_once,
 ) -> Turn:
     """The same with passes at feed, for what no campaign at rest can see; with a compensation in force.
 
@@ -164,7 +166,7 @@ def turn_in_motion(
     before = measure_in_motion(session, campaign, "motion-before", passes[0], how=how, listener=listener)
     listener(Event("diagnose"))
     rows = issuable(session, before)
-    diagnosis = diagnose(rows, model_of(compensation), effects=effects)
+    diagnosis = computing(session, partial(diagnose, rows, model_of(compensation), effects=effects))
     extended = compensation
     if diagnosis.recommended:
         extended = compensation_of(diagnosis.extended, compensation.tables)
@@ -186,20 +188,21 @@ def _decide(
     parts = [issuable(session, before)]
     means = means_of(session)
     effects = tuple(how.effects)
+    computing = partial(how.computing, session)
     further: list[PlannedRun] = []
     while True:
         listener(Event("diagnose"))
         rows = joined(parts) if further else parts[0]
-        diagnosis = diagnose(rows, effects=effects)
+        diagnosis = computing(partial(diagnose, rows, effects=effects))
         if how.most_further == 0:
             return diagnosis, rows, (), None
         refused = [run.name for run in further]
         weighing = partial(follow_up, diagnosis, rows, None, means, effects=effects, seed=len(further))
-        follow = asked = weighing(made=refused)
+        follow = asked = computing(partial(weighing, made=refused))
         run = asked.run if len(further) < how.most_further and _in_doubt(diagnosis) else None
         while run is not None and run.person and not (how.consent is not None and how.consent(run)):
             refused.append(run.name)
-            asked = weighing(made=refused, persons=how.consent is not None)
+            asked = computing(partial(weighing, made=refused, persons=how.consent is not None))
             run = asked.run
         if run is None:
             return follow.diagnosis, rows, tuple(further), follow
@@ -207,7 +210,7 @@ def _decide(
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
         parts.append(issuable(session, measured))
-        gone = ruled_out(asked, joined(parts), None, effects=effects)
+        gone = computing(partial(ruled_out, asked, joined(parts), None, effects=effects))
         effects = tuple(effect for effect in effects if effect.id not in gone)
 
 

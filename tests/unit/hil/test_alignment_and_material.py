@@ -14,7 +14,7 @@ from drivers.instrument import Environment
 from hil.alignment import Alignment
 from hil.axis import load_axis
 from hil.cli.doctor import beam_check
-from hil.cli.instrument_identity import instrument_identity
+from hil.jobs.identity import instrument_identity
 from hil.material import Material
 from hil.uncertainty import UncertaintyInputs
 

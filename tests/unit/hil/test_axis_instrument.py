@@ -15,10 +15,10 @@ from drivers.instruments.replay import ReplayInstrument
 from drivers.instruments.umd_laser import Beside, UmdLaser
 from hil.axis import AxisConfig, load_axis
 from hil.axis_instrument import KINDS
-from hil.cli.instrument_identity import instrument_identity
 from hil.cli.main import main
 from hil.cli.sim_axis_file import instrument_text
 from hil.instruments import instrument
+from hil.jobs.identity import instrument_identity
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GAUGE_KINDS
 

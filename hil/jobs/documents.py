@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
-
-import numpy as np
+from collections.abc import Iterator, Sequence
 
 from hil.axis import AxisConfig
-from hil.cli.instrument_identity import instrument_identity, uncertainty_of
-from hil.diagnosis import Diagnosis
+from hil.diagnosis.pictures import with_plots
+from hil.jobs.identity import identity, uncertainty_of
 from hil.procedures.calibrate import Calibration
 from hil.procedures.close_loop import Loop, Turn
 from hil.procedures.verify import Verification
-from hil.records import Records
 from hil.report.data import NamedCampaign, ReportData, TableInForce
 from hil.report.document import before_after_image, render_html
 from hil.tables import Band, TableSet
@@ -64,7 +60,7 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
             identity(axis),
             _limits(axis.correction.band),
             in_force(turn.extended.tables),
-            diagnosis_with_plots(turn.diagnosis, turn.diagnosed),
+            with_plots(turn.diagnosis.to_json(), turn.diagnosis, turn.diagnosed),
             NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
             (*notes, *_in_motion_notes(loop.in_motion)),
             uncertainty=uncertainty_of(axis),
@@ -100,55 +96,6 @@ def _in_motion_notes(turn: Turn | None) -> Iterator[str]:
         yield f"In motion: {finding.effect} ({finding.confidence:.2f}, {finding.action.value}). {finding.explanation}"
     if turn.diagnosis.unexplained:
         yield "In motion: structure is left that nothing in the catalogue explains."
-
-
-def diagnosis_with_plots(diagnosis: Diagnosis, records: Records) -> Mapping[str, Any]:
-    """The contract's JSON, each finding with the residual and the effect over the column it follows."""
-    form = diagnosis.to_json()
-    for finding, plain in zip(diagnosis.findings, form["findings"], strict=True):
-        effect_um = finding.term.error_um(records.columns)
-        column = _plot_column(finding.term.needs, records)
-        plain["plot"] = {
-            "column": column,
-            "unit": _unit(column),
-            "x": records[column].tolist(),
-            "residual_um": (diagnosis.residual_um + effect_um - np.mean(effect_um)).tolist(),
-            "effect_um": (effect_um - np.mean(effect_um)).tolist(),
-        }
-    return form
-
-
-def _plot_column(needs: Sequence[str], records: Records) -> str:
-    """The column that tells most: the first the effect reads beyond position and direction, else the position."""
-    for name in needs:
-        if name not in ("target_mm", "direction") and name in records:
-            return name
-    return "target_mm"
-
-
-def _unit(column: str) -> str:
-    for ending, unit in (("_mm_s", "mm/s"), ("_mm", "mm"), ("_c", "°C"), ("_s", "s"), ("_kg", "kg"), ("_percent", "%")):
-        if column.endswith(ending):
-            return unit
-    return ""
-
-
-def identity(axis: AxisConfig) -> dict[str, str]:
-    """What a reader must know of the set-up to repeat it."""
-    drive = {
-        "bench": f"simulated CiA-402 drive on a virtual CAN bus, machine {axis.drive.machine}, seed {axis.drive.seed}",
-        "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
-        "modbus": f"Modbus unit {axis.drive.node_id} on {axis.drive.url}, {axis.drive.register_map}",
-    }[axis.drive.backend]
-    how = axis.measurement
-    return {
-        "Axis": axis.name,
-        "Travel": f"{axis.limits.travel_min_mm:g} to {axis.limits.travel_max_mm:g} mm",
-        "Drive": drive,
-        **instrument_identity(axis.instrument),
-        "Feed between targets": f"{how.velocity_mm_s:g} mm/s",
-        "At each target": f"{how.dwell_s:g} s dwell, {how.reading_s:g} s averaged",
-    }
 
 
 def in_force(tables: TableSet) -> tuple[TableInForce, ...]:

@@ -1,0 +1,100 @@
+"""The loop on one axis: calibrate, explore, diagnose, add what is missing, measure again (system E)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+from hil.axis import AxisConfig
+from hil.diagnosis.follow_up import FollowUp
+from hil.jobs.diagnose import STORED, shown_diagnosis
+from hil.jobs.figures import error_figures
+from hil.jobs.job import Job, Workplace
+from hil.jobs.plan import Move, Plan, Write, measuring_plan
+from hil.journal import Campaign
+from hil.procedures.close_loop import Loop, Turn, Turning, close_loop
+from hil.procedures.computing import watched
+from hil.procedures.events import Listener, silent
+from hil.procedures.measure import bidirectional_steps
+from hil.store import SealedStore
+from hil.wiring import Machine
+
+CLOSE_LOOP = "close-loop"
+
+
+def loop_plan(axis: AxisConfig, turning: Turning) -> Plan:
+    """What a loop at rest moves and writes at least; runs that tell causes apart come on top."""
+    how = axis.measurement
+    steps = bidirectional_steps(how.targets_mm, how.runs)
+    writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
+    plan = measuring_plan(axis, steps, writes, locked=True)
+    moves = list(plan.moves)
+    if turning.exploration.warm_up_s > 0:
+        low, high = min(how.targets_mm), max(how.targets_mm)
+        moves.append(Move("warm", low, high, axis.limits.max_velocity_mm_s / 2))
+    explored = 2 * turning.exploration.runs * turning.exploration.rows
+    return replace(plan, moves=tuple(moves), positions=2 * len(steps) + explored)
+
+
+def loop_purpose(axis: AxisConfig, turning: Turning) -> dict[str, Any]:
+    """What decides which rows a loop measures."""
+    plan, in_motion = turning.plan, turning.in_motion
+    exploration = vars(turning.exploration) if plan is None else {"plan": repr(list(plan))}
+    purpose = {**axis.purpose(CLOSE_LOOP), "exploration": exploration}
+    if in_motion is not None:
+        purpose["in_motion"] = {**vars(in_motion), "feeds_mm_s": list(in_motion.feeds_mm_s)}
+    return purpose
+
+
+def run_loop(
+    machine: Machine, store: SealedStore, turning: Turning, listener: Listener = silent, *, resume: bool = False
+) -> Loop:
+    """Prepare and turn the loop; every compensation is sealed before it is used, and the diagnosis kept beside the rows."""
+    axis = machine.axis
+    campaign = Campaign.numbered(axis.store.directory, loop_purpose(axis, turning), resume=resume)
+    machine.session.prepare()
+    loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=turning)
+    for name, turn in (("before", loop.turn), ("motion-before", loop.in_motion)):
+        if turn is not None:
+            follow = turn.follow or FollowUp(turn.diagnosis, None, None, ())
+            campaign.write(f"{name}{STORED}", json.dumps(shown_diagnosis(follow, turn.diagnosed)).encode())
+    campaign.finish()
+    return loop
+
+
+def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False) -> Job:
+    """For the desk: returns a Loop. The axis is watched while the diagnosis is made."""
+
+    def work(place: Workplace) -> Loop:
+        how = replace(turning, computing=watched)
+        return run_loop(place.machine(), place.opened_store(), how, place.listener, resume=resume)
+
+    return Job(CLOSE_LOOP, loop_plan(axis, turning), work)
+
+
+def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
+    """The measured stages of a loop with their figures."""
+    stages = {
+        "uncorrected": error_figures(loop.calibration.before),
+        "table": error_figures(loop.calibration.rounds[-1].records),
+        "table, explored": error_figures(loop.turn.before),
+        "extended, explored": error_figures(loop.turn.after),
+    }
+    if loop.in_motion is not None:
+        stages["in motion"] = error_figures(loop.in_motion.before)
+        stages["in motion, extended"] = error_figures(loop.in_motion.after)
+    return stages
+
+
+def loop_is_good(loop: Loop) -> bool:
+    """Everything found, no measurement left that needs a person, and the axis measured no worse than before."""
+    follow = loop.turn.follow
+    waits = follow is not None and follow.run is not None and bool(follow.run.person)
+    turns = [loop.turn] if loop.in_motion is None else [loop.turn, loop.in_motion]
+    return not waits and all(_turn_is_good(turn) for turn in turns)
+
+
+def _turn_is_good(turn: Turn) -> bool:
+    before, after = error_figures(turn.before)["rms_um"], error_figures(turn.after)["rms_um"]
+    return not turn.diagnosis.unexplained and bool(after <= max(before, 2 * turn.diagnosis.noise_floor.value))

@@ -1,0 +1,97 @@
+"""Diagnosis of what stands on disk, with everything that is drawn of it as plain values: kept beside the rows as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.axis import AxisConfig
+from hil.diagnosis import diagnose
+from hil.diagnosis.follow_up import FollowUp, follow_up, means_of_records
+from hil.diagnosis.pictures import with_plots
+from hil.files import read_bytes, read_text, replace_file
+from hil.records import Floats, Records, concatenate, parse_csv
+from hil.report.data import NamedCampaign
+from hil.report.views import View, finding_view, position_view
+from hil.user_effects import blaming, catalogue_with, check_on
+
+STORED = ".diagnosis.json"
+"""After the name of the pass, or of the passes, that was diagnosed."""
+MOST_POINTS = 1200
+"""Of one curve: more show nothing more on a screen."""
+SIGNS = {1: "+", -1: "−"}
+
+
+def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
+    """Diagnose passes of one campaign together, as `hil diagnose` does, and write what came of it. Raises InputError."""
+    effects = catalogue_with()
+    with blaming(effects):
+        records = concatenate([parse_csv(read_text(path), path) for path in paths])
+        check_on(effects, records.columns)
+        diagnosis = diagnose(records, effects=effects)
+        means = means_of_records(records, (axis.scaling.feed_mm_per_shaft_rev,))
+        follow = follow_up(diagnosis, records, None, means, effects=effects)
+    form = {**shown_diagnosis(follow, records), "sources": sources(paths)}
+    replace_file(out, (json.dumps(form) + "\n").encode())
+
+
+def sources(paths: Sequence[Path]) -> dict[str, str]:
+    """SHA-256 of each file by its name."""
+    return {path.name: hashlib.sha256(read_bytes(path)).hexdigest() for path in paths}
+
+
+def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
+    """The contract's object, each finding with its plot, and `drawn`: the curves of a screen.
+
+    records: those that were diagnosed. `drawn` is {"position": curves, "findings": [curves or None, one for each finding]}.
+    """
+    diagnosis = follow.diagnosis
+    form = with_plots(follow.to_json(), diagnosis, records)
+    whole = NamedCampaign("diagnosed", records.with_column("residual_um", diagnosis.before_um))
+    findings = form["findings"]
+    alone = len(findings) == 1
+    views = [finding_view(one, whole, alone=alone) for one in findings]
+    drawn = {
+        "position": _curves(position_view(whole.records, findings)),
+        "findings": [None if view is None else _curves(view) for view in views],
+    }
+    return {**form, "drawn": drawn}
+
+
+def _curves(view: View) -> dict[str, Any]:
+    """label, over: what stands at the x axis and what is laid over; residual, laid_over: by direction, points (x, µm) along x."""
+    residual, laid_over = {}, {}
+    for sign, name in SIGNS.items():
+        here = view.direction == sign
+        if np.any(here):
+            order = np.argsort(view.x[here], kind="stable")
+            residual[name] = _points(view.x[here][order], view.residual_um[here][order])
+            laid_over[name] = _points(view.x[here][order], view.over_um[here][order])
+    return {"label": view.label, "over": view.over, "residual": residual, "laid_over": laid_over}
+
+
+def _points(x: Floats, y_um: Floats) -> list[list[float]]:
+    """Evenly thinned."""
+    step = -(-len(x) // MOST_POINTS)
+    return [[float(f"{a:.7g}"), float(f"{b:.5g}")] for a, b in zip(x[::step], y_um[::step], strict=True)]
+
+
+def read_stored(path: Path) -> dict[str, Any]:
+    """A diagnosis that was kept. Raises InputError for a file that holds none."""
+    try:
+        form = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON", path=path) from error
+    if (
+        not isinstance(form, dict)
+        or not isinstance(form.get("findings"), list)
+        or not isinstance(form.get("drawn"), dict)
+    ):
+        raise InputError("is not a diagnosis as a screen shows it", path=path)
+    return form
