@@ -11,6 +11,7 @@ from hil.cli.output import add_json_option, print_facts, print_table, write_json
 from hil.cli.records_input import add_records_argument, read_model, read_records
 from hil.diagnosis import Diagnosis, diagnose
 from hil.diagnosis.follow_up import follow_up, means_of_records
+from hil.diagnosis.pictures import with_plots
 from hil.files import replace_file
 from hil.user_effects import blaming, check_on
 
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         replace_file(args.out, diagnosis.extended.to_json().encode("utf-8"))
     if args.json:
-        write_json(args.json, follow.to_json())
+        write_json(args.json, with_plots(follow.to_json(), follow.diagnosis, records))
     print_diagnosis(follow.diagnosis)
     if follow.run is not None:
         print(f"next measurement: {follow.run.describe()}; then diagnose both files together")

@@ -15,7 +15,7 @@ from hil.effects.history import complete
 from hil.records import Floats, Records
 
 MOST_POINTS = 4000
-"""Of a drawing: more of them show nothing more; of longer records every so manieth row is taken."""
+"""Of a drawing: more of them show nothing more; of longer records rows are taken evenly."""
 NM = 3
 """Decimals of a µm."""
 
@@ -32,11 +32,10 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
         effect_um = finding.term.error_um(columns)
         effect_um = effect_um - np.mean(effect_um)
         name = _column(finding.term.needs, columns)
-        made_up = name == "time_s" and name not in records
         plot = {
-            "column": "row" if made_up else name,
-            "unit": "" if made_up else _unit(name),
-            "x": (shown + 1 if made_up else columns[name][shown]).tolist(),
+            "column": name,
+            "unit": _unit(name),
+            "x": columns[name][shown].tolist(),
             "direction": records.direction[shown].astype(int).tolist(),
             "residual_um": _rounded(diagnosis.residual_um + effect_um, shown),
             "effect_um": _rounded(effect_um, shown),

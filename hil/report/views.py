@@ -8,7 +8,7 @@ column is laid over. No drawing and no HTML in here.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,14 @@ class View:
     residual_um: Floats
     over_um: Floats
     over: str
+
+
+def diagnosed(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCampaign:
+    """The campaign with the `residual_um` of its diagnosis, where that holds one for each row."""
+    residual = _floats(diagnosis.get("residual_um"))
+    if residual is None or len(residual) != len(campaign.records):
+        return campaign
+    return replace(campaign, records=campaign.records.with_column("residual_um", residual))
 
 
 def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
