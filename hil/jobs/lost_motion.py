@@ -16,6 +16,7 @@ from hil.jobs.identity import drive_in_words
 from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Move, Plan, Write
 from hil.journal import Campaign
+from hil.procedures.computing import Computing, at_once, watched
 from hil.procedures.events import Listener, silent
 from hil.procedures.lost_motion import (
     LostMotionResult,
@@ -75,14 +76,15 @@ def run_lost_motion(
     *,
     seed: int = 1,
     resume: bool = False,
+    computing: Computing = at_once,
 ) -> MeasuredLostMotion:
-    """Prepare, measure, fit and prove; `present` is what is in force until now. Nothing is stored."""
+    """Prepare, measure, fit and prove; `present` is what is in force until now. Nothing is stored. computing: how the fit is made."""
     axis = machine.axis
     purpose = {**axis.purpose(CAMPAIGN), "how": asdict(how), "seed": seed}
     purpose |= {} if present is None else compensation_in_force(present)
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     machine.session.prepare()
-    result = measure_lost_motion(machine.session, campaign, how, present, listener, seed=seed)
+    result = measure_lost_motion(machine.session, campaign, how, present, listener, seed=seed, computing=computing)
     campaign.finish()
     return MeasuredLostMotion(how, result, present, campaign.directory)
 
@@ -94,7 +96,9 @@ def measuring_job(axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, res
         present = None if place.store is None else stored_now(place.store)
         if present is None and axis.tables_path.exists():
             place.tell(SEALED)
-        return run_lost_motion(place.machine(), how, present, place.listener, seed=seed, resume=resume)
+        return run_lost_motion(
+            place.machine(), how, present, place.listener, seed=seed, resume=resume, computing=watched
+        )
 
     return Job(MEASURE, measuring_plan(axis, how, seed), work)
 

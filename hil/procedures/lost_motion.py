@@ -21,7 +21,8 @@ from hil.effects.base import Term
 from hil.journal import Campaign
 from hil.lost_motion.estimate import Estimate, estimate
 from hil.lost_motion.fit import MeasuredReversal
-from hil.procedures.events import Listener, silent
+from hil.procedures.computing import Computing, at_once
+from hil.procedures.events import Event, Listener, silent
 from hil.procedures.measure import Step, measure
 from hil.procedures.session import AxisSession
 from hil.records import Floats, Records
@@ -213,16 +214,20 @@ def measure_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
+    computing: Computing = at_once,
 ) -> LostMotionResult:
     """On a prepared session; `present` is what was in force until now, None for nothing. Nothing is stored here.
 
     The session has no compensation in force afterwards, on every way out. A campaign that was interrupted goes on with its first
-    missing row. Raises InputError where no lost motion shows above the noise, or the tables are those of another machine.
+    missing row. computing: how the fit is made. Raises InputError where no lost motion shows above the noise, or the tables are those
+    of another machine.
     """
     try:
         session.compensation = None
         records = measure(session, campaign, "strokes", stroke_steps(how), listener)
-        found = estimate(reversals_of(records, how), how.shortest_rise_um / 1000.0)
+        listener(Event("fit"))
+        reversals = reversals_of(records, how)
+        found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0))
         stretch = stretch_of(records, how, found.amount_um)
         if found.amount_um < NOISE_REACH * stretch.noise_um:
             raise InputError(
