@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 from drivers.canopen.bus import CanLink
-from drivers.clock import WallClock
+from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import InputError
 from hil.axis import AxisConfig
@@ -38,11 +38,11 @@ from sim_backends.clock import SimClock
 
 @contextmanager
 def connected_axes(
-    axes: Sequence[AxisConfig], benches: Sequence[BenchParameters] | None = None
+    axes: Sequence[AxisConfig], benches: Sequence[BenchParameters] | None = None, waiting: Waiting | None = None
 ) -> Iterator[tuple[Machine, ...]]:
     """Connect the axes; each session looks after the others too, and an error stops them all. On leaving all are let go.
 
-    benches: the simulated machines, one for each axis, instead of those that the axis files name.
+    benches: the simulated machines, one for each axis, instead of those that the axis files name. waiting: as for `connected`.
     Raises InputError for two axes of one name or file, or where some are on the bench and some are not, and as `connected`.
     """
     if len({axis.name for axis in axes}) < len(axes) or len({axis.path.resolve() for axis in axes}) < len(axes):
@@ -53,9 +53,9 @@ def connected_axes(
         for axis in axes:
             stack.enter_context(held(axis.path))
         if axes[0].drive.backend == "bench":
-            machines = _on_bench(axes, benches or [bench_parameters(axis) for axis in axes], stack)
+            machines = _on_bench(axes, benches or [bench_parameters(axis) for axis in axes], stack, waiting)
         else:
-            machines = _on_hardware(axes, stack)
+            machines = _on_hardware(axes, stack, waiting)
         for one in machines:
             one.session.beside = tuple(other.session for other in machines if other is not one)
         for one in machines:
@@ -63,8 +63,8 @@ def connected_axes(
         yield machines
 
 
-def _on_hardware(axes: Sequence[AxisConfig], stack: ExitStack) -> tuple[Machine, ...]:
-    clock, links = WallClock(), Links()
+def _on_hardware(axes: Sequence[AxisConfig], stack: ExitStack, waiting: Waiting | None) -> tuple[Machine, ...]:
+    clock, links = WallClock(waiting), Links()
     drives = [hardware_drive(axis, clock, stack, links) for axis in axes]
     instruments = [instrument(axis.instrument, axis.instrument.port, clock) for axis in axes]
     return tuple(
@@ -74,9 +74,9 @@ def _on_hardware(axes: Sequence[AxisConfig], stack: ExitStack) -> tuple[Machine,
 
 
 def _on_bench(
-    axes: Sequence[AxisConfig], parameters: Sequence[BenchParameters], stack: ExitStack
+    axes: Sequence[AxisConfig], parameters: Sequence[BenchParameters], stack: ExitStack, waiting: Waiting | None
 ) -> tuple[Machine, ...]:
-    clock = SimClock()
+    clock = SimClock(waiting=waiting)
     benches = []
     for axis, wanted in zip(axes, parameters, strict=True):
         check_bench(axis, wanted)

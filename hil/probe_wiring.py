@@ -13,7 +13,7 @@ from dataclasses import replace
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.clock import WallClock
+from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import AbortError, CapabilityError
 from drivers.modbus.drive import ModbusDrive
@@ -24,6 +24,7 @@ from hil.probe_machine import ProbeConfig, ProbeMachineConfig
 from hil.procedures.probe_session import ProbeSession, ProbeSignal
 from hil.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
 from sim_backends.canopen_in_turn import drives_in_turn
+from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.modbus_registers import Face
@@ -43,22 +44,30 @@ def connected_probe(
     touching: Sequence[str] = ("x",),
     mode: str | None = None,
     bench: ProbeBench | None = None,
+    waiting: Waiting | None = None,
 ) -> Iterator[ProbeSession]:
     """A session on the machine of a machine file, or on a bench. Raises as `probe_drives`; arguments as of `ProbeSession`."""
-    with probe_drives(config, bench) as drives, probe_session(config, drives, touching=touching, mode=mode) as session:
+    with (
+        probe_drives(config, bench, waiting) as drives,
+        probe_session(config, drives, touching=touching, mode=mode) as session,
+    ):
         yield session
 
 
 @contextmanager
-def probe_drives(config: ProbeMachineConfig, bench: ProbeBench | None = None) -> Iterator[dict[str, ServoDrive]]:
+def probe_drives(
+    config: ProbeMachineConfig, bench: ProbeBench | None = None, waiting: Waiting | None = None
+) -> Iterator[dict[str, ServoDrive]]:
     """The machine's drives, not opened; several sessions may follow each other on them. A bench is connected once.
+
+    waiting: through whom the clock of real drives waits (a bench was made with its own).
 
     Raises InputError while another process has connected one of the axis files, and whatever connecting raises.
     """
     with ExitStack() as stack:
         for axis in config.axes.values():
             stack.enter_context(held(axis.path))
-        yield _hardware(config, stack) if bench is None else _simulated(config, bench, stack)
+        yield _hardware(config, stack, waiting) if bench is None else _simulated(config, bench, stack)
 
 
 def probe_session(
@@ -73,8 +82,8 @@ def probe_session(
     return ProbeSession(config, drives, signals, touching=touching, mode=mode)
 
 
-def _hardware(config: ProbeMachineConfig, stack: ExitStack) -> dict[str, ServoDrive]:
-    clock, links = WallClock(), Links()
+def _hardware(config: ProbeMachineConfig, stack: ExitStack, waiting: Waiting | None) -> dict[str, ServoDrive]:
+    clock, links = WallClock(waiting), Links()
     return {name: hardware_drive(axis, clock, stack, links) for name, axis in config.axes.items()}
 
 
@@ -134,11 +143,15 @@ def _modbus_inputs(drive: ModbusDrive, register: str) -> Callable[[], int]:
 
 # -- the bench -----------------------------------------------------------------------------------------------------------
 def probe_bench(
-    config: ProbeMachineConfig, probe: ProbeParameters | None = None, *, in_bore: bool = False
+    config: ProbeMachineConfig,
+    probe: ProbeParameters | None = None,
+    *,
+    in_bore: bool = False,
+    waiting: Waiting | None = None,
 ) -> ProbeBench:
     """The simulated machine that a machine file describes, its probe jogged in front of the block, or into the bore.
 
-    probe: what is in the spindle and on the table, instead of what the machine file's seed draws.
+    probe: what is in the spindle and on the table, instead of what the machine file's seed draws. waiting: who holds its time back.
     """
     block, bore = config.block, config.bore
     y_mm = 0.0 if block.y_mm is None else block.y_mm
@@ -164,7 +177,8 @@ def probe_bench(
         )
         for name, axis in config.axes.items()
     }
-    return ProbeBench(axes, known, config.orientation.sense, normally_closed=config.probe.normally_closed)
+    closed, clock = config.probe.normally_closed, SimClock(waiting=waiting)
+    return ProbeBench(axes, known, config.orientation.sense, normally_closed=closed, clock=clock)
 
 
 def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) -> dict[str, ServoDrive]:

@@ -60,8 +60,9 @@ class ProbeBench:
         spindle_sense: int = 1,
         *,
         normally_closed: bool = False,
+        clock: SimClock | None = None,
     ) -> None:
-        self.clock = SimClock()
+        self.clock = clock or SimClock()
         self.axes = dict(axes)
         self._sense = spindle_sense
         self._idle = normally_closed

@@ -1,32 +1,25 @@
-"""One axis and the one thread that owns it.
+"""One axis's desk: what everybody may see and do, and what only whoever holds control.
 
-Nobody else touches drive, instrument and clock: with no job the thread looks at them 20 times a second, with a job it runs it.
-Everybody else reads what it publishes, and asks: for a job, with the token of control, and for a stop, without.
+Behind it one thread owns the axis (`AxisThread`). Everybody else reads what it publishes, and asks: for a job, with the token of
+control, and for a stop, without.
 """
 
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Mapping
+from contextlib import ExitStack
 
-from drivers.drive import DriveSample, DriveState, ServoDrive
-from drivers.errors import BridgeError, LinkLostError, LocalError, StateError
-from drivers.instrument import Reading
+from drivers.errors import LocalError, StateError
 from hil.axis import DriveAxis
-from hil.desk.connection import Connect, Connection, to_axis
+from hil.desk.axis_thread import Asked, AxisThread
+from hil.desk.connection import Connect, to_axis
 from hil.desk.control import Control
-from hil.desk.live import RATE_HZ, Board, Live, TracePoint, of_sample
+from hil.desk.live import Live, TracePoint
 from hil.desk.progress import Graph, JobLog, Phase, Progress
 from hil.desk.roles import Rights
-from hil.desk.stop import Pacing, Stop, StoppedByOperator
-from hil.jobs.job import Job, Workplace
+from hil.jobs.job import Job
 from hil.jobs.plan import Plan
-from hil.procedures.session import AxisSession
-
-RETRY_S = 2.0
-"""Between two attempts to connect an axis that does not answer."""
-CLOSING_S = 10.0
 
 
 class BusyError(LocalError):
@@ -44,18 +37,12 @@ class Desk:
         self.control = Control()
         self.rights = Rights(axis)
         self.control.on_change = self.rights.forget
-        self._connect = connect or to_axis(axis)
-        self._pace = pace
-        self._stop = Stop()
-        self._pacing = Pacing(self._stop)
-        self._board = Board()
+        self._thread = AxisThread(axis, connect or to_axis(axis), pace)
         self._lock = threading.Lock()
-        self._asked: tuple[Job, JobLog] | None = None
         self._log: JobLog | None = None
         self._last: dict[str, JobLog] = {}
         self._jobs = 0
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name=f"axis {axis.name}", daemon=True)
+        self._borrower: tuple[Desk, JobLog] | None = None
 
     # -- for everybody -------------------------------------------------------------------------------------------------
     @property
@@ -65,21 +52,24 @@ class Desk:
     @property
     def live(self) -> Live:
         """The axis as it was last seen."""
-        return self._board.live
+        return self._thread.board.live
 
     def trace(self, since: int = 0) -> tuple[TracePoint, ...]:
         """The last minute of its signals, after the point of this number."""
-        return self._board.trace(since)
+        return self._thread.board.trace(since)
 
     def job(self) -> Progress | None:
-        """The job that is running, or ran last."""
+        """The job that is running, or ran last; another desk's while that has our axis."""
+        borrower = self._borrowing()
+        if borrower is not None:
+            return borrower.job()
         log = self._log
-        return None if log is None else log.progress(stopping=self._stop.pressed)
+        return None if log is None else log.progress(stopping=self._thread.stop.pressed)
 
     def last(self, kind: str) -> Progress | None:
         """The last job of this kind, running or over."""
         log = self._last.get(kind)
-        return None if log is None else log.progress(stopping=self._stop.pressed)
+        return None if log is None else log.progress(stopping=self._thread.stop.pressed)
 
     def graph(self, kind: str, since: int = 0) -> Graph:
         """The curves of the last job of this kind, after the first `since` points."""
@@ -88,22 +78,32 @@ class Desk:
 
     def stop(self) -> None:
         """Quick stop, now, whoever asks. A running job ends; what it measured is kept."""
-        self._stop.press()
+        borrower = self._borrowing()
+        if borrower is not None:
+            borrower.stop()
+        else:
+            self._thread.stop.press()
 
     # -- for whoever holds control -------------------------------------------------------------------------------------
-    def run(self, token: str | None, job: Job) -> None:
-        """Start a job. Raises NotInControlError, LockedError, BusyError, StateError while the axis is not connected."""
+    def run(self, token: str | None, job: Job, lent: Mapping[Desk, str | None] | None = None) -> None:
+        """Start a job. lent: other desks whose axes the job connects by itself, with their tokens.
+
+        Raises NotInControlError, LockedError, BusyError, and StateError while an axis is not connected.
+        """
         self.control.require(token)
         self.rights.require(locked=job.plan.locked)
-        with self._lock:
-            if self._log is not None and self._log.phase is Phase.RUNNING:
-                raise BusyError(f"axis {self.name} is busy: {self._log.kind}")
-            if not self.live.connected:
-                raise StateError(f"axis {self.name} is not connected: {self.live.trouble or 'connecting'}")
-            self._jobs += 1
-            log = JobLog(self._jobs, job.kind, job.plan)
-            self._log = self._last[job.kind] = log
-            self._asked = (job, log)
+        log = JobLog(self._jobs + 1, job.kind, job.plan)
+        with ExitStack() as undo:
+            for other, its_token in (lent or {}).items():
+                other._lend(its_token, self, log)
+                undo.callback(other._take_back)
+            with self._lock:
+                self._require_free()
+                self._jobs += 1
+                self._log = self._last[job.kind] = log
+                threads = tuple(other._thread for other in lent or ())
+                self._thread.ask(Asked(job, log, self.rights.store, threads))
+            undo.pop_all()
 
     def power_off(self, token: str | None) -> None:
         """Take the power off an axis that was left enabled."""
@@ -117,19 +117,53 @@ class Desk:
         """Take the builder's role, until control changes hands. Takes about a second; raises what opening the key raises."""
         self.control.require(token)
         self.rights.become_builder(key_password, reading_password)
+        self._forget_unless_held(token)
 
     def read_tables(self, token: str | None, password: str) -> None:
         """Give the tables' reading password, until control changes hands. Raises what opening them raises."""
         self.control.require(token)
         self.rights.read_tables(password)
+        self._forget_unless_held(token)
 
     def become_operator(self, token: str | None) -> None:
         """Give up the builder's role."""
         self.control.require(token)
         self.rights.forget()
 
+    def _forget_unless_held(self, token: str | None) -> None:
+        """Control may have changed hands while a key was being opened."""
+        if not self.control.holds(token):
+            self.rights.forget()
+            self.control.require(token)
+
     def _bare_plan(self) -> Plan:
         return Plan(self.axis.name, self.axis.drive.backend)
+
+    # -- one job at a time ---------------------------------------------------------------------------------------------
+    def _require_free(self) -> None:
+        if self._log is not None and self._log.phase is Phase.RUNNING:
+            raise BusyError(f"axis {self.name} is busy: {self._log.kind}")
+        borrower = self._borrowing()
+        if borrower is not None:
+            raise BusyError(f"axis {self.name} is lent to a job of axis {borrower.name}")
+        if not self.live.connected:
+            raise StateError(f"axis {self.name} is not connected: {self.live.trouble or 'connecting'}")
+
+    def _borrowing(self) -> Desk | None:
+        """The desk whose running job has our axis."""
+        borrower = self._borrower
+        return None if borrower is None or borrower[1].phase is not Phase.RUNNING else borrower[0]
+
+    def _lend(self, token: str | None, borrower: Desk, log: JobLog) -> None:
+        self.control.require(token)
+        with self._lock:
+            self._require_free()
+            self._borrower = (borrower, log)
+            self._thread.lend()
+
+    def _take_back(self) -> None:
+        self._borrower = None
+        self._thread.take_back()
 
     # -- coming and going ----------------------------------------------------------------------------------------------
     def __enter__(self) -> Desk:
@@ -140,111 +174,5 @@ class Desk:
         self.close()
 
     def close(self) -> None:
-        """Stop whatever runs, let go of the axis, end the thread. Raises StateError where it does not end in time."""
-        self._closing.set()
-        self._stop.press()
-        self._thread.join(CLOSING_S)
-        if self._thread.is_alive():
-            raise StateError(f"axis {self.name} was told to stop, and its thread is still busy after {CLOSING_S:g} s")
-
-    # -- the axis's thread ---------------------------------------------------------------------------------------------
-    def _work(self) -> None:
-        while not self._closing.is_set():
-            try:
-                with self._connect(self._pacing) as connection:
-                    self._watch(connection.drive, connection.session)
-                    self._serve(connection)
-            except StoppedByOperator:
-                self._stop.rearm()  # pressed while it was connecting: nothing was enabled
-            except (BridgeError, OSError) as error:
-                self._board.publish(Live(trouble=one_line(error)))
-                self._closing.wait(RETRY_S)
-        self._board.publish(Live(trouble="closed"))
-
-    def _serve(self, connection: Connection) -> None:
-        while not self._closing.is_set():
-            try:
-                asked = self._next()
-                if asked is not None:
-                    self._run(*asked, connection)
-                    continue
-                self._look(connection)
-                connection.drive.clock.sleep_s(1.0 / RATE_HZ)
-            except StoppedByOperator:
-                self._hold(connection.drive)
-
-    def _next(self) -> tuple[Job, JobLog] | None:
-        with self._lock:
-            asked, self._asked = self._asked, None
-            return asked
-
-    def _run(self, job: Job, log: JobLog, connection: Connection) -> None:
-        """One job, however it ends; then the axis is as it was found."""
-        place = Workplace(self.axis, connection.drive, connection.session, log.hear, log.tell, self.rights.store)
-        self._pacing.set_factor(self._pace)
-        try:
-            with connection.one_job():
-                result = job.work(place)
-            log.end(Phase.DONE, result)
-        except StoppedByOperator:
-            log.end(Phase.STOPPED)
-        except (BridgeError, OSError) as error:
-            log.end(Phase.FAILED, error=one_line(error))
-        except Exception as error:  # noqa: BLE001  a mistake of ours in a job must not leave the axis without its thread
-            log.end(Phase.FAILED, error=one_line(error) or type(error).__name__)
-        finally:
-            self._pacing.set_factor(1.0)
-            self._stop.rearm()
-
-    def _hold(self, drive: ServoDrive) -> None:
-        """The stop was pressed with no job running."""
-        with suppress(BridgeError):  # the next look tells what is wrong
-            if drive.sample().state is DriveState.ENABLED:
-                drive.quick_stop()
-        self._stop.rearm()
-
-    # -- looking -------------------------------------------------------------------------------------------------------
-    def _watch(self, drive: ServoDrive, session: AxisSession | None) -> None:
-        """From now on every look of any procedure is shown."""
-        shown = replace(self._board.live, instrument="" if session is None else session.instrument.name)
-        self._board.publish(shown)
-
-        def looked(sample: DriveSample) -> None:
-            live = of_sample(self._board.live, sample, drive.destination_load_mm)
-            if session is not None:
-                live = self._with_session(live, session)
-            self._board.publish(live)
-
-        drive.on_look = looked
-        if session is not None:
-            session.on_readings = lambda readings: self._board.heard(readings, lambda one: _in_load_frame(session, one))
-
-    def _with_session(self, live: Live, session: AxisSession) -> Live:
-        history, compensation = session.history, session.compensation
-        return replace(
-            live,
-            instrument_age_s=self._board.instrument_age_s(session.clock.now_ns()),
-            correction_um=None if history is None else (session.commanded_mm - history.position_mm) * 1000.0,
-            in_force="" if compensation is None else compensation.tables.digest()[:16],
-            environment=session.instrument.environment(),
-        )
-
-    def _look(self, connection: Connection) -> None:
-        """With no job: look at everything, and let nothing that is seen stop the looking; only a drive that is gone does."""
-        connection.drive.looked_at(connection.drive.sample())
-        session = connection.session
-        if session is not None and session.on_readings is not None:
-            with suppress(LinkLostError):  # its readings get old, and are shown so
-                session.on_readings(session.instrument.poll())
-
-
-def _in_load_frame(session: AxisSession, reading: Reading) -> float | None:
-    try:
-        return session.load_position_mm(reading)
-    except StateError:
-        return None
-
-
-def one_line(error: BaseException) -> str:
-    """As the command line says it."""
-    return " ".join(str(error).split())
+        """Stop whatever runs, let go of the axis. Raises StateError where it does not end in time."""
+        self._thread.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.clock import Clock
+from drivers.clock import Waiting
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
 from hil.axis import AxisConfig, DriveAxis
@@ -16,25 +16,33 @@ from hil.store import SealedStore
 from hil.wiring import Machine
 
 Tell = Callable[[str], None]
+Watch = Callable[[str, ServoDrive, AxisSession | None], None]
 
 
 @dataclass(frozen=True)
 class Workplace:
-    """A connected axis as a job finds it; session: None for an axis without an instrument.
+    """A connected axis as a job finds it; session: None for an axis without an instrument, or where the job connects by itself.
 
     store: with the builder's key while a builder is at the desk, without it where only the reading password was given, else None.
+    waiting: for a job that connects by itself: its clock has to wait through this, so that it can be stopped.
+    watch: for the same: watch(axis name, drive, session or None) shows the looks at that axis on its desk.
     """
 
     axis: DriveAxis
-    drive: ServoDrive
+    connected: ServoDrive | None
     session: AxisSession | None
     listener: Listener
     tell: Tell
-    store: SealedStore | None = None
+    store: SealedStore | None
+    waiting: Waiting
+    watch: Watch
 
     @property
-    def clock(self) -> Clock:
-        return self.drive.clock
+    def drive(self) -> ServoDrive:
+        """The axis's drive, open. Raises CapabilityError where the job connects by itself."""
+        if self.connected is None:
+            raise CapabilityError(f"axis {self.axis.name} was let go for this job")
+        return self.connected
 
     def machine(self) -> Machine:
         """The axis with its instrument. Raises CapabilityError where it has none."""
@@ -51,8 +59,12 @@ class Workplace:
 
 @dataclass(frozen=True)
 class Job:
-    """kind: "backlash", "calibrate" …, of which one desk remembers the last; work: runs in the thread that owns the axis."""
+    """kind: "backlash", "calibrate" …, of which one desk remembers the last; work: runs in the thread that owns the axis.
+
+    connects: the job connects what it needs by itself (several axes, a machine with a probe); the desk lets go of its axis meanwhile.
+    """
 
     kind: str
     plan: Plan
     work: Callable[[Workplace], object]
+    connects: bool = False

@@ -10,8 +10,9 @@ from nicegui import Client, run, ui
 from nicegui.element import Element
 
 from drivers.errors import BridgeError
+from hil.desk.axis_thread import one_line
 from hil.desk.control import NotInControlError
-from hil.desk.desk import Desk, one_line
+from hil.desk.desk import Desk
 from hil.desk.progress import Progress
 from hil.desk.roles import Role
 from hil.jobs.job import Job
@@ -125,14 +126,18 @@ class View:
         with self.client.content:
             ui.notification(text, type="negative", timeout=None, close_button=self.t("button.close"))
 
-    async def ask_and_run(self, job: Job) -> bool:
-        """Ask once, naming what will move how far and what will be written; then start it. True once it was started."""
+    async def ask_and_run(self, job: Job, lent: Sequence[Desk] = ()) -> bool:
+        """Ask once, naming what will move how far and what will be written; then start it. True once it was started.
+
+        lent: of other axes that the job connects by itself.
+        """
         if not self.in_control:
             self.show_error(NotInControlError())
             return False
         if not await self.ask(self.question(job.plan)):
             return False
-        return await self.attempt(lambda: self.desk.run(self.token, job))
+        tokens = {desk: self.browser.tokens.get(desk.name) for desk in lent}
+        return await self.attempt(lambda: self.desk.run(self.token, job, tokens))
 
     async def ask(self, lines: Iterable[str]) -> bool:
         """A question with yes and no."""
