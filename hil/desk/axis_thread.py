@@ -1,0 +1,229 @@
+"""The one thread that owns an axis: it connects it, looks at it 20 times a second, and runs its jobs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.errors import BridgeError, LinkLostError, StateError
+from drivers.instrument import Reading
+from hil.axis import DriveAxis
+from hil.desk.connection import Connect, Connection
+from hil.desk.live import RATE_HZ, Board, Live, of_sample
+from hil.desk.progress import JobLog, Phase
+from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.jobs.job import Job, Workplace
+from hil.procedures.session import AxisSession
+from hil.store import SealedStore
+
+RETRY_S = 2.0
+"""Between two attempts to connect an axis that does not answer."""
+CLOSING_S = 10.0
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A job to be run. store: as far as it was opened when it was asked for; lent: the threads whose axes it connects by itself"""
+
+    job: Job
+    log: JobLog
+    store: SealedStore | None
+    lent: tuple[AxisThread, ...] = ()
+
+
+class AxisThread:
+    """Everything below "in the thread" happens in it; the rest is for any thread. pace: of jobs, as for `Pacing`."""
+
+    def __init__(self, axis: DriveAxis, connect: Connect, pace: float) -> None:
+        self.axis = axis
+        self.stop = Stop()
+        self.board = Board()
+        self._connect = connect
+        self._pace = pace
+        self._pacing = Pacing(self.stop)
+        self._asked: Asked | None = None
+        self._lent = threading.Event()
+        self._let_go = threading.Event()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name=f"axis {axis.name}", daemon=True)
+
+    # -- for any thread ------------------------------------------------------------------------------------------------
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop whatever runs, let go of the axis, end the thread. Raises StateError where it does not end in time."""
+        self._closing.set()
+        self.stop.press()
+        self._thread.join(CLOSING_S)
+        if self._thread.is_alive():
+            raise StateError(
+                f"axis {self.axis.name}: its thread is still busy {CLOSING_S:g} s after it was told to stop"
+            )
+
+    def ask(self, asked: Asked) -> None:
+        """Run this next; one at a time, which is the desk's to see to."""
+        self._asked = asked
+
+    def lend(self) -> None:
+        """Let go of the axis, for a job of another thread."""
+        self._let_go.clear()
+        self._lent.set()
+
+    def take_back(self) -> None:
+        """That job is over."""
+        self._lent.clear()
+
+    def wait_let_go(self) -> None:
+        """Raises StateError where it does not come to it in time."""
+        if not self._let_go.wait(CLOSING_S):
+            raise StateError(f"axis {self.axis.name} was not let go within {CLOSING_S:g} s")
+
+    # -- in the thread: connecting -------------------------------------------------------------------------------------
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            if self._lent.is_set():
+                self._stay_away()
+                continue
+            try:
+                with self._connect(self._pacing) as connection:
+                    self._watch(connection.drive, connection.session)
+                    asked = self._serve(connection)
+                if asked is not None:
+                    self._run_connecting(asked)
+            except StoppedByOperator:
+                self.stop.rearm()  # pressed while it was connecting: nothing was enabled
+            except Exception as error:  # noqa: BLE001  whatever it is, the axis gets another chance and people are told
+                self._lose(error)
+        self.board.publish(Live(trouble="closed"))
+
+    def _stay_away(self) -> None:
+        """While another thread has the axis."""
+        self.board.publish(Live())
+        self._let_go.set()
+        while self._lent.is_set() and not self._closing.is_set():
+            self._closing.wait(1.0 / RATE_HZ)
+
+    def _lose(self, error: Exception) -> None:
+        """There is no axis any more; a job that was asked for meanwhile will not be run."""
+        self.board.publish(Live(trouble=one_line(error)))
+        asked, self._asked = self._asked, None
+        if asked is not None:
+            asked.log.end(Phase.FAILED, error=one_line(error))
+        self._closing.wait(RETRY_S)
+
+    def _serve(self, connection: Connection) -> Asked | None:
+        """Until the axis is to be let go: for a job that connects by itself, which is returned, for another thread, or for good."""
+        while not (self._closing.is_set() or self._lent.is_set()):
+            try:
+                asked, self._asked = self._asked, None
+                if asked is not None and asked.job.connects:
+                    return asked
+                if asked is not None:
+                    self._run(asked, connection)
+                    continue
+                self._look(connection)
+                connection.drive.clock.sleep_s(1.0 / RATE_HZ)
+            except StoppedByOperator:
+                self._hold(connection.drive)
+        return None
+
+    # -- in the thread: jobs -------------------------------------------------------------------------------------------
+    def _run(self, asked: Asked, connection: Connection) -> None:
+        """One job; then the axis is as it was found."""
+
+        def work() -> object:
+            with connection.one_job():
+                return asked.job.work(self._place(asked, connection.drive, connection.session))
+
+        self._carry_out(work, asked.log)
+
+    def _run_connecting(self, asked: Asked) -> None:
+        """One job that connects by itself; our axis was let go, the others' are waited for."""
+
+        def work() -> object:
+            for other in asked.lent:
+                other.wait_let_go()
+            return asked.job.work(self._place(asked, None, None))
+
+        try:
+            self._carry_out(work, asked.log)
+        finally:
+            for other in asked.lent:
+                other.take_back()
+
+    def _place(self, asked: Asked, drive: ServoDrive | None, session: AxisSession | None) -> Workplace:
+        threads = {one.axis.name: one for one in (self, *asked.lent)}
+
+        def watch(name: str, drive: ServoDrive, session: AxisSession | None) -> None:
+            if name in threads:
+                threads[name]._watch(drive, session)
+
+        heard = asked.log
+        return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch)
+
+    def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
+        """A job's work, however it ends. No more is asked of a job than that it ends: the axis was put back before."""
+        self._pacing.set_factor(self._pace)
+        try:
+            log.end(Phase.DONE, work())
+        except StoppedByOperator:
+            log.end(Phase.STOPPED)
+        except Exception as error:  # noqa: BLE001  a mistake of ours in a job must not leave the axis without its thread
+            log.end(Phase.FAILED, error=one_line(error))
+        finally:
+            self._pacing.set_factor(1.0)
+            self.stop.rearm()
+
+    def _hold(self, drive: ServoDrive) -> None:
+        """The stop was pressed with no job running."""
+        with suppress(BridgeError):  # the next look tells what is wrong
+            if drive.sample().state is DriveState.ENABLED:
+                drive.quick_stop()
+        self.stop.rearm()
+
+    # -- in the thread: looking ----------------------------------------------------------------------------------------
+    def _watch(self, drive: ServoDrive, session: AxisSession | None) -> None:
+        """From now on every look of any procedure is shown."""
+
+        def looked(sample: DriveSample) -> None:
+            live = of_sample(self.board.live, sample, drive.destination_load_mm)
+            self.board.publish(live if session is None else self._with_session(live, session))
+
+        drive.on_look = looked
+        if session is not None:
+            session.on_readings = lambda readings: self.board.heard(readings, lambda one: _in_load_frame(session, one))
+
+    def _with_session(self, live: Live, session: AxisSession) -> Live:
+        history, compensation = session.history, session.compensation
+        return replace(
+            live,
+            instrument=session.instrument.name,
+            instrument_age_s=self.board.instrument_age_s(session.clock.now_ns()),
+            correction_um=None if history is None else (session.commanded_mm - history.position_mm) * 1000.0,
+            in_force="" if compensation is None else compensation.tables.digest()[:16],
+            environment=session.instrument.environment(),
+        )
+
+    def _look(self, connection: Connection) -> None:
+        """With no job: look at everything, and let nothing that is seen stop the looking; only a drive that is gone does."""
+        connection.drive.looked_at(connection.drive.sample())
+        session = connection.session
+        if session is not None and session.on_readings is not None:
+            with suppress(LinkLostError):  # its readings get old, and are shown so
+                session.on_readings(session.instrument.poll())
+
+
+def _in_load_frame(session: AxisSession, reading: Reading) -> float | None:
+    try:
+        return session.load_position_mm(reading)
+    except StateError:
+        return None
+
+
+def one_line(error: BaseException) -> str:
+    """As the command line says it; the kind of an error that says nothing."""
+    return " ".join(str(error).split()) or type(error).__name__
