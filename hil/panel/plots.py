@@ -18,12 +18,24 @@ _DIGITS = 7
 
 
 class Plot:
-    """A chart of curves, x and y each with a name and unit."""
+    """A chart of curves, x and y each with a name and unit. dots: the points of a curve are not joined"""
 
-    def __init__(self, view: View, name: str, x: str, y: str, *, keep: int, tall: bool = False, legend: bool = False):
+    def __init__(
+        self,
+        view: View,
+        name: str,
+        x: str,
+        y: str,
+        *,
+        keep: int,
+        tall: bool = False,
+        legend: bool = False,
+        dots: bool = False,
+    ):
         self._client = view.client
+        self._dots = dots
         self._keep = keep
-        self._chart = ui.echart(_options(view, x, y, legend=legend))
+        self._chart = ui.echart(chart_options(view, x, y, legend=legend))
         self._chart.classes("hil-plot" + (" tall" if tall else ""))
         view.named(self._chart, name)
         self._anew = True
@@ -37,7 +49,7 @@ class Plot:
         new = [[name, [[_short(x), _short(y)] for x, y in points]] for name, points in series.items() if points]
         if not new and not self._anew:
             return
-        call = f"hilAppend({self._chart.id}, {json.dumps(new)}, {self._keep}, {json.dumps(self._anew)})"
+        call = f"hilAppend({self._chart.id}, {json.dumps(new)}, {self._keep}, {json.dumps(self._anew)}, {json.dumps(self._dots)})"
         self._anew = False
         self._client.run_javascript(call)
 
@@ -72,9 +84,9 @@ _KEEP = round(TRACE_S * RATE_HZ)
 class JobPlot:
     """The curves of the last job of one kind. Call `refresh` from the page's timer."""
 
-    def __init__(self, view: View, kind: str, x: str, y: str, *, name: str):
-        self._desk, self._kind = view.desk, kind
-        self._plot = Plot(view, name, x, y, keep=2000, tall=True, legend=True)
+    def __init__(self, view: View, kind: str, x: str, y: str, *, name: str, dots: bool = False):
+        self._desk, self._kind, self._said = view.desk, kind, view.t.said
+        self._plot = Plot(view, name, x, y, keep=2000, tall=True, legend=True, dots=dots)
         self._number = 0  # of the job that is drawn
         self._seen = 0
 
@@ -89,14 +101,14 @@ class JobPlot:
         graph = self._desk.graph(self._kind, self._seen)
         if graph.points != self._seen or self._seen == 0:
             self._seen = graph.points
-            self._plot.append(graph.series)
+            self._plot.append({self._said(name): points for name, points in graph.series.items()})
 
 
 def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]:
+def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]:
     ink = "#f2f2ee" if view.browser.dark else "#14181c"
     grid = "#39424a" if view.browser.dark else "#c3c8cc"
     axis = {

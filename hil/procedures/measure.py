@@ -17,11 +17,11 @@ from drivers.errors import InputError
 from hil.axis import MeasurementConfig
 from hil.compensation import Command
 from hil.journal import Campaign, RowJournal
-from hil.procedures.events import Event, Listener, silent
+from hil.procedures.events import Event, Listener, Point, silent
 from hil.procedures.pause import resuming
 from hil.procedures.session import AxisSession, PositionReading
 from hil.reading import RULE
-from hil.records import Records
+from hil.records import UM_PER_MM, Records
 
 BASE_COLUMNS = (
     "run",
@@ -110,13 +110,19 @@ def measure(
             command, reading = resuming(session, partial(_capture, session, step), tell)
             readings.append(reading)
             journal.append(_row(step, command, reading, session.known(), columns))
-            listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps)))
+            listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps), _point(name, step, reading)))
         if readings:
             journal.note(_worth(readings))
         records = journal.records()
     if records is None:
         raise ValueError(f"pass {name} has no steps")
     return records
+
+
+def _point(name: str, step: Step, reading: PositionReading) -> Point:
+    """The error of one capture at its target, µm over mm; a curve for each direction of a pass."""
+    error_um = (reading.position_load_mm - step.target_mm) * UM_PER_MM
+    return Point(f"{name}, {'+' if step.direction > 0 else '−'}", step.target_mm, error_um)
 
 
 def _capture(session: AxisSession, step: Step) -> tuple[Command, PositionReading]:

@@ -30,8 +30,9 @@ document.addEventListener("keydown", (event) => {
 // -- plots ---------------------------------------------------------------------------------------------------------------------
 const hilPlots = new Map();
 
-// Append points to the series of a chart. series: [[name, [[x, y], ...]], ...]; keep: points of each; anew: forget what was there.
-function hilAppend(id, series, keep, anew) {
+// Append points to the series of a chart. series: [[name, [[x, y], ...]], ...]; keep: points of each; anew: forget what was there;
+// dots: points that are not joined, a triangle up in direction +, down in −.
+function hilAppend(id, series, keep, anew, dots) {
   const chart = getElement(id)?.chart;
   if (!chart) return;
   const kept = anew ? new Map() : hilPlots.get(id) ?? new Map();
@@ -40,6 +41,8 @@ function hilAppend(id, series, keep, anew) {
     kept.set(name, all.length > keep ? all.slice(all.length - keep) : all);
   }
   hilPlots.set(id, kept);
-  const drawn = [...kept].map(([name, data]) => ({ id: name, name, data, type: "line", showSymbol: false, animation: false }));
+  const line = { type: "line", showSymbol: false };
+  const look = (name) => (dots ? { type: "scatter", symbol: "triangle", symbolSize: 9, symbolRotate: name.endsWith("−") ? 180 : 0 } : line);
+  const drawn = [...kept].map(([name, data]) => ({ id: name, name, data, ...look(name), animation: false }));
   chart.setOption({ series: drawn }, anew ? { replaceMerge: ["series"] } : {});
 }
