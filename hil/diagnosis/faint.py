@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from hil.diagnosis.result import Finding
 
-SURE_NAME = 0.75
-"""Confidence from which a name stands for itself, however small the effect."""
-WANDER = 0.65
+SURE_NAME = 0.5
+"""Confidence from which a name stands for itself, however small the effect: it is likelier than all its rivals together."""
+WANDER = 0.5
 """RMS over the noise's own up to which noise may wander."""
 
 
