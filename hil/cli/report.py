@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import hashlib
 import json
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from hil.cli.output import add_json_option, write_json
 from hil.cli.signatures import NOT_GOOD, signatures
 from hil.files import read_bytes, replace_file
 from hil.jobs.identity import identity, uncertainty_of
+from hil.jobs.report import now, write_report
 from hil.records import parse_csv
 from hil.sealed import load_public_key
 from hil.uncertainty import Budget
@@ -60,6 +60,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--diagnosis", metavar="OUT.json", help="result of `hil diagnose --json` on the last of the files"
     )
     parser.add_argument(
+        "--all-plots",
+        action="store_true",
+        help="draw what the extended model leaves, along every column and as a spectrum, even where nothing is unexplained",
+    )
+    parser.add_argument(
         "--table", metavar="FILE", action="append", default=[], help="a table in force, named with its hash"
     )
     parser.add_argument("--note", metavar="TEXT", action="append", default=[], help="a remark; may be repeated")
@@ -86,7 +91,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """0: written; 1: written, and a signature is not good. Raises InputError for bad files and arguments."""
     from hil.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (plots are slow to import)
-    from hil.report.document import budgets, render_files, render_html  # noqa: PLC0415
+    from hil.report.document import budgets, render_files  # noqa: PLC0415
     from hil.report.views import diagnosed  # noqa: PLC0415
 
     paths = _record_files(args)
@@ -110,17 +115,14 @@ def run(args: argparse.Namespace) -> int:
         diagnosed=None if diagnosis is None else diagnosed(campaigns[-1], diagnosis),
         notes=tuple(args.note),
         compare=args.compare is not None,
+        all_plots=args.all_plots,
         uncertainty=None if axis is None else uncertainty_of(axis),
         signatures=signed,
-        created=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        created=now(),
     )
-    page = render_html(document).encode("utf-8")
-    replace_file(args.out, page)
+    digest = write_report(document, Path(args.out), Path(args.pdf) if args.pdf else None)
     print(args.out)
     if args.pdf:
-        from hil.report.pdf import render_pdf  # noqa: PLC0415
-
-        replace_file(args.pdf, render_pdf(document, _sha256(page)))
         print(args.pdf)
     drawings = [] if args.png is None else _write_drawings(Path(args.png), render_files(document))
     if args.json:
@@ -135,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         for form, known in zip(figures, budgets(document), strict=True):
             form["uncertainty_um"] = dict(known.figures_um) if isinstance(known, Budget) else None
-        result = {"report": args.out, "sha256": _sha256(page), "drawings": drawings, "campaigns": figures}
+        result = {"report": args.out, "sha256": digest, "drawings": drawings, "campaigns": figures}
         write_json(args.json, {**result, "signatures": signed})
     bad = {name: said for name, said in signed.items() if said.startswith(NOT_GOOD)}
     for name, said in bad.items():

@@ -8,10 +8,11 @@ from typing import Any
 
 from hil.axis import AxisConfig
 from hil.diagnosis.follow_up import FollowUp
-from hil.jobs.diagnose import STORED, shown_diagnosis
+from hil.jobs.diagnose import shown_diagnosis
 from hil.jobs.figures import error_figures
 from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Move, Plan, Write, measuring_plan
+from hil.jobs.stored_diagnosis import STORED
 from hil.journal import Campaign
 from hil.procedures.close_loop import Loop, Turn, Turning, close_loop
 from hil.procedures.computing import watched

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,19 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import InputError
 from hil.axis import AxisConfig
 from hil.diagnosis import diagnose
 from hil.diagnosis.follow_up import FollowUp, follow_up, means_of_records
 from hil.diagnosis.pictures import with_plots
-from hil.files import read_bytes, read_text, replace_file
+from hil.files import read_text, replace_file
+from hil.jobs.stored_diagnosis import sources
 from hil.records import Floats, Records, concatenate, parse_csv
 from hil.report.data import NamedCampaign
 from hil.report.views import View, finding_view, position_view
 from hil.user_effects import blaming, catalogue_with, check_on
 
-STORED = ".diagnosis.json"
-"""After the name of the pass, or of the passes, that was diagnosed."""
 MOST_POINTS = 1200
 """Of one curve: more show nothing more on a screen."""
 SIGNS = {1: "+", -1: "−"}
@@ -39,11 +36,6 @@ def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
         follow = follow_up(diagnosis, records, None, means, effects=effects)
     form = {**shown_diagnosis(follow, records), "sources": sources(paths)}
     replace_file(out, (json.dumps(form) + "\n").encode())
-
-
-def sources(paths: Sequence[Path]) -> dict[str, str]:
-    """SHA-256 of each file by its name."""
-    return {path.name: hashlib.sha256(read_bytes(path)).hexdigest() for path in paths}
 
 
 def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
@@ -80,18 +72,3 @@ def _points(x: Floats, y_um: Floats) -> list[list[float]]:
     """Evenly thinned."""
     step = -(-len(x) // MOST_POINTS)
     return [[float(f"{a:.7g}"), float(f"{b:.5g}")] for a, b in zip(x[::step], y_um[::step], strict=True)]
-
-
-def read_stored(path: Path) -> dict[str, Any]:
-    """A diagnosis that was kept. Raises InputError for a file that holds none."""
-    try:
-        form = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise InputError("is not JSON", path=path) from error
-    if (
-        not isinstance(form, dict)
-        or not isinstance(form.get("findings"), list)
-        or not isinstance(form.get("drawn"), dict)
-    ):
-        raise InputError("is not a diagnosis as a screen shows it", path=path)
-    return form
