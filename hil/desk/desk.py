@@ -9,9 +9,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from contextlib import ExitStack
+from typing import Any
 
 from drivers.errors import LocalError, StateError
 from hil.axis import DriveAxis
+from hil.desk.aside import Aside, Computed
 from hil.desk.axis_thread import Asked, AxisThread
 from hil.desk.connection import Connect, to_axis
 from hil.desk.control import Control
@@ -38,6 +40,7 @@ class Desk:
         self.rights = Rights(axis)
         self.control.on_change = self.rights.forget
         self._thread = AxisThread(axis, connect or to_axis(axis), pace)
+        self._aside = Aside(axis.path)
         self._lock = threading.Lock()
         self._log: JobLog | None = None
         self._last: dict[str, JobLog] = {}
@@ -76,6 +79,11 @@ class Desk:
         log = self._last.get(kind)
         return Graph(0, {}) if log is None else log.graph(since)
 
+    @property
+    def computed(self) -> Computed:
+        """What is being computed of stored campaigns, or was last."""
+        return self._aside.computed
+
     def stop(self) -> None:
         """Quick stop, now, whoever asks. A running job ends; what it measured is kept."""
         borrower = self._borrowing()
@@ -112,6 +120,16 @@ class Desk:
     def reset_fault(self, token: str | None) -> None:
         """Acknowledge a fault; the axis stays without power."""
         self.run(token, Job("reset fault", self._bare_plan(), lambda place: place.drive.reset_fault()))
+
+    def compute(self, token: str | None, request: Mapping[str, Any]) -> None:
+        """Have something made of stored campaigns (`hil.jobs.aside.request`), whatever the axis does. Raises ComputingError."""
+        self.control.require(token)
+        self._aside.start(request)
+
+    def cancel_computing(self, token: str | None) -> None:
+        """Give up what is being computed."""
+        self.control.require(token)
+        self._aside.cancel()
 
     def become_builder(self, token: str | None, key_password: str, reading_password: str = "") -> None:
         """Take the builder's role, until control changes hands. Takes about a second; raises what opening the key raises."""
@@ -175,4 +193,7 @@ class Desk:
 
     def close(self) -> None:
         """Stop whatever runs, let go of the axis. Raises StateError where it does not end in time."""
-        self._thread.close()
+        try:
+            self._aside.close()
+        finally:
+            self._thread.close()
