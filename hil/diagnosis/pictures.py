@@ -1,4 +1,5 @@
-"""What a diagnosis looks like: for each finding, the residual and the effect over the column it follows, and what the table left.
+"""What a diagnosis looks like: for each finding, the residual and the effect over the column it follows; what the table left; and
+what the extended model leaves.
 
 Added to the JSON form of a diagnosis, so that a report made of it later draws the same as one made at once.
 """
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.diagnosis.left_over import left_over
 from hil.diagnosis.result import Diagnosis
 from hil.effects.history import complete
 from hil.records import Floats, Records
@@ -21,7 +23,8 @@ NM = 3
 
 
 def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
-    """The form with a `plot` in each finding, and `residual_um`: what the declared model leaves of each row, not fitted to it.
+    """The form with a `plot` in each finding, `left` (`left_over`), and `residual_um`: what the declared model leaves of each row, not
+    fitted to it.
 
     records: those that were diagnosed. Longer ones than are drawn have no `residual_um`.
     """
@@ -42,7 +45,7 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
         }
         findings.append({**plain, "plot": plot})
     whole = {"residual_um": _rounded(diagnosis.before_um, shown)} if len(shown) == len(records) else {}
-    return {**form, "findings": findings, **whole}
+    return {**form, "findings": findings, "left": left_over(diagnosis, records), **whole}
 
 
 def _column(needs: Sequence[str], columns: Mapping[str, Floats]) -> str:

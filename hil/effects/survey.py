@@ -84,7 +84,7 @@ def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ())
         if not np.all(np.isfinite(values)):
             continue
         mean[name] = float(np.mean(values))
-        if np.ptp(values) > VARIES * max(1.0, float(np.max(np.abs(values)))):
+        if varies(values):
             varying.add(name)
     return Survey(
         rows=len(target),
@@ -100,6 +100,13 @@ def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ())
         moments=_moments(time, columns["run"]),
         pitches_mm=pitches_mm,
     )
+
+
+def varies(values: Floats) -> bool:
+    """Whether a column is filled in every row, (n,), and not the same in all."""
+    if not np.all(np.isfinite(values)):
+        return False
+    return bool(np.ptp(values) > VARIES * max(1.0, float(np.max(np.abs(values)))))
 
 
 def _moments(time: Floats, run: Floats) -> tuple[float, ...]:

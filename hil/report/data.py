@@ -66,6 +66,7 @@ class ReportData:
     diagnosis        the JSON form of `hil diagnose`, None where none was made. A finding may carry
                      "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
     diagnosed        the campaign that the diagnosis was made on; its column residual_um is shown where it has one, else its error
+    all_plots        what the extended model leaves is drawn even where the diagnosis leaves nothing unexplained
     compare          the first two campaigns are set against each other, target by target
     uncertainty      what is known of instrument and room; figures then stand with their expanded uncertainty
     signatures       what of the above is signed: file name -> by whom, or why its signature is not good
@@ -84,6 +85,7 @@ class ReportData:
     uncertainty: UncertaintyInputs | None = None
     signatures: Mapping[str, str] = field(default_factory=dict)
     compare: bool = False
+    all_plots: bool = False
 
     def __post_init__(self) -> None:
         if not self.campaigns:

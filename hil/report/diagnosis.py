@@ -10,7 +10,7 @@ from typing import Any
 
 from matplotlib.figure import FigureBase
 
-from hil.report import markup, plots
+from hil.report import left_over, markup, plots
 from hil.report.blocks import (
     Block,
     Bullets,
@@ -34,26 +34,43 @@ ACTIONS = {
 }
 
 
-def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None) -> list[Block]:
-    """The whole part."""
+def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, all_plots: bool = False) -> list[Block]:
+    """The whole part. all_plots: with what the extended model leaves, even where nothing is unexplained."""
     findings = objects_of(diagnosis.get("findings"))
     parts: list[Block] = [Heading("What is left, and why"), *_summary(diagnosis)]
     if diagnosis.get("unexplained"):
-        carried = "; ".join(
-            ", ".join(map(str, list_of(one.get("columns")))) for one in objects_of(diagnosis.get("carried_by"))
-        )
-        along = f" It shows along: {carried}." if carried else ""
-        left = Span("Structure is left that nothing in the catalogue explains.", "strong")
-        parts.append(Paragraph((left, Span(f"{along} Nothing was compensated for it.")), "callout"))
+        parts.append(_unexplained(diagnosis))
     elif not findings:
         parts.append(said("No effect was found beyond the declared model and the noise floor."))
     if diagnosed is not None:
         parts += _residual(diagnosed, findings)
     parts += [_finding(i, one, diagnosed, alone=len(findings) == 1) for i, one in enumerate(findings, start=1)]
+    if diagnosis.get("unexplained") or all_plots:
+        parts += left_over.section(diagnosis)
     blind = tuple(f"{one.get('effect')}: {one.get('reason')}" for one in objects_of(diagnosis.get("blind_to")))
     if blind:
         parts += [Heading("What this campaign cannot show", 3), Bullets(blind, "remarks")]
     return [*parts, Bullets(tuple(map(str, list_of(diagnosis.get("notes")))), "remarks")]
+
+
+def _unexplained(diagnosis: Mapping[str, Any]) -> Paragraph:
+    """What carries it, how large it is, and what was done about it."""
+    carried = "; ".join(map(_carrier, objects_of(diagnosis.get("carried_by"))))
+    along = f" It shows along: {carried}." if carried else ""
+    asked_for = [str(one.get("explanation")) for one in objects_of(diagnosis.get("non_parametric"))]
+    done = " Nothing was compensated for it."
+    if asked_for:
+        done = f" The extended model corrects it all the same, because that was asked for: {' '.join(asked_for)}"
+    left = Span("Structure is left that nothing in the catalogue explains.", "strong")
+    return Paragraph((left, Span(f"{along}{done}")), "callout")
+
+
+def _carrier(form: Mapping[str, Any]) -> str:
+    names = ", ".join(map(str, list_of(form.get("columns"))))
+    rms, spread = value_of(form, "rms_um"), value_of(form, "rms_std_um")
+    if rms is None or spread is None:
+        return names
+    return f"{names} ({markup.significant(rms, 3)} ± {markup.significant(spread, 2)} µm RMS)"
 
 
 def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:

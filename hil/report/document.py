@@ -56,7 +56,7 @@ def content(data: ReportData) -> list[Block]:
     for index, campaign in enumerate(data.campaigns, start=1):
         parts += _campaign(index, campaign, data)
     if data.diagnosis is not None:
-        parts += diagnosis_part.section(data.diagnosis, data.diagnosed)
+        parts += diagnosis_part.section(data.diagnosis, data.diagnosed, all_plots=data.all_plots)
     parts += uncertainty_part.section(budgets(data), [campaign.label for campaign in data.campaigns])
     parts += [*_tables_in_force(data), *_signatures(data)]
     return [*parts, Heading("Notes"), Bullets(data.notes)] if data.notes else parts
