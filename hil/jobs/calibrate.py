@@ -20,15 +20,15 @@ from hil.store import SealedStore, compensation_in_force
 from hil.tables import SingleTable
 from hil.wiring import Machine
 
-CALIBRATE, VERIFY = "calibrate", "verify"
+CALIBRATE, VERIFY, UNCORRECTED = "calibrate", "verify", "uncorrected"
 
 
 # -- calibrate -----------------------------------------------------------------------------------------------------------
 def calibration_plan(axis: AxisConfig) -> Plan:
-    """What a calibration moves and writes."""
+    """What a calibration moves and writes: the axis as it is, and at least one proof of the tables."""
     steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
     writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
-    return measuring_plan(axis, steps, writes, locked=True)
+    return measuring_plan(axis, [*steps, *steps], writes, locked=True)
 
 
 def run_calibration(
@@ -79,9 +79,9 @@ def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
 # -- verify --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Verified:
-    """A verification, and what was in force."""
+    """A verification, and what was in force; None: nothing was."""
 
-    compensation: Compensation
+    compensation: Compensation | None
     result: Verification
 
 
@@ -93,33 +93,37 @@ def verification_plan(axis: AxisConfig, seed: int) -> Plan:
 
 def run_verification(
     machine: Machine,
-    compensation: Compensation,
+    compensation: Compensation | None,
     listener: Listener = silent,
     *,
     seed: int = 1,
     resume: bool = False,
     recording: str = "",
 ) -> Verification:
-    """Prepare, put the compensation into force, measure at other targets. recording: file name of what is replayed, if anything is."""
+    """Prepare, put the compensation into force, measure at other targets.
+
+    compensation: None for the machine uncorrected; recording: file name of what is replayed, if anything is.
+    """
     axis = machine.axis
-    purpose = {**axis.purpose(VERIFY), **compensation_in_force(compensation), "seed": seed}
+    purpose = {**axis.purpose(UNCORRECTED if compensation is None else VERIFY), "seed": seed}
+    purpose |= {} if compensation is None else compensation_in_force(compensation)
     if recording:
         purpose |= {"kind": REPLAY, "recording": recording}
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     machine.session.prepare()
     machine.session.compensation = compensation
-    result = verify(machine.session, campaign, "verify", axis.correction.band, listener, seed=seed)
+    name = UNCORRECTED if compensation is None else VERIFY
+    result = verify(machine.session, campaign, name, axis.correction.band, listener, seed=seed)
     campaign.finish()
     return result
 
 
-def verification_job(axis: AxisConfig, *, seed: int = 1, resume: bool = False) -> Job:
-    """For the desk: returns a Verified, of the compensation in the axis's store."""
+def verification_job(axis: AxisConfig, *, corrected: bool = True, seed: int = 1, resume: bool = False) -> Job:
+    """For the desk: returns a Verified, of the compensation in the axis's store, or of the axis without any."""
 
     def work(place: Workplace) -> Verified:
-        compensation = place.opened_store().load()
-        return Verified(
-            compensation, run_verification(place.machine(), compensation, place.listener, seed=seed, resume=resume)
-        )
+        compensation = place.opened_store().load() if corrected else None
+        result = run_verification(place.machine(), compensation, place.listener, seed=seed, resume=resume)
+        return Verified(compensation, result)
 
-    return Job(VERIFY, verification_plan(axis, seed), work)
+    return Job(VERIFY if corrected else UNCORRECTED, verification_plan(axis, seed), work)
