@@ -56,7 +56,8 @@ def history_figure(moments: Sequence[Moment], names: Sequence[str], theme: Theme
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         ax.xaxis.set_major_locator(locator)
         ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-        ax.set_ylim(bottom=0.0)
+        if ax.get_ylim()[0] > 0.0:
+            ax.set_ylim(bottom=0.0)
         label_axes(ax, theme, "", "µm")
         ax.margins(x=0.03)
         figure.legend(loc="upper left", ncols=6, labelcolor=theme.ink, bbox_to_anchor=(ax.get_position().x0, 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -217,3 +218,15 @@ def test_a_trend_needs_three_dates_over_a_day() -> None:
     line = trend(np.array([0.0, 30.0, 60.0, 90.0]), np.array([1.0, 2.0, np.nan, 4.0]))
     assert line is not None
     assert (line.slope_um, line.std_um) == (pytest.approx(1.0), pytest.approx(0.0, abs=1e-9))
+
+
+@pytest.mark.slow
+def test_a_signed_figure_is_drawn_whole(place: Path) -> None:
+    from hil.report.history import history_figure  # noqa: PLC0415  (plots are slow to import)
+    from hil.report.svg import LIGHT  # noqa: PLC0415
+
+    measured(place / "c", 5.0)
+    (moment,) = history(find_campaigns(["."]), ["B_mean"])
+    for value, low in ((-3.0, -3.0), (3.0, 0.0)):
+        shown = history_figure([replace(moment, figures_um={"B_mean": value})] * 2, ["B_mean"], LIGHT)
+        assert shown.axes[0].get_ylim()[0] <= low < value + 0.1 < shown.axes[0].get_ylim()[1] + 0.2
