@@ -19,7 +19,8 @@ def print_findings(diagnosis: Diagnosis) -> None:
     if not diagnosis.findings:
         print("found: nothing that the data support")
     if diagnosis.unexplained:
-        print("unexplained: structure is left that nothing in the catalogue explains")
+        carried = "; ".join(map(str, diagnosis.carriers))
+        print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
 
 
 def print_stages(stages: Mapping[str, Mapping[str, Any]]) -> None:

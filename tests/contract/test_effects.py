@@ -16,9 +16,13 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
+from hil.diagnosis.campaign import prepare
+from hil.diagnosis.structure import structures
 from hil.effects import ALL, Action, Effect, Form, Survey, Term, survey_of, term_from_json
 from hil.effects.history import complete
+from hil.effects.non_parametric import NonParametric
 from hil.examples import coolant_level
+from hil.records import Records
 from hil.user_effects import catalogue_with, effects_of_file
 
 PARAMETERS = {"cyclic": {"period_mm", "amplitude_um", "phase"}}
@@ -81,6 +85,13 @@ class Subject:
 
 CATALOGUE_COLUMNS = rich_columns({})
 CATALOGUE_SURVEY = survey_of(CATALOGUE_COLUMNS)
+UNSEARCHED = Subject(NonParametric(), frozenset(), CATALOGUE_COLUMNS, CATALOGUE_SURVEY)
+
+
+def forms_of_structures() -> list[Form]:
+    """One form of each kind that the diagnosis makes of what it cannot explain; no effect, but a term of models like any."""
+    found = structures(prepare(Records.of(CATALOGUE_COLUMNS)))
+    return list({one.form.name: one.form for one in (*found.structures, *found.fine)}.values())
 
 
 def subjects(paths: Sequence[str]) -> list[Subject]:
@@ -107,6 +118,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("subject", chosen, ids=[s.effect.id for s in chosen])
         return
     pairs = [(s, form) for s in chosen for form in s.effect.forms(s.survey)]
+    if not metafunc.config.getoption("--effects"):
+        pairs += [(UNSEARCHED, form) for form in forms_of_structures()]
     metafunc.parametrize(("subject", "form"), pairs, ids=[f"{s.effect.id}-{form.name}" for s, form in pairs])
 
 
