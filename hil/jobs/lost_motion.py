@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import StateError
-from hil.axis import AxisConfig
+from hil.axis import AxisConfig, DriveAxis
 from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
 from hil.compensation import Compensation
 from hil.jobs.identity import drive_in_words
@@ -108,7 +108,7 @@ SEALED = (
 )
 
 
-def unfinished(axis: AxisConfig) -> bool:
+def unfinished(axis: DriveAxis) -> bool:
     """Whether a measurement was broken off and can be gone on with."""
     return Campaign.unfinished(axis.store.directory, CAMPAIGN) is not None
 

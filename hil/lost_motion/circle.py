@@ -7,7 +7,7 @@ What may go in: pure functions of angles and positions. Angles are in degrees, c
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,3 +149,11 @@ def trace_of(first_mm: Floats, second_mm: Floats, circle: Circle) -> Trace:
     around = np.degrees(np.unwrap(np.arctan2(v, u)))
     around += 360.0 * round((START_DEG - around[0]) / 360.0)
     return Trace(around, 1000.0 * (np.hypot(u, v) - circle.radius_mm))
+
+
+def ring_of(traces: Iterable[Trace]) -> float:
+    """µm per ring: 1, 2 or 5 times a power of ten, some four rings to the largest deviation."""
+    largest = max((float(np.max(np.abs(trace.deviation_um))) for trace in traces), default=1.0)
+    wanted = max(largest, 0.01) / 4.0
+    power = 10.0 ** math.floor(math.log10(wanted))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= wanted)

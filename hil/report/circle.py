@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.lost_motion.circle import AFTER_DEG, BEFORE_DEG, QUADRANTS_DEG, Trace
+from hil.lost_motion.circle import AFTER_DEG, BEFORE_DEG, QUADRANTS_DEG, Trace, ring_of
 from hil.report import markup
 from hil.report.page import header, page, tile
 from hil.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
@@ -67,14 +66,6 @@ def render_circle(report: CircleReport) -> str:
 def circle_image(report: CircleReport, kind: str = "png") -> bytes:
     """The polar drawing as a file of its own, "png" or "svg"."""
     return file_bytes(polar_plot(report, LIGHT), kind)
-
-
-def ring_of(traces: Iterable[Trace]) -> float:
-    """µm per ring: 1, 2 or 5 times a power of ten, some four rings to the largest deviation."""
-    largest = max((float(np.max(np.abs(trace.deviation_um))) for trace in traces), default=1.0)
-    wanted = max(largest, 0.01) / 4.0
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= wanted)
 
 
 def polar_plot(report: CircleReport, theme: Theme) -> Figure:

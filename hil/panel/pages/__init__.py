@@ -1,9 +1,10 @@
 """The pages, in the order of the navigation. One file each; a new one is added here."""
 
 from hil.panel.frame import Page
-from hil.panel.pages import backlash, overview
+from hil.panel.pages import backlash, lost_motion, overview
 
 PAGES = (
     Page("overview", overview.draw),
     Page("backlash", backlash.draw),
+    Page("lost_motion", lost_motion.draw),
 )

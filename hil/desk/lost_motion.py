@@ -1,0 +1,134 @@
+"""What the screen of system C shows: the reversals measured, the shapes laid over them, the proof, and the circle of two axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.axis import DriveAxis
+from hil.desk.desk import Desk
+from hil.desk.progress import Phase, Progress
+from hil.jobs import circle, lost_motion
+from hil.jobs.circle import DrivenCircle
+from hil.jobs.lost_motion import MeasuredLostMotion
+from hil.lost_motion.circle import ring_of
+from hil.lost_motion.estimate import Estimate
+from hil.procedures.lost_motion import Proof
+from hil.records import Floats
+
+Points = list[tuple[float, float]]
+FIT_POINTS = 160
+MOST_POINTS = 1500
+"""Of one circle; more would not be seen."""
+
+
+@dataclass(frozen=True)
+class LostMotionScreen:
+    """measurement: the last one; number: of its job; measured: what it came to, None before its end; stored: that it is in force;
+    warnings: in English"""
+
+    measurement: Progress | None
+    number: int
+    measured: MeasuredLostMotion | None
+    stored: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def storable(self) -> bool:
+        return self.measured is not None and self.measured.result.good and not self.stored
+
+
+def lost_motion_screen(desk: Desk) -> LostMotionScreen:
+    """As the desk stands."""
+    measurement, stored = desk.last(lost_motion.MEASURE), desk.last(lost_motion.STORE)
+    measured = None if measurement is None else measurement.result
+    if not isinstance(measured, MeasuredLostMotion):
+        measured = None
+    kept = stored is not None and stored.phase is Phase.DONE and stored.result is measured is not None
+    warnings = () if measured is None else tuple(lost_motion.sentences(measured))
+    return LostMotionScreen(measurement, 0 if measurement is None else measurement.number, measured, kept, warnings)
+
+
+def resumable(axis: DriveAxis) -> bool:
+    """Whether a measurement was broken off and can be gone on with: looks at the axis's folder."""
+    return lost_motion.unfinished(axis)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A shape as a curve; in_force: it is the one that was taken"""
+
+    name: str
+    in_force: bool
+    points: Points
+
+
+@dataclass(frozen=True)
+class RiseCurves:
+    """measured: by the direction after the reversal; lost motion, µm, over the load's travel since it, mm or µm"""
+
+    measured: Mapping[int, Points]
+    fitted: Sequence[Fitted]
+
+
+def rise_curves(estimate: Estimate, reach_mm: float | None = None, *, per_mm: float = 1.0) -> RiseCurves:
+    """Up to a travel (None: all of it), which is stated as `per_mm` times the mm."""
+    rows = [(one.direction, *one.by_load().rise) for one in estimate.reversals]
+    end_mm = max(float(travel.max()) for _, travel, _ in rows)
+    end_mm = end_mm if reach_mm is None else min(end_mm, reach_mm)
+    measured: dict[int, Points] = {1: [], -1: []}
+    for direction, travel_mm, risen_um in rows:
+        inside = travel_mm <= end_mm
+        measured[direction] += _points(per_mm * travel_mm[inside], risen_um[inside])
+    along_mm = np.linspace(0.0, end_mm, FIT_POINTS)
+    fitted = [
+        Fitted(
+            one.fitted.shape.name,
+            one.fitted.rise is estimate.rise,
+            _points(per_mm * along_mm, one.fitted.rise.along_um(along_mm)),
+        )
+        for one in estimate.contenders
+    ]
+    return RiseCurves(measured, fitted)
+
+
+def proof_points(proof: Proof) -> tuple[Points, Points]:
+    """What was left in each fresh move, µm, in the move's own direction: before, and with the correction; over its number."""
+    moves, sign = np.arange(1.0, len(proof.after_um) + 1.0), proof.after.direction
+    return _points(moves, sign * proof.before_um), _points(moves, sign * proof.after_um)
+
+
+def driven_circle(desk: Desk) -> DrivenCircle | None:
+    """The last circle that was driven from this desk."""
+    last = desk.last(circle.CIRCLE)
+    return last.result if last is not None and isinstance(last.result, DrivenCircle) else None
+
+
+@dataclass(frozen=True)
+class CircleCurves:
+    """ring_um: between two rings; traces: by name, deviation in µm and angle in degrees counter-clockwise, 0 to 360, None where a
+    curve goes through 0"""
+
+    ring_um: float
+    traces: Mapping[str, list[tuple[float, float] | None]]
+
+
+def circle_curves(driven: DrivenCircle) -> CircleCurves:
+    """What was driven, for a drawing around the circle."""
+    curves: dict[str, list[tuple[float, float] | None]] = {}
+    for name, trace in driven.traces.items():
+        step = max(1, len(trace.angle_deg) // MOST_POINTS)
+        angles = np.mod(trace.angle_deg[::step] * driven.circle.sense, 360.0)
+        curve: list[tuple[float, float] | None] = []
+        for point in _points(trace.deviation_um[::step], angles):
+            if curve and curve[-1] is not None and abs(point[1] - curve[-1][1]) > 180.0:
+                curve.append(None)
+            curve.append(point)
+        curves[name] = curve
+    return CircleCurves(ring_of(driven.traces.values()), curves)
+
+
+def _points(x: Floats, y: Floats) -> Points:
+    return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]

@@ -1,0 +1,221 @@
+"""Lost motion by the instrument (system C): measured, five shapes fitted, proven, stored; and the circle of two axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nicegui import ui
+
+from hil.axis import AxisConfig
+from hil.desk.lost_motion import lost_motion_screen, proof_points, resumable, rise_curves
+from hil.jobs import lost_motion
+from hil.jobs.lost_motion import MeasuredLostMotion
+from hil.panel.drawings import Curve, Drawing, Options, curves
+from hil.panel.latest import Latest
+from hil.panel.pages.circle import draw_circle
+from hil.panel.plots import JobPlot
+from hil.panel.tables import Table
+from hil.panel.view import View
+from hil.procedures.lost_motion import rms
+
+Refresh = Callable[[], None]
+BEGINNING_MM, UM_PER_MM = 0.05, 1000.0
+
+
+def draw(view: View) -> None:
+    """Put the page on the screen."""
+    axis = view.desk.axis
+    if not isinstance(axis, AxisConfig):
+        view.named(ui.label(view.t("lost_motion.no_instrument")).classes("hil-note"), "lost_motion.no_instrument")
+        return
+    with view.card("lost_motion.instructions"):
+        ui.markdown(view.t("lost_motion.steps"))
+    messages = view.messages("lost_motion.messages")
+    parts = [_draw_buttons(view, axis)]
+    with ui.element("div").classes("hil-grid"):
+        parts += [_draw_where(view), _draw_found(view), _draw_proof(view)]
+    parts += [_draw_plots(view), _draw_fits(view), draw_circle(view, axis)]
+
+    def refresh() -> None:
+        shown = lost_motion_screen(view.desk)
+        messages.show(shown.measurement, "\n".join(map(view.t.said, shown.warnings)))
+        for part in parts:
+            part()
+
+    view.every(refresh)
+
+
+def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
+    """Start, go on with what was broken off, store."""
+    t, desk, how = view.t, view.desk, lost_motion.lost_motion_config(axis)
+    figures = {name: t.number(value, 1) for name, value in (("stroke", how.stroke_mm), ("at", how.at_mm))}
+    plan = t("lost_motion.plan", runs=how.runs, places=how.places, moves=how.proof_moves, **figures)
+    view.named(ui.label(plan).classes("hil-name"), "lost_motion.plan")
+
+    async def start(resume: bool) -> None:
+        await view.ask_and_run(lost_motion.measuring_job(axis, how, resume=resume))
+
+    async def store() -> None:
+        measured = lost_motion_screen(desk).measured
+        if measured is not None:
+            await view.ask_and_run(lost_motion.store_job(axis, measured))
+
+    with ui.row():
+        start_button = view.button("lost_motion.start", lambda: start(False))
+        resume_button = view.button("lost_motion.resume", lambda: start(True))
+        store_button = view.button("lost_motion.store", store)
+
+    def refresh() -> None:
+        start_button.set_enabled(view.can_start)
+        resume_button.set_enabled(view.can_start and resumable(axis))
+        store_button.set_enabled(view.can_start and view.is_builder and lost_motion_screen(desk).storable)
+
+    return refresh
+
+
+def _draw_where(view: View) -> Refresh:
+    """Where the axis is, and the step now running."""
+    t = view.t
+    with view.card("lost_motion.where"):
+        position = view.value("overview.position", "mm", name="lost_motion.position")
+        remaining = view.value("overview.remaining", "mm", small=True, name="lost_motion.remaining")
+        step = view.value("lost_motion.step", small=True)
+
+    def refresh() -> None:
+        position.set_text(t.number(view.desk.live.position_load_mm))
+        remaining.set_text(t.number(view.desk.live.remaining_mm))
+        step.set_text(view.stage(lost_motion_screen(view.desk).measurement))
+
+    return refresh
+
+
+def _draw_found(view: View) -> Refresh:
+    """The lost motion, its uncertainty and its shape."""
+    t = view.t
+    with view.card("lost_motion.found"):
+        amount = view.value("lost_motion.amount", "µm")
+        std = view.value("lost_motion.std", "µm", small=True)
+        shape = view.value("lost_motion.shape", small=True)
+
+    def refresh() -> None:
+        measured = lost_motion_screen(view.desk).measured
+        found = None if measured is None else measured.result.estimate
+        amount.set_text(t.number(None if found is None else found.amount_um, 2))
+        std.set_text("–" if found is None else f"± {t.number(found.parameters['amount_um'].std, 3)}")
+        shape.set_text("–" if found is None else _shape(view, found.rise.shape.name))
+
+    return refresh
+
+
+def _draw_proof(view: View) -> Refresh:
+    """What fresh moves say of it, and whether it is stored."""
+    t = view.t
+    with view.card("lost_motion.proof"):
+        after = view.value("lost_motion.after", "µm")
+        before = view.value("lost_motion.before", "µm", small=True)
+        over = view.value("lost_motion.over", "%", small=True)
+        state = view.value("lost_motion.state", small=True)
+
+    def refresh() -> None:
+        shown = lost_motion_screen(view.desk)
+        proof = None if shown.measured is None else shown.measured.result.proof
+        after.set_text(t.number(None if proof is None else rms(proof.after_um), 2))
+        before.set_text(t.number(None if proof is None else rms(proof.before_um), 2))
+        over.set_text(t.number(None if proof is None else 100.0 * proof.over_um / proof.amount_um, 1))
+        good = "good" if shown.storable else "bad"
+        state.set_text("–" if proof is None else t(f"lost_motion.{'stored' if shown.stored else good}"))
+
+    return refresh
+
+
+def _draw_plots(view: View) -> Refresh:
+    """While it is measured the errors at their places; then what was lost after each reversal, with the shapes laid over it."""
+    t = view.t
+    with ui.element("div").classes("hil-grid wide"):
+        drawings = []
+        for key in ("lost_motion.rise", "lost_motion.beginning", "lost_motion.moves"):
+            with view.card(key, name=f"{key}.card"):
+                drawings.append(Drawing(view, key))
+        with view.card("lost_motion.rows", name="lost_motion.rows.card"):
+            x, y = t("lost_motion.target_x"), t("lost_motion.error_y")
+            live = JobPlot(view, lost_motion.MEASURE, x, y, name="lost_motion.rows", dots=True)
+    rise, beginning, moves = drawings
+
+    def refresh() -> None:
+        live.refresh()
+        measured = lost_motion_screen(view.desk).measured
+        if measured is not None:
+            rise.show(measured, lambda: _rise(view, measured, None))
+            beginning.show(measured, lambda: _rise(view, measured, BEGINNING_MM))
+            moves.show(measured, lambda: _moves(view, measured))
+
+    return refresh
+
+
+def _rise(view: View, measured: MeasuredLostMotion, reach_mm: float | None) -> Options:
+    t = view.t
+    drawn = rise_curves(measured.result.estimate, reach_mm, per_mm=1.0 if reach_mm is None else UM_PER_MM)
+    marks = {1: (5, False), -1: (1, True)}
+    points = [
+        Curve(
+            t("lost_motion.plus_minus" if way < 0 else "lost_motion.minus_plus"), found, colour, "triangle", turned=turn
+        )
+        for way, (colour, turn) in marks.items()
+        if (found := drawn.measured[way])
+    ]
+    fits = [Curve(_shape(view, one.name), one.points, 2, faint=not one.in_force) for one in drawn.fitted]
+    x = t("lost_motion.travel_mm" if reach_mm is None else "lost_motion.travel_um")
+    return curves(view, x, t("lost_motion.lost_y"), [*points, *fits])
+
+
+def _moves(view: View, measured: MeasuredLostMotion) -> Options:
+    t = view.t
+    before, after = proof_points(measured.result.proof)
+    drawn = [
+        Curve(t("lost_motion.without"), before, 1, "circle"),
+        Curve(t("lost_motion.with"), after, 2, "diamond"),
+    ]
+    return curves(view, t("lost_motion.move_x"), t("lost_motion.left_y"), drawn)
+
+
+def _draw_fits(view: View) -> Refresh:
+    """The shapes in competition, and the parameters of the one that was taken."""
+    t = view.t
+    with ui.element("div").classes("hil-grid wide"):
+        with view.card("lost_motion.shapes"):
+            heads = [f"lost_motion.head.{name}" for name in ("shape", "amount_um", "rms_um", "held_out_um")]
+            shapes = Table(view, "lost_motion.contenders", heads)
+        with view.card("lost_motion.parameters"):
+            heads = [f"lost_motion.head.{name}" for name in ("parameter", "value", "uncertainty")]
+            parameters = Table(view, "lost_motion.fitted", heads)
+    latest = Latest()
+
+    def refresh() -> None:
+        measured = lost_motion_screen(view.desk).measured
+        if measured is None or not latest.is_new(measured):
+            return
+        found = measured.result.estimate
+        shapes.show(
+            [
+                [
+                    _shape(view, one.fitted.shape.name)
+                    + (f" ({t('lost_motion.taken')})" if one.fitted.rise is found.rise else ""),
+                    t.number(one.fitted.rise.amount_um, 2),
+                    t.number(one.rms_um),
+                    t.number(one.held_out_rms_um),
+                ]
+                for one in found.contenders
+            ]
+        )
+        parameters.show(
+            [
+                [t(f"lost_motion.parameter.{name}"), t.number(each.value, 4), f"± {t.number(each.std, 4)}"]
+                for name, each in found.parameters.items()
+            ]
+        )
+
+    return refresh
+
+
+def _shape(view: View, name: str) -> str:
+    return view.t(f"lost_motion.shapes_by_name.{name.replace(' ', '_')}")
