@@ -7,7 +7,7 @@ control, and for a stop, without.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -73,6 +73,10 @@ class Desk:
         """The last job of this kind, running or over."""
         log = self._last.get(kind)
         return None if log is None else log.progress(stopping=self._thread.stop.pressed)
+
+    def last_of(self, kinds: Iterable[str]) -> Progress | None:
+        """The last job of any of these kinds."""
+        return max(filter(None, map(self.last, kinds)), key=lambda job: job.number, default=None)
 
     def graph(self, kind: str, since: int = 0) -> Graph:
         """The curves of the last job of this kind, after the first `since` points."""

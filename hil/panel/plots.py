@@ -82,23 +82,24 @@ _KEEP = round(TRACE_S * RATE_HZ)
 
 
 class JobPlot:
-    """The curves of the last job of one kind. Call `refresh` from the page's timer."""
+    """The curves of the last job of a kind, or of some kinds. Call `refresh` from the page's timer."""
 
-    def __init__(self, view: View, kind: str, x: str, y: str, *, name: str, dots: bool = False):
-        self._desk, self._kind, self._said = view.desk, kind, view.t.said
+    def __init__(self, view: View, kind: str | Sequence[str], x: str, y: str, *, name: str, dots: bool = False):
+        self._desk, self._said = view.desk, view.t.said
+        self._kinds = (kind,) if isinstance(kind, str) else tuple(kind)
         self._plot = Plot(view, name, x, y, keep=2000, tall=True, legend=True, dots=dots)
         self._number = 0  # of the job that is drawn
         self._seen = 0
 
     def refresh(self) -> None:
         """Draw what is new; a new job begins with an empty plot."""
-        job = self._desk.last(self._kind)
+        job = self._desk.last_of(self._kinds)
         if job is None:
             return
         if job.number != self._number:
             self._number, self._seen = job.number, 0
             self._plot.clear()
-        graph = self._desk.graph(self._kind, self._seen)
+        graph = self._desk.graph(job.kind, self._seen)
         if graph.points != self._seen or self._seen == 0:
             self._seen = graph.points
             self._plot.append({self._said(name): points for name, points in graph.series.items()})
