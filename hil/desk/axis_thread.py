@@ -44,6 +44,7 @@ class AxisThread:
         self._connect = connect
         self._pace = pace
         self._pacing = Pacing(self.stop)
+        self._lock = threading.Lock()
         self._asked: Asked | None = None
         self._lent = threading.Event()
         self._let_go = threading.Event()
@@ -65,8 +66,9 @@ class AxisThread:
             )
 
     def ask(self, asked: Asked) -> None:
-        """Run this next; one at a time, which is the desk's to see to."""
-        self._asked = asked
+        """Run this next; one at a time, which is the desk's to see to. A stop before it has begun cancels it."""
+        with self._lock:
+            self._asked = asked
 
     def lend(self) -> None:
         """Let go of the axis, for a job of another thread."""
@@ -91,13 +93,14 @@ class AxisThread:
             try:
                 with self._connect(self._pacing) as connection:
                     self._watch(connection.drive, connection.session)
-                    asked = self._serve(connection)
-                if asked is not None:
-                    self._run_connecting(asked)
-            except StoppedByOperator:
-                self.stop.rearm()  # pressed while it was connecting: nothing was enabled
+                    self._serve(connection)
+                self._run_connecting()
+            except StoppedByOperator:  # pressed while it was connecting or letting go: nothing is enabled
+                self._cancel(Phase.STOPPED)
+                self.stop.rearm()
             except Exception as error:  # noqa: BLE001  whatever it is, the axis gets another chance and people are told
                 self._lose(error)
+        self._cancel(Phase.STOPPED)
         self.board.publish(Live(trouble="closed"))
 
     def _stay_away(self) -> None:
@@ -110,30 +113,44 @@ class AxisThread:
     def _lose(self, error: Exception) -> None:
         """There is no axis any more; a job that was asked for meanwhile will not be run."""
         self.board.publish(Live(trouble=one_line(error)))
-        asked, self._asked = self._asked, None
-        if asked is not None:
-            asked.log.end(Phase.FAILED, error=one_line(error))
+        self._cancel(Phase.FAILED, one_line(error))
         self._closing.wait(RETRY_S)
 
-    def _serve(self, connection: Connection) -> Asked | None:
-        """Until the axis is to be let go: for a job that connects by itself, which is returned, for another thread, or for good."""
+    def _take(self) -> Asked | None:
+        with self._lock:
+            asked, self._asked = self._asked, None
+            return asked
+
+    def _cancel(self, phase: Phase, error: str = "") -> None:
+        """A job that was asked for and has not begun will not be run."""
+        asked = self._take()
+        if asked is not None:
+            for other in asked.lent:
+                other.take_back()
+            asked.log.end(phase, error=error)
+
+    def _serve(self, connection: Connection) -> None:
+        """Until the axis is to be let go: for a job that connects by itself, for another thread, or for good."""
         while not (self._closing.is_set() or self._lent.is_set()):
             try:
-                asked, self._asked = self._asked, None
+                asked = self._asked
                 if asked is not None and asked.job.connects:
-                    return asked
+                    return
                 if asked is not None:
-                    self._run(asked, connection)
+                    self._run(connection)
                     continue
                 self._look(connection)
                 connection.drive.clock.sleep_s(1.0 / RATE_HZ)
             except StoppedByOperator:
                 self._hold(connection.drive)
-        return None
 
     # -- in the thread: jobs -------------------------------------------------------------------------------------------
-    def _run(self, asked: Asked, connection: Connection) -> None:
-        """One job; then the axis is as it was found."""
+    def _run(self, connection: Connection) -> None:
+        """The job that was asked for; then the axis is as it was found."""
+        self.stop.check()
+        asked = self._take()
+        if asked is None:
+            return
 
         def work() -> object:
             with connection.one_job():
@@ -141,8 +158,12 @@ class AxisThread:
 
         self._carry_out(work, asked.log)
 
-    def _run_connecting(self, asked: Asked) -> None:
-        """One job that connects by itself; our axis was let go, the others' are waited for."""
+    def _run_connecting(self) -> None:
+        """The job that was asked for, if it connects by itself: our axis was let go, the others' are waited for."""
+        self.stop.check()
+        asked = self._take() if self._asked is not None and self._asked.job.connects else None
+        if asked is None:
+            return
 
         def work() -> object:
             for other in asked.lent:
@@ -179,7 +200,8 @@ class AxisThread:
             self.stop.rearm()
 
     def _hold(self, drive: ServoDrive) -> None:
-        """The stop was pressed with no job running."""
+        """The stop was pressed with no job running; one that was just asked for is not begun."""
+        self._cancel(Phase.STOPPED)
         with suppress(BridgeError):  # the next look tells what is wrong
             if drive.sample().state is DriveState.ENABLED:
                 drive.quick_stop()

@@ -34,6 +34,7 @@ class Guard:
         self._hosts = frozenset(host.lower() for host in hosts)
         self._token = access_token
         self._form = form
+        self._scheme = "https" if secure else "http"
         self._cookie_flags = "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -58,7 +59,7 @@ class Guard:
         origin = headers.get("origin")
         if origin is None:
             return scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
-        return urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+        return origin.lower() == f"{self._scheme}://{headers.get('host', '').lower()}"
 
     def _admitted(self, headers: dict[str, str]) -> bool:
         if self._token is None:
@@ -107,8 +108,11 @@ def cookies(headers: dict[str, str]) -> dict[str, str]:
 
 
 def _host_name(host: str) -> str:
-    """Without the port."""
-    return (urlsplit(f"//{host}").hostname or "").lower() if host else ""
+    """Without the port; "" for what is no host."""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:
+        return ""
 
 
 async def _body(receive: Receive) -> bytes:

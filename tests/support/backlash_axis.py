@@ -9,6 +9,7 @@ from support.bench_axis import AXIS
 
 import hil.wiring
 from sim_backends.bench import Bench, BenchParameters
+from sim_backends.clock import SimClock
 
 PARAMETERS = {
     "virtual": "",
@@ -61,8 +62,14 @@ def look_behind(monkeypatch: pytest.MonkeyPatch) -> BenchBehind:
     seen = BenchBehind()
 
     class SeenBench(Bench):
-        def __init__(self, parameters: BenchParameters | None = None, *, wait_for_arrival: bool = True) -> None:
-            super().__init__(parameters, wait_for_arrival=wait_for_arrival)
+        def __init__(
+            self,
+            parameters: BenchParameters | None = None,
+            *,
+            wait_for_arrival: bool = True,
+            clock: SimClock | None = None,
+        ) -> None:
+            super().__init__(parameters, wait_for_arrival=wait_for_arrival, clock=clock)
             seen.bench = self
 
     monkeypatch.setattr(hil.wiring, "Bench", SeenBench)
