@@ -1,6 +1,7 @@
 """Measurements of the Keysight (Agilent) E1733A laser software: a `.Lin` file of linear positioning.
 
-The file is text, one field per line: `Identify=<name>,<type>=<value>`. Two are read: `Positions` with `TextUnit=`, the targets and
+The file is text, one field per line: `Identify=<name>,<type>=<value>`, the value with or without quotation marks, after a comma, a
+blank, or on the next line. Two are read: `Positions` with `TextUnit=`, the targets and
 their unit, and `LinearErr` with `TextUnit=`, the errors and theirs, cycle after cycle: the targets forward, then the same targets
 backward. Numbers are separated by blanks, commas, semicolons or tabs; the unit stands at the end. Several lines of one name follow
 each other. Everything else (set-up, environment, the software's own figures) is left alone.
@@ -11,6 +12,7 @@ A comma between numbers or within them is not told apart by the file: what could
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +34,8 @@ LENGTH_MM = {
 }
 
 _COMMA_WITHIN = re.compile(r"\d+,\d+")
-_FIELD = re.compile(r"Identify\s*=\s*([^,=]+?)\s*,\s*([^=]+?)\s*=\s*(.*)$", re.IGNORECASE)
+_FIELD = re.compile(r'Identify\s*=\s*"?(\w+)"?[\s,;]*"?\s*(?:(\w+)\s*=\s*(.*))?$', re.IGNORECASE)
+_VALUE = re.compile(r'"?(\w+)\s*=\s*(.*)$')
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,15 @@ def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
     targets: list[float] = []
     errors: list[float] = []
     last_line = {"positions": 0, "linearerr": 0}
-    for line_number, line in numbered_lines(text.removeprefix("\ufeff")):
-        match = _FIELD.match(line)
-        if match is None or match[1].lower() not in last_line:
+    for line_number, name, kind, value in _fields(text.removeprefix("\ufeff")):
+        if name.lower() not in last_line:
             continue
-        name, kind, value = match[1].lower(), match[2], match[3]
         if kind.lower() != "textunit":
-            raise InputError(f"{match[1]} is given as {kind!r}, expected TextUnit", line=line_number)
-        (targets if name == "positions" else errors).extend(_lengths_mm(value, match[1], line_number, settings.decimal))
-        last_line[name] = line_number
+            raise InputError(f"{name} is given as {kind!r}, expected TextUnit", line=line_number)
+        (targets if name.lower() == "positions" else errors).extend(
+            _lengths_mm(value, name, line_number, settings.decimal)
+        )
+        last_line[name.lower()] = line_number
     for name, values in (("Positions", targets), ("LinearErr", errors)):
         if not values:
             raise InputError(f"holds no field {name} (Identify={name},TextUnit=…): is it a file of linear positioning?")
@@ -74,6 +77,23 @@ def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
             line=last_line["linearerr"],
         )
     return _records(np.array(targets), np.array(errors), per_cycle)
+
+
+def _fields(text: str) -> Iterator[tuple[int, str, str, str]]:
+    """Line, name, type and value of each field; a name whose value is missing has the type ""."""
+    waiting: tuple[int, str] | None = None
+    for line_number, line in numbered_lines(text):
+        if match := _FIELD.match(line):
+            if waiting is not None:
+                yield *waiting, "", ""
+            waiting = None if match[2] else (line_number, match[1])
+            if match[2]:
+                yield line_number, match[1], match[2], match[3]
+        elif waiting is not None and (match := _VALUE.match(line)):
+            yield line_number, waiting[1], match[1], match[2]
+            waiting = None
+    if waiting is not None:
+        yield *waiting, "", ""
 
 
 def _lengths_mm(text: str, name: str, line: int, decimal: str) -> list[float]:

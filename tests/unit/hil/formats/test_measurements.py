@@ -87,6 +87,28 @@ def test_keysight_units_and_refusals() -> None:
             keysight.load(text.replace(*change))
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        "Identify={},TextUnit={}",
+        'Identify={} "TextUnit={}"',
+        "Identify={}\nTextUnit={}",
+        'identify = {} , "TextUnit = {}"',
+    ],
+)
+def test_keysight_fields_in_any_punctuation(form: str) -> None:
+    lines = [
+        form.format("Operator", "somebody"),
+        form.format("Positions", "0 10 mm"),
+        form.format("LinearErr", "1 2 3 4 um"),
+    ]
+    records = keysight.load("\r\n".join(lines))
+    assert records.target_mm.tolist() == [0.0, 10.0, 10.0, 0.0]
+    assert records.error_um == pytest.approx([1, 2, 3, 4])
+    with pytest.raises(InputError, match="Positions is given as '', expected TextUnit"):
+        keysight.load("Identify=Positions\nIdentify=LinearErr,TextUnit=1 um\n")
+
+
 def test_keysight_commas_within_numbers_are_never_taken_for_commas_between_them() -> None:
     """Six targets or three? Read as a list, the fields below would fit together and give six."""
     text = "Identify=Positions,TextUnit=0,1 10,5 20,7 mm\nIdentify=LinearErr,TextUnit=1,5 2,5 3,5 3,6 2,6 1,6 um\n"
