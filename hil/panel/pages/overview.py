@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from hil.desk.left_over import LeftOver, left_over
 from hil.desk.live import Live
 from hil.panel.plots import LivePlot
 from hil.panel.view import View
+
+LOOK_S = 2.0
+"""Between two looks into the axis's folder."""
 
 
 def draw(view: View) -> None:
     """Put the page on the screen."""
     t = view.t
+    _draw_left_over(view)
     with ui.element("div").classes("hil-grid"):
         with view.card("overview.drive"):
             state = view.value("overview.state", small=True)
@@ -61,6 +66,26 @@ def draw(view: View) -> None:
             plot.refresh()
 
     view.every(refresh)
+
+
+def _draw_left_over(view: View) -> None:
+    """What an interruption left behind, each with the way to where it is put in order."""
+    notes = view.named(ui.column().classes("gap-1"), "overview.left_over")
+    shown: list[tuple[LeftOver, ...]] = [()]
+
+    def refresh() -> None:
+        job = view.desk.job()
+        found = () if job is not None and job.running else left_over(view.desk.axis)
+        if found == shown[0]:
+            return
+        shown[0] = found
+        notes.clear()
+        with notes:
+            for one in found:
+                text = view.t(f"overview.left.{one.kind}", place=one.place)
+                ui.link(text, f"/axis/{view.desk.name}/{one.page}").classes("hil-note")
+
+    view.every(refresh, LOOK_S)
 
 
 def _state(view: View, live: Live) -> str:

@@ -37,7 +37,16 @@ def test_every_key_a_page_names_is_there() -> None:
         for call in calls(path):
             called = ast.unparse(call.func)
             if re.fullmatch(r"(view\.|self\.)?(t|value|button|card)", called) and call.args:
-                keys = [node.value for node in ast.walk(call.args[0]) if isinstance(node, ast.Constant)]
+                begun = {
+                    id(part)
+                    for node in ast.walk(call.args[0])
+                    if isinstance(node, ast.JoinedStr)
+                    for part in node.values
+                }
+                nodes = [
+                    node for node in ast.walk(call.args[0]) if isinstance(node, ast.Constant) and id(node) not in begun
+                ]
+                keys = [node.value for node in nodes]
                 dotted = [key for key in keys if isinstance(key, str) and re.fullmatch(r"\w+\.[\w.]*\w", key)]
                 assert [key for key in dotted if key not in known] == [], path.name
 
