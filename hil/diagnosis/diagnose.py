@@ -24,7 +24,7 @@ from hil.diagnosis.held_out import ONCE, HeldOut, earns_its_place, held_out
 from hil.diagnosis.judge import SURE
 from hil.diagnosis.leaning import leaning
 from hil.diagnosis.offer import offered
-from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
+from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.select import structure_rms
 from hil.diagnosis.thin import AllRows
 from hil.effects import ALL, Effect, Estimate, Term
@@ -37,8 +37,6 @@ Floats = NDArray[np.float64]
 TEMPERATURE = 2.0
 """Log odds between effects are divided by this before they become confidences: no form is exactly right."""
 LEAST_CONFIDENCE = 0.02
-OUTSIDE = "unexplained"
-"""Stands among the rivals for a dependence on other columns that no effect of the catalogue has."""
 
 
 def diagnose(
@@ -68,9 +66,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     findings = tuple(finding for finding in found if not is_faint(finding, floor))
     if faint:
         chosen = without(chosen, {finding.effect for finding in faint})
-    doubtful = {
-        f.effect: f.term for f in findings if any(r.effect == OUTSIDE and r.confidence > f.confidence for r in f.rivals)
-    }
+    doubtful = {finding.effect: finding.term for finding in findings if finding.doubtful}
     unexplained = unexplained or bool(doubtful)
     structures = carried(chosen.last.searcher, chosen.hits, chosen.kept, noise) if unexplained else ()
     suspected = None if dropped or faint or unexplained else leaning(problem, chosen)

@@ -57,7 +57,7 @@ def _reason(diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldO
     if not diagnosis.unexplained:
         return "nothing is left unexplained"
     if not structures:
-        doubted = [finding.effect for finding in diagnosis.findings if finding.rivals]
+        doubted = [finding.effect for finding in diagnosis.findings if finding.doubtful]
         if doubted:
             return f"what is left is corrected already as {' and '.join(doubted)}, whose name is in doubt"
         return "what is left hangs together from row to row and follows no column"

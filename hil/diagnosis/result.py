@@ -18,6 +18,10 @@ from hil.model import Model
 Floats = NDArray[np.float64]
 
 
+OUTSIDE = "unexplained"
+"""Stands among the rivals for a dependence on other columns that no effect of the catalogue has."""
+
+
 @dataclass(frozen=True)
 class RivalFound:
     """An effect that explains the same almost as well: its share of the weight, and what would tell them apart."""
@@ -44,6 +48,11 @@ class Finding:
     @property
     def effect(self) -> str:
         return self.term.effect.id
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a cause outside the catalogue explains it better."""
+        return any(rival.effect == OUTSIDE and rival.confidence > self.confidence for rival in self.rivals)
 
     @property
     def action(self) -> Action:
