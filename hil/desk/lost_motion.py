@@ -13,13 +13,14 @@ from hil.desk.progress import Phase, Progress
 from hil.jobs import circle, lost_motion
 from hil.jobs.circle import DrivenCircle
 from hil.jobs.lost_motion import MeasuredLostMotion
+from hil.lost_motion.at_load import load_mm
 from hil.lost_motion.circle import ring_of
 from hil.lost_motion.estimate import Estimate
 from hil.procedures.lost_motion import Proof
-from hil.records import Floats
+from hil.records import UM_PER_MM, Floats
 
 Points = list[tuple[float, float]]
-FIT_POINTS = 160
+FIT_POINTS, BEGINNING = 160, 3.0
 MOST_POINTS = 1500
 """Of one circle; more would not be seen."""
 
@@ -67,30 +68,29 @@ class Fitted:
 
 @dataclass(frozen=True)
 class RiseCurves:
-    """measured: by the direction after the reversal; lost motion, µm, over the load's travel since it, mm or µm"""
+    """measured: by the direction after the reversal; how far the load has fallen behind, µm, over the motor's travel since it, mm or
+    µm"""
 
     measured: Mapping[int, Points]
     fitted: Sequence[Fitted]
 
 
-def rise_curves(estimate: Estimate, reach_mm: float | None = None, *, per_mm: float = 1.0) -> RiseCurves:
-    """Up to a travel (None: all of it), which is stated as `per_mm` times the mm."""
-    rows = [(one.direction, *one.by_load().rise) for one in estimate.reversals]
-    end_mm = max(float(travel.max()) for _, travel, _ in rows)
-    end_mm = end_mm if reach_mm is None else min(end_mm, reach_mm)
+def rise_curves(estimate: Estimate, *, beginning: bool = False) -> RiseCurves:
+    """All of the travel in mm, or its beginning in µm: some `BEGINNING` times the lost motion."""
+    end_mm, per_mm = max(float(one.travel_mm.max()) for one in estimate.reversals), 1.0
+    if beginning:
+        end_mm, per_mm = min(end_mm, BEGINNING * estimate.amount_um / UM_PER_MM), UM_PER_MM
     measured: dict[int, Points] = {1: [], -1: []}
-    for direction, travel_mm, risen_um in rows:
+    for one in estimate.reversals:
+        travel_mm, risen_um = one.rise
         inside = travel_mm <= end_mm
-        measured[direction] += _points(per_mm * travel_mm[inside], risen_um[inside])
-    along_mm = np.linspace(0.0, end_mm, FIT_POINTS)
-    fitted = [
-        Fitted(
-            one.fitted.shape.name,
-            one.fitted.rise is estimate.rise,
-            _points(per_mm * along_mm, one.fitted.rise.along_um(along_mm)),
-        )
-        for one in estimate.contenders
-    ]
+        measured[one.direction] += _points(per_mm * travel_mm[inside], risen_um[inside])
+    motor_mm = np.linspace(0.0, end_mm, FIT_POINTS)
+    fitted = []
+    for contender in estimate.contenders:
+        rise = contender.fitted.rise
+        behind_um = UM_PER_MM * (motor_mm - load_mm(rise, motor_mm))
+        fitted.append(Fitted(rise.shape.name, rise is estimate.rise, _points(per_mm * motor_mm, behind_um)))
     return RiseCurves(measured, fitted)
 
 

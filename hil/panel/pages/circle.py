@@ -42,7 +42,7 @@ def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Ref
     """With which axis, how large, how fast, which way round."""
     t = view.t
     messages = view.messages("circle.messages")
-    with ui.row().classes("items-end"):
+    with ui.row().classes("items-end hil-fields"):
         other = view.named(ui.select(list(others), label=t("circle.other"), value=next(iter(others))), "circle.other")
         radius = view.named(ui.number(t("circle.radius"), value=RADIUS_MM, min=0.1, max=500.0), "circle.radius")
         feed = view.named(ui.number(t("circle.feed"), value=FEED_MM_MIN, min=1.0, max=10000.0), "circle.feed")
@@ -72,9 +72,10 @@ def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Ref
 
 
 def _draw_polar(view: View) -> Refresh:
-    with ui.element("div"):
+    with ui.element("div") as box:
         drawing = Drawing(view, "circle.polar")
         ring = view.named(ui.label().classes("hil-name"), "circle.ring")
+    box.set_visibility(False)
     latest = Latest()
 
     def refresh() -> None:
@@ -82,6 +83,7 @@ def _draw_polar(view: View) -> Refresh:
         if driven is None or not latest.is_new(driven):
             return
         shown, t = circle_curves(driven), view.t
+        box.set_visibility(True)
         names = [t(f"circle.{name}") for name in shown.traces]
         drawing.show(driven, lambda: around_a_circle(view, shown, names, t("circle.commanded")))
         ring.set_text(t("circle.ring", ring=t.number(shown.ring_um, 2)))

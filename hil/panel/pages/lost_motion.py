@@ -17,9 +17,9 @@ from hil.panel.plots import JobPlot
 from hil.panel.tables import Table
 from hil.panel.view import View
 from hil.procedures.lost_motion import rms
+from hil.records import UM_PER_MM
 
 Refresh = Callable[[], None]
-BEGINNING_MM, UM_PER_MM = 0.05, 1000.0
 
 
 def draw(view: View) -> None:
@@ -145,16 +145,16 @@ def _draw_plots(view: View) -> Refresh:
         live.refresh()
         measured = lost_motion_screen(view.desk).measured
         if measured is not None:
-            rise.show(measured, lambda: _rise(view, measured, None))
-            beginning.show(measured, lambda: _rise(view, measured, BEGINNING_MM))
+            rise.show(measured, lambda: _rise(view, measured, beginning=False))
+            beginning.show(measured, lambda: _rise(view, measured, beginning=True))
             moves.show(measured, lambda: _moves(view, measured))
 
     return refresh
 
 
-def _rise(view: View, measured: MeasuredLostMotion, reach_mm: float | None) -> Options:
+def _rise(view: View, measured: MeasuredLostMotion, *, beginning: bool) -> Options:
     t = view.t
-    drawn = rise_curves(measured.result.estimate, reach_mm, per_mm=1.0 if reach_mm is None else UM_PER_MM)
+    drawn = rise_curves(measured.result.estimate, beginning=beginning)
     marks = {1: (5, False), -1: (1, True)}
     points = [
         Curve(
@@ -164,7 +164,7 @@ def _rise(view: View, measured: MeasuredLostMotion, reach_mm: float | None) -> O
         if (found := drawn.measured[way])
     ]
     fits = [Curve(_shape(view, one.name), one.points, 2, faint=not one.in_force) for one in drawn.fitted]
-    x = t("lost_motion.travel_mm" if reach_mm is None else "lost_motion.travel_um")
+    x = t("lost_motion.travel_um" if beginning else "lost_motion.travel_mm")
     return curves(view, x, t("lost_motion.lost_y"), [*points, *fits])
 
 
@@ -209,8 +209,9 @@ def _draw_fits(view: View) -> Refresh:
         )
         parameters.show(
             [
-                [t(f"lost_motion.parameter.{name}"), t.number(each.value, 4), f"± {t.number(each.std, 4)}"]
+                [t(f"lost_motion.parameter.{name}"), t.number(per * each.value, 2), f"± {t.number(per * each.std, 2)}"]
                 for name, each in found.parameters.items()
+                for per in [UM_PER_MM if name.endswith("_mm") else 1.0]
             ]
         )
 

@@ -1,0 +1,119 @@
+"""`hil panel` as a process, and a headless Chromium that looks at it."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+WHY_NOT = "" if CHROMIUM and DRIVER else "needs Debian's chromium and chromium-driver"
+PATIENCE_S = 30.0
+_OPTIONS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1600,1400")
+
+
+@contextmanager
+def served(*arguments: str | Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Its address, and the process; ended as by Ctrl-C."""
+    command = [sys.executable, "-m", "hil.cli", "panel", *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline().strip(), process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.wait(PATIENCE_S)
+    if process.returncode != -signal.SIGKILL:
+        assert process.returncode == 0
+
+
+class Person:
+    """Somebody at a browser of his own; elements by their names."""
+
+    def __init__(self, driver: webdriver.Chrome) -> None:
+        self.driver = driver
+
+    def goes_to(self, address: str) -> None:
+        self.driver.get(address)
+
+    def finds(self, name: str) -> WebElement:
+        return self.driver.find_element(By.CSS_SELECTOR, f'[data-name="{name}"]')
+
+    def reads(self, name: str) -> str:
+        """The text of an element that is there; "" for one that is hidden."""
+        return self.finds(name).text
+
+    def clicks(self, name: str) -> None:
+        self.waits(lambda: self.finds(name).is_enabled() and self.finds(name).is_displayed(), f"{name} can be clicked")
+        self.finds(name).click()
+
+    def types(self, name: str, text: str) -> None:
+        field = self.finds(name)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text)
+
+    def presses(self, key: str) -> None:
+        self.driver.find_element(By.TAG_NAME, "body").send_keys(key)
+
+    def waits(self, condition: Callable[[], Any], what: str) -> None:
+        WebDriverWait(self.driver, PATIENCE_S, poll_frequency=0.05, ignored_exceptions=[Exception]).until(
+            lambda _driver: condition(), f"not within {PATIENCE_S:g} s: {what}"
+        )
+
+    def waits_to_read(self, name: str, text: str) -> None:
+        self.waits(lambda: self.reads(name) == text, f"{name} says {text!r}")
+
+    def waits_for_a_figure(self, name: str) -> float:
+        """Of an element that shows one, once it does."""
+        self.waits(lambda: figure(self.reads(name)) is not None, f"{name} shows a figure")
+        found = figure(self.reads(name))
+        assert found is not None
+        return found
+
+    def becomes_builder(self, key: str, reading: str = "") -> None:
+        self.clicks("role.become_builder")
+        self.waits(lambda: self.finds("role.key_password").is_displayed(), "the passwords are asked for")
+        self.finds("role.key_password").send_keys(key)
+        self.finds("role.reading_password").send_keys(reading)
+        self.clicks("role.yes")
+
+    def agrees(self) -> list[str]:
+        """To the one question that is asked; its lines."""
+        self.waits(lambda: self.finds("question.yes").is_displayed(), "a question is asked")
+        lines = [one.text for one in self.driver.find_elements(By.CSS_SELECTOR, '[data-name="question.line"]')]
+        self.clicks("question.yes")
+        return lines
+
+
+def figure(text: str) -> float | None:
+    """The number that an element shows, in English."""
+    try:
+        return float(text.replace("−", "-"))
+    except ValueError:
+        return None
+
+
+@contextmanager
+def browser() -> Iterator[Person]:
+    """A headless Chromium with a profile of its own."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM or ""
+    for option in _OPTIONS:
+        options.add_argument(option)
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        yield Person(driver)
+    finally:
+        driver.quit()
