@@ -16,6 +16,7 @@ slope; with three feeds or more a bend of the line shows it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,7 @@ DELAY = "delay_s"
 """Column of rows that were captured at an edge: from the edge to the arrival of the reading that belongs to it."""
 SPREAD_OF_FEEDS = 1.5
 """The fastest feed must be so much faster than the slowest: else a slope and an intercept are one thing."""
+FEWEST_PAIRS = 3
 LOOKS_S = 2e-6
 """No closer is an arrival looked for; it is the same for all passes and does not show in their scatter."""
 _GRID = 50
@@ -68,26 +70,36 @@ class Latency:
     lag_within_s: float = math.nan
     straight: bool | None = None
 
+    def to_json(self) -> dict[str, float | bool]:
+        """As plain values; what is not known is left out."""
+        known = {name: value for name, value in vars(self).items() if value is not None}
+        return {name: value for name, value in known.items() if not math.isnan(value)}
+
     def describe(self) -> str:
         """One line for the head of the rows and for a report."""
-        text = f"latency {1e3 * self.latency_s:.3f} ± {1e3 * self.within_s:.3f} ms (95 %)"
+        text = f"latency {1e3 * self.latency_s + 0.0:.3f} ± {1e3 * self.within_s:.3f} ms (95 %)"
         if self.at_edges:
             lag = f"{1e3 * self.lag_s:.3f} ± {1e3 * self.lag_within_s:.3f} ms"
             return f"{text}, by edges that drive and instrument share; the table is {lag} behind its motor"
         return f"{text}, by passes up and down; a lag of the table behind its motor would be in it"
 
 
+def check_feeds(feeds: Sequence[float]) -> None:
+    """Raises InputError for pairs of passes at these feeds (mm/s) that nothing can be told from."""
+    if len(feeds) < FEWEST_PAIRS or max(feeds) < SPREAD_OF_FEEDS * min(feeds):
+        raise InputError(
+            f"{len(feeds)} pairs of passes at {', '.join(f'{feed:g}' for feed in sorted(set(feeds)))} mm/s cannot tell a latency"
+            f" from lost motion; expected {FEWEST_PAIRS} or more, with feeds a factor {SPREAD_OF_FEEDS:g} apart"
+        )
+
+
 def time_shift(records: Records) -> TimeShift:
     """From rows in motion with the drive's own position (`motor_mm`), passes up and down over the same stretch at each feed.
 
-    Raises InputError without two feeds that differ enough, or without three pairs of passes: then nothing can be told.
+    Raises InputError as `check_feeds`.
     """
     feeds, halves = _half_differences(records)
-    if len(halves) < 3 or max(feeds) < SPREAD_OF_FEEDS * min(feeds):
-        raise InputError(
-            f"{len(halves)} pairs of passes at {', '.join(f'{feed:g}' for feed in sorted(set(feeds)))} mm/s cannot tell a latency"
-            f" from lost motion; expected three or more, with feeds a factor {SPREAD_OF_FEEDS:g} apart"
-        )
+    check_feeds(feeds)
     feed, half = np.array(feeds), np.array(halves)
     rows = np.column_stack([np.ones_like(feed), feed])
     line, std = _fit(rows, half)

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
+from typing import Any
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run
 from hil.cli.effects_input import add_effects_option, read_effects
+from hil.cli.motion_options import add_in_motion_options, feeds, passes_of
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
 from hil.cli.summary import print_findings, print_stages
 from hil.diagnosis.planned_run import PlannedRun
 from hil.files import replace_file
 from hil.jobs.close_loop import loop_is_good, loop_stages, run_loop
-from hil.procedures.close_loop import MOST_RUNS, Consent, Turn, Turning
+from hil.procedures.close_loop import MOST_RUNS, Consent, Loop, Turn, Turning
 from hil.procedures.conditions import AskedConditions, Conditions
 from hil.procedures.explore import Exploration
-from hil.procedures.in_motion import InMotion
 from hil.procedures.measure import bidirectional_steps
 from hil.procedures.next_run import runs_of
 from hil.procedures.plans import read_plan
@@ -35,7 +35,8 @@ example:
 
 Where two causes could have made what is left, the measurement that tells them apart best for its time is made next: by itself
 where the axis can, after asking where somebody has to lend a hand. With --feeds, a second turn is made in motion, for what cannot
-be seen at rest; the drive must take set-points in its cycle. Exit status 1: structure is left that nothing in the
+be seen at rest; the drive must take set-points in its cycle. Where the axis file does not state the instrument's latency
+(latency_s), it is measured before. Exit status 1: structure is left that nothing in the
 catalogue explains, a measurement is waiting for a person, or the axis came out no better.
 """
 
@@ -71,33 +72,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _add_in_motion(parser: argparse.ArgumentParser) -> None:
-    usual = InMotion(())
-    parser.add_argument(
-        "--feeds", metavar="MM_S", type=_feeds, help="then passes at these feeds, e.g. 20,60,110 (mm/s)"
-    )
-    parser.add_argument(
-        "--stretch",
-        metavar="MM",
-        type=float,
-        default=usual.stretch_mm,
-        help=f"of constant velocity in each pass (default {usual.stretch_mm:g})",
-    )
-    parser.add_argument(
-        "--period",
-        metavar="S",
-        type=float,
-        default=usual.period_s,
-        help=f"of the set-points in motion (default {usual.period_s:g})",
-    )
-
-
-def _feeds(text: str) -> tuple[float, ...]:
-    feeds = tuple(float(part) for part in text.split(","))
-    if len(set(feeds)) < 2 or not all(0 < feed < math.inf for feed in feeds):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}, expected at least two different feeds above 0 mm/s, e.g. 20,60,110"
-        )
-    return feeds
+    parser.add_argument("--feeds", metavar="MM_S", type=feeds, help="then passes at these feeds, e.g. 20,60,110 (mm/s)")
+    add_in_motion_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -113,7 +89,10 @@ def run(args: argparse.Namespace) -> int:
             if plan
             else (f"{args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each")
         )
-        passes = f"; then twice passes at {', '.join(f'{feed:g}' for feed in args.feeds)} mm/s" if args.feeds else ""
+        late = "" if axis.instrument.latency_s is not None else "passes for the instrument's latency, then "
+        passes = (
+            f"; then {late}twice passes at {', '.join(f'{feed:g}' for feed in args.feeds)} mm/s" if args.feeds else ""
+        )
         print(
             f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart{passes}"
         )
@@ -122,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     how = Exploration(args.runs, args.rows, args.warm_up)
     in_motion = None
     if args.feeds:
-        in_motion = InMotion(args.feeds, stretch_mm=args.stretch, period_s=args.period)
+        in_motion = passes_of(args, args.feeds, axis.instrument)
     turning = Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion)
     with (
         blaming(effects),
@@ -136,6 +115,8 @@ def run(args: argparse.Namespace) -> int:
     print_runs(loop.turn)
     if loop.in_motion is not None:
         print("in motion:")
+        if loop.in_motion.latency is not None:
+            print(loop.in_motion.latency.describe())
         print_findings(loop.in_motion.diagnosis)
     if args.report:
         from hil.jobs.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
@@ -151,10 +132,16 @@ def run(args: argparse.Namespace) -> int:
                 "diagnosis": loop.turn.diagnosis.to_json() if loop.turn.follow is None else loop.turn.follow.to_json(),
                 "further": [run.describe() for run in loop.turn.further],
                 "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
+                "latency": _measured_latency(loop),
                 "good": good,
             },
         )
     return 0 if good else 1
+
+
+def _measured_latency(loop: Loop) -> dict[str, Any] | None:
+    turn = loop.in_motion
+    return None if turn is None or turn.latency is None else turn.latency.to_json()
 
 
 def _asked(axis: AxisConfig) -> Conditions | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from drivers.errors import InputError
@@ -11,19 +13,25 @@ from drivers.modbus.codec import Layout
 from hil.alignment import Alignment
 from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import add_axis_arguments
+from hil.cli.motion_options import add_in_motion_options, feeds, passes_of
 from hil.cli.output import print_table, write_json
+from hil.cli.progress import terminal_progress
+from hil.journal import Campaign
 from hil.procedures.doctor import PROOF_TRAVEL_MM, Check, doctor
-from hil.wiring import connected, connected_registers
+from hil.procedures.latency import ENOUGH_S, measure_latency
+from hil.wiring import Machine, connected, connected_registers
 
 EXAMPLE = """\
 example:
   hil doctor X.toml
   hil doctor X.toml --no-move                look only, move nothing
+  hil doctor X.toml --latency 20,110         passes up and down at these feeds: how late the instrument's readings are
   hil doctor X.toml --probe-order position=120345 --tolerance 50
                                              which type, word and byte order show what the drive's own display shows (Modbus)
 
 What the drive says of its units (608Fh, 6091h, 6092h, 60A8h, or by its register map) is compared with the axis file before anything
-moves; a small move against the instrument proves them. Exit status 1: a check failed.
+moves; a small move against the instrument proves them. Passes in motion cannot tell a late reading from a table that trails its motor
+by a time; an edge that drive and instrument share ([instrument] trigger_input) can. Exit status 1: a check failed.
 """
 
 
@@ -43,6 +51,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="tell what the drive says of its units, but hold the axis file for right",
     )
     parser.add_argument(
+        "--latency",
+        metavar="MM_S",
+        type=feeds,
+        help="when all is good, also measure the instrument's latency, e.g. 20,110 (mm/s)",
+    )
+    add_in_motion_options(parser)
+    parser.add_argument(
         "--probe-order",
         metavar="REG=VALUE",
         help="look for a known value in and around a register; nothing else is done",
@@ -60,10 +75,14 @@ def run(args: argparse.Namespace) -> int:
         return _probe_order(args, axis)
     if args.dry_run:
         what = "move nothing" if args.no_move else f"enable it and move it by up to {2 * PROOF_TRAVEL_MM:g} mm and back"
+        if args.latency:
+            what += f"; then make passes of {args.stretch:g} mm and their ramps at {_listed(args.latency)} mm/s over its targets"
         print(f"axis {axis.name} over {axis.drive.backend}: would read drive and instrument, and {what}")
         return 0
     with connected(axis) as machine:
         checks = doctor(machine.session, move=not args.no_move, trust_file=args.trust_file)
+        if args.latency and not args.no_move and all(check.good for check in checks):
+            checks.append(_latency(args, machine))
     if (beam := axis.instrument.alignment) is not None:
         checks.append(beam_check(beam))
     rows = [[check.name, "good" if check.good else "NOT GOOD", check.detail] for check in checks]
@@ -72,6 +91,28 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"axis": axis.name, "good": good, "checks": [vars(check) for check in checks]})
     return 0 if good else 1
+
+
+def _latency(args: argparse.Namespace, machine: Machine) -> Check:
+    """Measured, and held against the axis file where that states one. The rows are kept as a campaign."""
+    axis, stated_s = machine.axis, machine.axis.instrument.latency_s
+    how = replace(passes_of(args, args.latency, axis.instrument), latency_s=None)
+    purpose = {**axis.purpose("latency"), "in_motion": {**vars(how), "feeds_mm_s": list(args.latency)}}
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=False)
+    with terminal_progress() as listener:
+        machine.session.prepare()
+        found = measure_latency(machine.session, campaign, how, listener)
+    detail = found.describe()
+    if found.straight is False:
+        detail += "; not in proportion to the feed, so something else rises with it"
+    if stated_s is None:
+        return Check("latency", True, f"{detail}; for the axis file: latency_s = {round(found.latency_s, 6) + 0.0:g}")
+    good = abs(found.latency_s - stated_s) <= found.within_s + ENOUGH_S
+    return Check("latency", good, f"{detail}; the axis file has {1e3 * stated_s:g} ms")
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
 
 
 def beam_check(beam: Alignment) -> Check:

@@ -24,12 +24,14 @@ from hil.diagnosis.hypotheses import joined
 from hil.diagnosis.planned_run import PlannedRun
 from hil.effects import ALL, Effect
 from hil.journal import Campaign
+from hil.latency import Latency
 from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.computing import Computing, at_once
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.explore import Exploration, Run, explore, plan_runs
 from hil.procedures.extend import compensation_of, issuable, model_of
 from hil.procedures.in_motion import InMotion, check_passes, measure_in_motion, plan_passes
+from hil.procedures.latency import dated
 from hil.procedures.next_run import means_of, measure_run
 from hil.procedures.session import AxisSession
 from hil.records import Records
@@ -70,7 +72,7 @@ class Turn:
     before: explored with the old compensation in force; after: explored anew with the extended one
     diagnosed: the rows that the diagnosis is of, those before and those of the further runs
     further: runs that were made to tell causes apart; follow: the last diagnosis with the rivals left and what would separate
-    them, None where rivals were not looked into
+    them, None where rivals were not looked into; latency: of the instrument, where it was measured for this turn
     """
 
     before: Records
@@ -80,6 +82,7 @@ class Turn:
     diagnosed: Records
     further: tuple[PlannedRun, ...] = ()
     follow: FollowUp | None = None
+    latency: Latency | None = None
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,7 @@ def turn_in_motion(
     compensation = session.compensation
     if compensation is None:
         raise InputError("no compensation is in force; expected that of a calibration")
+    how, latency = dated(session, campaign, how, listener)
     passes = [plan_passes(session, how, seed) for seed in (1, 2)]
     before = measure_in_motion(session, campaign, "motion-before", passes[0], how=how, listener=listener)
     listener(Event("diagnose"))
@@ -173,7 +177,7 @@ def turn_in_motion(
         store(extended)
     session.compensation = extended
     after = measure_in_motion(session, campaign, "motion-after", passes[1], how=how, listener=listener)
-    return Turn(before, diagnosis, extended, after, rows)
+    return Turn(before, diagnosis, extended, after, rows, latency=latency)
 
 
 def _decide(

@@ -19,7 +19,7 @@ from drivers.errors import InputError
 from drivers.instrument import Reading
 from drivers.set_points import SetPointSettings, SetPointStream
 from hil.journal import Campaign
-from hil.latency import DELAY
+from hil.latency import DELAY, check_feeds
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.measure import BASE_COLUMNS
 from hil.procedures.sample_times import Dates, dates_of
@@ -33,8 +33,9 @@ class InMotion:
     """How passes are made.
 
     feeds_mm_s: at each, up and down in every run; stretch_mm: of constant velocity; rows: kept of each pass, evenly;
-    latency_s: of the instrument, see `hil.latency`, dated_by: how it is known; trigger_input: of the drive, captures at the edges that
-    come there with the instrument's samples, None: on the fly; lag_mm: how far the axis may be behind its set-point
+    latency_s: of the instrument, see `hil.latency`, None: unknown yet; dated_by: how it is known; lag_mm: how far the axis may be
+    behind its set-point; trigger_input: of the drive, captures at the edges that come there with the instrument's samples, None: on
+    the fly
     """
 
     feeds_mm_s: tuple[float, ...]
@@ -43,7 +44,7 @@ class InMotion:
     stretch_mm: float = 80.0
     acceleration_mm_s2: float = 400.0
     period_s: float = 0.002
-    latency_s: float = 0.0
+    latency_s: float | None = 0.0
     dated_by: str = ""
     trigger_input: int | None = None
     lag_mm: float = 2.0
@@ -66,6 +67,8 @@ class Pass:
 def check_passes(session: AxisSession, how: InMotion) -> None:
     """Raises CapabilityError or InputError, before anything moves, for passes that this axis cannot make."""
     session.drive.require(Capability.STREAMING, *([] if how.trigger_input is None else [Capability.TOUCH_PROBE]))
+    if how.latency_s is None:
+        check_feeds(how.feeds_mm_s * how.runs)
     plan_passes(session, how, 0)
 
 
@@ -150,11 +153,12 @@ def measure_in_motion(
     edges = None if how.trigger_input is None else EdgeWatch(session, how.trigger_input)
     beside = sorted(column for column in session.known() if column not in BASE_COLUMNS)
     columns = (*BASE_COLUMNS, *beside, *([] if edges is None else [DELAY]))
-    times = dates_of(session, how.latency_s)
+    latency_s = how.latency_s or 0.0
+    times = dates_of(session, latency_s)
     with campaign.rows(name, columns) as journal:
         done = _passes_done(journal.records(), passes)
-        if not done and (how.dated_by or how.latency_s):
-            journal.note(f"dated by {how.dated_by or f'a latency of {1e3 * how.latency_s:g} ms'}")
+        if not done and (how.dated_by or latency_s):
+            journal.note(f"dated by {how.dated_by or f'a latency of {1e3 * latency_s:g} ms'}")
         listener(Event(name, done=done, total=len(passes)))
         for number, this in enumerate(passes[done:], start=done + 1):
             for row in _measure_pass(session, _Trace(times, session, edges), this, how):

@@ -40,8 +40,18 @@ def measure_latency(session: AxisSession, campaign: Campaign, how: InMotion, lis
         session.compensation = compensation
 
 
+def dated(
+    session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener = silent
+) -> tuple[InMotion, Latency | None]:
+    """Passes on the fly whose samples are dated by a latency: the one that is known, or else measured now, as `measure_latency`."""
+    if how.latency_s is not None:
+        return replace(how, trigger_input=None), None
+    latency = measure_latency(session, campaign, how, listener)
+    return replace(how, latency_s=latency.latency_s, dated_by=latency.describe(), trigger_input=None), latency
+
+
 def _by_passes(session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener) -> Latency:
-    latency_s = how.latency_s
+    latency_s = how.latency_s or 0.0
     for number in range(1, MOST_ROUNDS + 1):
         passes = _both_ways_first(plan_passes(session, how, number))
         dated = replace(how, latency_s=latency_s)

@@ -81,6 +81,28 @@ def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path:
     assert abs(lag_at_table_um(after)) <= 0.1 * HIDDEN_UM
 
 
+@pytest.mark.slow
+def test_the_loop_measures_a_latency_that_nobody_stated_and_does_not_correct_the_axis_for_it(tmp_path: Path) -> None:
+    path, bench = machine_of(tmp_path)
+    axis = load_axis(path)
+    late = replace(bench, laser=replace(bench.laser, latency_s=0.02))
+    with connected(axis, late) as machine:
+        machine.session.prepare()
+        campaign = Campaign(tmp_path / "motion", {}, resume=False)
+        calibration = calibrate(machine.session, campaign, axis.correction, lambda tables: None)
+        machine.session.compensation = Compensation(calibration.tables)
+        how = replace(HOW, feeds_mm_s=(20.0, 110.0), latency_s=None)
+        turn = turn_in_motion(machine.session, campaign, how, lambda compensation: None)
+    assert turn.latency is not None
+    print(
+        f"{turn.latency.describe()}; trailing {lag_at_table_um(turn.before):.2f} µm, then {lag_at_table_um(turn.after):.2f}"
+    )
+    assert abs(turn.latency.latency_s - 0.02) <= turn.latency.within_s < 2e-5
+    assert 0.0 < -lag_at_table_um(turn.before) < 300.0, "what is left is the servo's lag: 20 ms would be 2000 µm"
+    assert abs(lag_at_table_um(turn.after)) < 2.0
+    assert "# dated by latency 20.0" in (tmp_path / "motion" / "motion-after.csv").read_text()
+
+
 def rms_um(records: Records) -> float:
     return float(np.sqrt(np.mean(records.error_um**2)))
 

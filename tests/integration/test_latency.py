@@ -5,6 +5,7 @@ The truth is in `sim_backends`: a queue before the terminal, and the plant; the 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ import pytest
 from support import bench_axis
 
 from hil.axis import load_axis
+from hil.cli.main import main
 from hil.journal import Campaign
 from hil.latency import Latency
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
@@ -161,3 +163,25 @@ def test_an_uneven_link_on_the_fly_is_as_uncertain_as_is_said(tmp_path: Path, ji
         latency = measure_latency(bench.session, Campaign(tmp_path / "rows", {}, resume=False), replace(HOW, runs=4))
     print(latency.describe())
     assert abs(latency.latency_s - 0.02 - jitter_s / 2) <= latency.within_s <= within_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stated_s", "status"), [(None, 0), (0.01, 1)])
+def test_doctor_measures_it_or_holds_what_is_stated_against_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stated_s: float | None, status: int
+) -> None:
+    path = bench_axis.lay_out(tmp_path, machine="ideal")
+    stated = "" if stated_s is None else f"latency_s = {stated_s}"
+    text = path.read_text().replace("[drive]", '[drive]\nface = "virtual"').replace(UMD, f"{UMD}\n{stated}")
+    path.write_text(text.replace("last_mm = 260.0", "last_mm = 480.0"))
+    asked = ["doctor", str(path), "--latency", "30,110", "--stretch", "60", "--period", "0.008"]
+    assert main([*asked, "--json", str(tmp_path / "d.json")]) == status
+    (check,) = [
+        check for check in json.loads((tmp_path / "d.json").read_text())["checks"] if check["name"] == "latency"
+    ]
+    assert check["good"] == (status == 0)
+    assert ("for the axis file" in check["detail"]) == (stated_s is None)
+    assert "a lag of the table behind its motor would be in it" in check["detail"]
+    capsys.readouterr()
+    assert main(["doctor", str(path), "--latency", "60,70"]) == 2
+    assert "cannot tell a latency from lost motion" in capsys.readouterr().err
