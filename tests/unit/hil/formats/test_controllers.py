@@ -205,9 +205,13 @@ def test_sinumerik_cec_on_equal_sections_loses_only_digits(tables: TableSet, dir
 
 
 @MANY
-@given(table_sets(equidistant=True, constant_backlash=True))
-def test_sinumerik_eec_round_trip(tables: TableSet) -> None:
-    made = sinumerik.export(tables, SinumerikSettings(table="eec", allow_shift=True, tolerance_um=0.05))
+@given(table_sets(equidistant=True, constant_backlash=True), st.sampled_from([1, -1]))
+def test_sinumerik_eec_round_trip(tables: TableSet, towards: int) -> None:
+    reference_mm = float(tables.pitch.position_mm[0])
+    chosen = SinumerikSettings(table="eec", allow_shift=True, tolerance_um=0.05)
+    made = sinumerik.export(tables, replace(chosen, reference_direction=towards, reference_mm=reference_mm))
+    (first,) = re.findall(r"\$AA_ENC_COMP\[0,0,X1\]=(\S+)", made.text)
+    assert abs(float(first)) <= 0.06e-3  # zero at the reference point, mm
     again = sinumerik.load(made.text)
     assert again.backlash is not None
     assert worst_um(tables, again, made.shift_um) <= made.deviation_um + 1e-9
@@ -231,6 +235,19 @@ def test_sinumerik_backlash_is_md32450(small: TableSet) -> None:
     assert ";$MA_BACKLASH[0,X1]=0.004000" in made.text
     assert any("MD32450" in note and "0.004000" in note for note in made.notes)
     assert "$AA_ENC_COMP[0,2,X1]=0.002000" in made.text
+
+
+def test_sinumerik_table_is_that_of_the_reference_direction(small: TableSet) -> None:
+    """Approached downwards, the control is zero there downwards, and puts the backlash in on its way up."""
+    made = sinumerik.export(
+        small, SinumerikSettings(table="eec", reference_mm=10.0, reference_direction=-1, allow_shift=True)
+    )
+    assert made.shift_um == -4.0
+    values = re.findall(r"\$AA_ENC_COMP\[0,\d,X1\]=(\S+)", made.text)
+    assert values == ["0.000000", "-0.005000", "0.002000"]
+    again = sinumerik.load(made.text)
+    assert again.correction_um([10.0, 20.0, 30.0], -1) == pytest.approx([0.0, 5.0, -2.0])
+    assert again.correction_um([10.0, 20.0, 30.0], 1) == pytest.approx([4.0, 9.0, 2.0])
 
 
 def test_sinumerik_wants_zero_at_the_reference(small: TableSet) -> None:
