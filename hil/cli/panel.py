@@ -25,6 +25,7 @@ stops nothing: a measurement goes on, and what it measured is kept. Ctrl-C here 
 stop by the drive, which is no safety function. Needs the panel extra: pip install 'hil[panel]'.
 """
 LANGUAGES = ("en", "de", "zh")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -71,21 +72,22 @@ def run(args: argparse.Namespace) -> int:
     """0 once it was told to end."""
     axes = [load_drive_axis(path) for path in args.axes]
     _check_names(axes)
+    tls, token = _access(args)
     try:
-        from hil.panel import server  # noqa: PLC0415  (an extra)
+        from hil.panel import server  # noqa: PLC0415  (an extra, and seconds of imports)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "uvicorn", "starlette"):
             raise
         raise InputError("the screen needs the panel extra: pip install 'hil[panel]'") from error
     from hil.desk.desk import Desk  # noqa: PLC0415
 
-    access = _access(args, server.LOOPBACK)
+    access = server.Access(args.bind, args.port, tls, token, tuple(args.name))
     with server.bound(access) as listening, ExitStack() as stack:
         desks = [stack.enter_context(Desk(axis, pace=args.pace)) for axis in axes]
         host = f"[{access.bind}]" if ":" in access.bind else access.bind
         print(f"{access.scheme}://{host}:{listening.getsockname()[1]}/", flush=True)
-        if access.token is not None and not args.token_file:
-            print(f"access token: {access.token}", flush=True)
+        if token is not None and not args.token_file:
+            print(f"access token: {token}", flush=True)
         try:
             server.serve(desks, access, args.lang, listening)
         except KeyboardInterrupt:
@@ -99,21 +101,18 @@ def _check_names(axes: Sequence[DriveAxis]) -> None:
         raise InputError(f"axes {', '.join(names)}: expected a name for each")
 
 
-def _access(args: argparse.Namespace, loopback: Sequence[str]):  # type: ignore[no-untyped-def]
-    """Beyond loopback only with TLS, and with a token."""
-    from hil.panel.server import Access  # noqa: PLC0415
-
-    tls = (args.cert, args.key) if args.cert and args.key else None
+def _access(args: argparse.Namespace) -> tuple[tuple[str, str] | None, str | None]:
+    """Certificate and key, and the access token: beyond loopback both are there, or it is refused."""
     if (args.cert is None) != (args.key is None):
         raise InputError("--cert and --key go together")
+    tls = None if args.cert is None else (args.cert, args.key)
     for path in tls or ():
         if not Path(path).is_file():
             raise InputError("is not there", path=path)
-    if args.bind in loopback:
-        return Access(args.bind, args.port, tls, None, tuple(args.name))
+    if args.bind in LOOPBACK:
+        return tls, None
     if tls is None:
         raise InputError(
             f"--bind {args.bind} is not loopback, expected --cert and --key: others could read and change what is sent"
         )
-    token = read_password_file(args.token_file) if args.token_file else secrets.token_urlsafe(16)
-    return Access(args.bind, args.port, tls, token, tuple(args.name))
+    return tls, read_password_file(args.token_file) if args.token_file else secrets.token_urlsafe(16)

@@ -124,7 +124,9 @@ class View:
         """As a note that stays until it is closed."""
         text = self.t("control.not_yours") if isinstance(error, NotInControlError) else one_line(error)
         with self.client.content:
-            ui.notification(text, type="negative", timeout=None, close_button=self.t("button.close"))
+            ui.notification(
+                text, type="negative", position="bottom-right", timeout=None, close_button=self.t("button.close")
+            )
 
     async def ask_and_run(self, job: Job, lent: Sequence[Desk] = ()) -> bool:
         """Ask once, naming what will move how far and what will be written; then start it. True once it was started.

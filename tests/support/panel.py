@@ -30,7 +30,9 @@ def served(*arguments: str | Path) -> Iterator[tuple[str, subprocess.Popen[str]]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            yield process.stdout.readline().strip(), process
+            address = process.stdout.readline().strip()
+            assert address, process.stderr.read() if process.stderr else ""
+            yield address, process
         finally:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -88,6 +90,15 @@ class Person:
         self.finds("role.key_password").send_keys(key)
         self.finds("role.reading_password").send_keys(reading)
         self.clicks("role.yes")
+
+    def is_refused(self, word: str) -> None:
+        """Waits for a note with this word in it, and closes it."""
+        self.waits(lambda: word in self._note().text, "the refusal is shown")
+        self._note().find_element(By.CSS_SELECTOR, "button").click()
+        self.waits(lambda: not self.driver.find_elements(By.CSS_SELECTOR, ".q-notification"), "the note is closed")
+
+    def _note(self) -> WebElement:
+        return self.driver.find_element(By.CSS_SELECTOR, ".q-notification")
 
     def agrees(self) -> list[str]:
         """To the one question that is asked; its lines."""
