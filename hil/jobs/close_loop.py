@@ -11,31 +11,14 @@ from hil.diagnosis.follow_up import FollowUp
 from hil.jobs.diagnose import shown_diagnosis
 from hil.jobs.figures import error_figures
 from hil.jobs.job import Job, Workplace
-from hil.jobs.plan import Move, Plan, Write, measuring_plan
+from hil.jobs.loop_plan import CLOSE_LOOP, Looped, loop_plan
 from hil.jobs.stored_diagnosis import STORED
 from hil.journal import Campaign
 from hil.procedures.close_loop import Loop, Turn, Turning, close_loop
 from hil.procedures.computing import watched
 from hil.procedures.events import Listener, silent
-from hil.procedures.measure import bidirectional_steps
 from hil.store import SealedStore
 from hil.wiring import Machine
-
-CLOSE_LOOP = "close-loop"
-
-
-def loop_plan(axis: AxisConfig, turning: Turning) -> Plan:
-    """What a loop at rest moves and writes at least; runs that tell causes apart come on top."""
-    how = axis.measurement
-    steps = bidirectional_steps(how.targets_mm, how.runs)
-    writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
-    plan = measuring_plan(axis, steps, writes, locked=True)
-    moves = list(plan.moves)
-    if turning.exploration.warm_up_s > 0:
-        low, high = min(how.targets_mm), max(how.targets_mm)
-        moves.append(Move("warm", low, high, axis.limits.max_velocity_mm_s / 2))
-    explored = 2 * turning.exploration.runs * turning.exploration.rows
-    return replace(plan, moves=tuple(moves), positions=2 * len(steps) + explored)
 
 
 def loop_purpose(axis: AxisConfig, turning: Turning) -> dict[str, Any]:
@@ -65,13 +48,14 @@ def run_loop(
 
 
 def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False) -> Job:
-    """For the desk: returns a Loop. The axis is watched while the diagnosis is made."""
+    """For the desk: returns a Looped. The axis is watched while the diagnosis is made."""
 
-    def work(place: Workplace) -> Loop:
+    def work(place: Workplace) -> Looped:
         how = replace(turning, computing=watched)
-        return run_loop(place.machine(), place.opened_store(), how, place.listener, resume=resume)
+        loop = run_loop(place.machine(), place.opened_store(), how, place.listener, resume=resume)
+        return Looped(loop_stages(loop), loop_is_good(loop))
 
-    return Job(CLOSE_LOOP, loop_plan(axis, turning), work)
+    return Job(CLOSE_LOOP, loop_plan(axis, turning.exploration), work)
 
 
 def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:

@@ -35,7 +35,10 @@ class Plot:
         self._client = view.client
         self._dots = dots
         self._keep = keep
-        self._chart = ui.echart(chart_options(view, x, y, legend=legend))
+        options = chart_options(view, x, y, legend=legend)
+        if dots:
+            options["legend"] |= {"itemWidth": 14, "itemHeight": 12}
+        self._chart = ui.echart(options)
         self._chart.classes("hil-plot" + (" tall" if tall else ""))
         view.named(self._chart, name)
         self._anew = True

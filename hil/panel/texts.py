@@ -28,6 +28,10 @@ class Texts:
         """The text of a key, its {places} filled. Raises KeyError for a key that is not there."""
         return self._texts[key].format(**figures) if figures else self._texts[key]
 
+    def known(self, table: str, name: str) -> str:
+        """The text of a name in a table of names; a name that is not in it stands for itself."""
+        return self._texts.get(f"{table}.{name}", name)
+
     def said(self, text: str) -> str:
         """What a procedure said, in this language where it is known."""
         for key, pattern in _patterns():

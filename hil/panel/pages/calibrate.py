@@ -39,7 +39,8 @@ def draw(view: View) -> None:
         with view.card("calibrate.live", name="calibrate.live.card"):
             x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
             live = JobPlot(view, KINDS, x, y, name="calibrate.live", dots=True)
-        parts += [_draw_curves(view, axis, kept), _draw_figures(view, axis, kept)]
+        parts.append(_draw_curves(view, axis, kept))
+    parts.append(_draw_figures(view, axis, kept))
 
     def refresh() -> None:
         messages.show(view.desk.last_of(KINDS))
@@ -53,11 +54,13 @@ def draw(view: View) -> None:
 def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
     """What a calibration does, in words, with this axis's figures; and whether its tables can be read and written."""
     t, rights = view.t, view.desk.rights
-    with view.card("calibrate.plan"):
-        ui.markdown(t("calibrate.steps"))
-        lines = view.question(calibrate.calibration_plan(axis))[:-1]
-        view.named(ui.label("\n".join(lines)).classes("hil-note"), "calibrate.plan.lines")
-        opened = view.named(ui.label().classes("hil-name"), "calibrate.opened")
+    with ui.element("div").classes("hil-grid wide"):
+        with view.card("calibrate.plan"):
+            ui.markdown(t("calibrate.steps"))
+        with view.card("calibrate.would"):
+            lines = view.question(calibrate.calibration_plan(axis))[:-1]
+            view.named(ui.label("\n".join(lines)).classes("hil-note"), "calibrate.plan.lines")
+            opened = view.named(ui.label().classes("hil-name"), "calibrate.opened")
 
     def refresh() -> None:
         store = rights.store if view.in_control else None
@@ -79,7 +82,9 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
         start = view.button("calibrate.start", lambda: view.ask_and_run(calibrate.calibration_job(axis)))
         verifying = view.button("calibrate.verify", verify)
         corrected = view.named(ui.switch(t("calibrate.correction"), value=True), "calibrate.correction")
-        seed = view.named(ui.number(t("calibrate.seed"), value=1, min=0, max=10_000, precision=0), "calibrate.seed")
+        seed = view.named(
+            ui.number(t("calibrate.seed"), value=1, min=0, max=10_000, precision=0), "calibrate.seed"
+        ).style("width: 14rem")
         tables = view.button("calibrate.open", lambda: _ask_password(view)).props("outline")
     resuming = {
         kind: view.button(f"calibrate.resume.{kind}", partial(_resume, view, axis, kept, kind)) for kind in KINDS
@@ -167,28 +172,28 @@ def _figure(view: View, stage: Stage | None, name: str) -> str:
 
 
 def _draw_band(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    """Whether every section lies inside the band that was asked for, and which do not."""
+    """Whether every section lies inside the band that was asked for, and which do not; the same at other targets."""
     t, band = view.t, axis.correction.band
     with view.card("calibrate.band"):
         verdict = view.value("calibrate.verdict", small=band is None)
         asked = view.value("calibrate.asked", small=True)
         outside = view.named(ui.label().classes("hil-name"), "calibrate.outside")
+        verified = view.value("calibrate.verified_band", small=True)
     asked.set_text(
         t("calibrate.no_band") if band is None else f"{t.number(band.low_um, 1)} … {t.number(band.high_um, 1)} µm"
     )
 
     def refresh() -> None:
         stages = {} if kept.value is None else kept.value.stages
+        for figure, size, stage in ((verdict, "", stages.get("after")), (verified, " small", stages.get("verified"))):
+            if stage is not None and stage.outside is not None:
+                figure.set_text(t("calibrate.outside_is" if stage.outside else "calibrate.inside_is"))
+                figure.classes(replace=f"hil-value{size} hil-{'bad' if stage.outside else 'good'}")
         last = stages.get("after")
-        if last is None or last.outside is None:
-            return
-        inside = last.sections - len(last.outside)
-        verdict.set_text(t("calibrate.outside_is" if last.outside else "calibrate.inside_is"))
-        verdict.classes(replace="hil-value " + ("hil-bad" if last.outside else "hil-good"))
-        places = [f"{t.number(one.target_mm, 1)} mm {'+' if one.direction > 0 else '−'}" for one in last.outside]
-        outside.set_text(
-            t("calibrate.sections", inside=inside, total=last.sections) + "".join(f" · {one}" for one in places)
-        )
+        if last is not None and last.outside is not None:
+            places = [f" · {t.number(one.target_mm, 1)} mm {'+' if one.direction > 0 else '−'}" for one in last.outside]
+            inside = t("calibrate.sections", inside=last.sections - len(last.outside), total=last.sections)
+            outside.set_text(inside + "".join(places))
 
     return refresh
 
@@ -233,7 +238,7 @@ def _curves(view: View, axis: AxisConfig, screen: CalibrationScreen) -> Options:
 def _draw_figures(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     """The figures of ISO 230-2, each with what is known of its uncertainty."""
     t = view.t
-    with view.card("calibrate.figures", name="calibrate.figures.card"):
+    with view.card("calibrate.figures", name="calibrate.figures.card").classes("w-full"):
         columns = ["calibrate.head.figure", *(f"calibrate.stage.{name}" for name in STAGES)]
         table = Table(view, "calibrate.figures", columns)
         known = "calibrate.uncertain" if axis.uncertainty is not None else "calibrate.not_uncertain"
