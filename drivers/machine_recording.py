@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Self, TextIO
 
 from drivers.clock import NS_PER_S, Clock
+from drivers.correction_table import CorrectionTable
 from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
 from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
@@ -117,6 +118,11 @@ class RecordedDrive(ServoDrive):
     @property
     def capabilities(self) -> frozenset[Capability]:
         return self._drive.capabilities & {Capability.PROFILE_POSITION, Capability.HOMING}
+
+    @property
+    def correction_table(self) -> CorrectionTable | None:
+        """The drive's own, so that it is refused to correct twice; what is asked of it is not recorded."""
+        return self._drive.correction_table
 
     def sample(self) -> DriveSample:
         sample = self._drive.sample()

@@ -10,19 +10,21 @@ from hil.axis import AxisConfig, load_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_plan
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
+from hil.cli.recording_options import add_recording_options, machine_of, recording_name
 from hil.cli.summary import print_stages
 from hil.files import replace_file
 from hil.jobs.calibrate import calibration_plan, run_calibration, summarise
 from hil.manual import read_manual_tables, read_straightness
 from hil.procedures.calibrate import as_stored
 from hil.tables import SingleTable
-from hil.wiring import connected
 
 EXAMPLE = """\
 example:
   hil calibrate X.toml
   hil calibrate X.toml --resume             go on after an interruption
   hil calibrate X.toml --manual typed.csv   store tables that were typed or computed elsewhere, without measuring
+  hil calibrate X.toml --record machine.csv drive and instrument, recorded together
+  hil calibrate X.toml --replay machine.csv the same again from the recording: nothing is connected, no table is stored
 
 Exit status 1: sections stayed outside the band; they are named.
 """
@@ -43,6 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--straightness", metavar="TABLE.csv", help="store a straightness correction too: position_mm, deviation_um"
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_recording_options(parser)
     add_password_options(parser, key=True)
     parser.set_defaults(run=run)
 
@@ -56,14 +59,15 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_plan(calibration_plan(axis))
         return 0
-    store = open_store(args, axis, writing=True)
-    with connected(axis) as machine, terminal_progress() as listener:
-        result = run_calibration(machine, store, listener, straightness=straightness, resume=args.resume)
+    store = None if args.replay else open_store(args, axis, writing=True)
+    how = {"straightness": straightness, "resume": args.resume, "recording": recording_name(args)}
+    with machine_of(args, axis) as machine, terminal_progress() as listener:
+        result = run_calibration(machine, store, listener, **how)
     summary = summarise(axis, result)
     print_stages({"before": summary["before"], **{f"round {n}": one for n, one in enumerate(summary["rounds"], 1)}})
     for section in result.outside:
         print(f"outside the band: {section}")
-    print(f"stored {store.path}")
+    print("nothing is stored: this was a recording" if store is None else f"stored {store.path}")
     if args.report:
         from hil.jobs.documents import calibration_report  # noqa: PLC0415  (plots are slow to import)
 
@@ -75,8 +79,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _store_manual(args: argparse.Namespace, axis: AxisConfig, straightness: SingleTable | None) -> int:
     """Manual mode: the values as they were typed, in the form the axis file asks for; nothing moves."""
-    if args.resume or args.report:
-        raise InputError("--manual measures nothing: neither --resume nor --report goes with it")
+    if args.resume or args.report or args.record or args.replay:
+        raise InputError("--manual measures nothing: neither --resume, --report, --record nor --replay goes with it")
     typed = read_manual_tables(args.manual)
     if straightness is not None:
         if typed.straightness is not None:

@@ -13,6 +13,7 @@ from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.motion_options import add_in_motion_options, feeds, passes_of
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
+from hil.cli.recording_options import add_recording_options, machine_of, recording_name
 from hil.cli.summary import print_findings, print_stages
 from hil.diagnosis.planned_run import PlannedRun
 from hil.files import replace_file
@@ -24,13 +25,13 @@ from hil.procedures.measure import bidirectional_steps
 from hil.procedures.next_run import runs_of
 from hil.procedures.plans import read_plan
 from hil.user_effects import blaming
-from hil.wiring import connected
 
 EXAMPLE = """\
 example:
   hil close-loop X.toml --report loop.html
   hil close-loop X.toml --resume
   hil close-loop X.toml --plan plan.csv --person none
+  hil close-loop X.toml --record machine.csv      drive and instrument, recorded together; --replay plays them again
   hil close-loop X.toml --feeds 20,60,110 --stretch 60
 
 Where two causes could have made what is left, the measurement that tells them apart best for its time is made next: by itself
@@ -66,6 +67,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
     )
     _add_in_motion(parser)
+    add_recording_options(parser)
     add_effects_option(parser)
     add_password_options(parser, key=True)
     parser.set_defaults(run=run)
@@ -97,7 +99,11 @@ def run(args: argparse.Namespace) -> int:
             f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart{passes}"
         )
         return 0
-    store = open_store(args, axis, writing=True)
+    if args.feeds and (args.record or args.replay):
+        raise InputError(
+            "--feeds does not go with --record or --replay: a recorded drive takes no set-points in its cycle"
+        )
+    store = None if args.replay else open_store(args, axis, writing=True)
     how = Exploration(args.runs, args.rows, args.warm_up)
     in_motion = None
     if args.feeds:
@@ -105,10 +111,12 @@ def run(args: argparse.Namespace) -> int:
     turning = Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion)
     with (
         blaming(effects),
-        connected(axis, conditions=_asked(axis)) as machine,
+        machine_of(args, axis, _asked(axis)) as machine,
         terminal_progress() as listener,
     ):
-        loop = run_loop(machine, store, turning, listener, resume=args.resume)
+        loop = run_loop(machine, store, turning, listener, resume=args.resume, recording=recording_name(args))
+    if store is None:
+        print("nothing is stored: this was a recording")
     stages = loop_stages(loop)
     print_stages(stages)
     print_findings(loop.turn.diagnosis)

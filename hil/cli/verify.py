@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 from drivers.errors import InputError
-from hil.axis import AxisConfig, load_axis
+from hil.axis import load_axis
 from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_plan, seed
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.iso230 import print_figures
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
+from hil.cli.recording_options import add_recording_options, machine_of, recording_name
 from hil.cli.summary import print_stages
 from hil.files import replace_file
 from hil.iso230 import iso230
 from hil.jobs.calibrate import run_verification, verification_plan
 from hil.jobs.figures import error_figures
-from hil.replay_wiring import recorded, replayed
-from hil.wiring import Machine, connected
 
 EXAMPLE = """\
 example:
@@ -45,24 +41,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
-    recording = parser.add_mutually_exclusive_group()
-    recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
-    recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")
+    add_recording_options(parser)
     add_password_options(parser, key=False)
     add_effects_option(parser)
     parser.set_defaults(run=run)
-
-
-@contextmanager
-def _machine(args: argparse.Namespace, axis: AxisConfig) -> Iterator[Machine]:
-    if args.replay:
-        with replayed(axis, Path(args.replay)) as machine:
-            yield machine
-        return
-    with connected(axis) as machine, ExitStack() as stack:
-        if args.record:
-            stack.enter_context(recorded(machine, Path(args.record)))
-        yield machine
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,9 +54,8 @@ def run(args: argparse.Namespace) -> int:
         print_plan(verification_plan(axis, args.seed))
         return 0
     compensation = open_store(args, axis, writing=False).load(read_effects(args.effects))
-    recording = Path(args.replay).name if args.replay else ""
-    with _machine(args, axis) as machine, terminal_progress() as listener:
-        how = {"seed": args.seed, "resume": args.resume, "recording": recording}
+    with machine_of(args, axis) as machine, terminal_progress() as listener:
+        how = {"seed": args.seed, "resume": args.resume, "recording": recording_name(args)}
         result = run_verification(machine, compensation, listener, **how)
     figures = error_figures(result.records)
     try:

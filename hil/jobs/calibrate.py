@@ -33,17 +33,24 @@ def calibration_plan(axis: AxisConfig) -> Plan:
 
 def run_calibration(
     machine: Machine,
-    store: SealedStore,
+    store: SealedStore | None,
     listener: Listener = silent,
     *,
     straightness: SingleTable | None = None,
     resume: bool = False,
+    recording: str = "",
 ) -> Calibration:
-    """Prepare and calibrate; each set of tables is sealed before it is used."""
+    """Prepare and calibrate; each set of tables is sealed before it is used.
+
+    recording: file name of what is replayed, if anything is; store: None then, the tables of a recording are kept nowhere.
+    """
     axis = machine.axis
-    campaign = Campaign.numbered(axis.store.directory, axis.purpose(CALIBRATE), resume=resume)
+    purpose = axis.purpose(CALIBRATE)
+    if recording:
+        purpose |= {"kind": REPLAY, "recording": recording}
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     machine.session.prepare()
-    store_tables = store.save_tables
+    store_tables = store.save_tables if store is not None else lambda _tables: None
     result = calibrate(machine.session, campaign, axis.correction, store_tables, listener, straightness=straightness)
     campaign.finish()
     return result

@@ -8,6 +8,7 @@ from typing import Any
 
 from hil.axis import AxisConfig
 from hil.diagnosis.follow_up import FollowUp
+from hil.history import REPLAY
 from hil.jobs.diagnose import shown_diagnosis
 from hil.jobs.figures import error_figures
 from hil.jobs.job import Job, Workplace
@@ -32,13 +33,26 @@ def loop_purpose(axis: AxisConfig, turning: Turning) -> dict[str, Any]:
 
 
 def run_loop(
-    machine: Machine, store: SealedStore, turning: Turning, listener: Listener = silent, *, resume: bool = False
+    machine: Machine,
+    store: SealedStore | None,
+    turning: Turning,
+    listener: Listener = silent,
+    *,
+    resume: bool = False,
+    recording: str = "",
 ) -> Loop:
-    """Prepare and turn the loop; every compensation is sealed before it is used, and the diagnosis kept beside the rows."""
+    """Prepare and turn the loop; every compensation is sealed before it is used, and the diagnosis kept beside the rows.
+
+    recording: file name of what is replayed, if anything is; store: None then, what comes of a recording is kept nowhere.
+    """
     axis = machine.axis
-    campaign = Campaign.numbered(axis.store.directory, loop_purpose(axis, turning), resume=resume)
+    purpose = loop_purpose(axis, turning)
+    if recording:
+        purpose |= {"kind": REPLAY, "recording": recording}
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     machine.session.prepare()
-    loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=turning)
+    save = store.save if store is not None else lambda _compensation: None
+    loop = close_loop(machine.session, campaign, axis.correction, save, listener, turning=turning)
     for name, turn in (("before", loop.turn), ("motion-before", loop.in_motion)):
         if turn is not None:
             follow = turn.follow or FollowUp(turn.diagnosis, None, None, ())

@@ -80,6 +80,30 @@ def test_the_verb_records_and_replays(tmp_path: Path, monkeypatch: pytest.Monkey
     assert main(["verify", str(axis.path), "--seed", "2", "--replay", recording]) == 2
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", ["calibrate", "close-loop"])
+def test_a_recorded_job_comes_to_the_same_again_and_stores_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    axis = axis_at(tmp_path, "virtual")
+    short = [] if verb == "calibrate" else ["--runs", "2", "--rows", "8", "--warm-up", "20"]
+    with monkeypatch.context() as builder:
+        for name, value in PASSWORDS.items():
+            builder.setenv(name, value)
+        recording, was, again = (str(tmp_path / name) for name in ("machine.csv", "was.json", "again.json"))
+        status = main([verb, str(axis.path), *short, "--record", recording, "--json", was])
+    sealed = axis.tables_path.read_bytes()
+    assert main([verb, str(axis.path), *short, "--replay", recording, "--json", again]) == status
+    assert "nothing is stored" in capsys.readouterr().out
+    before, after = (json.loads(Path(name).read_text()) for name in (was, again))
+    if verb == "close-loop":  # thermometers are heard at other moments of a second, and a diagnosis looks at them
+        found = [[finding["effect"] for finding in one.pop("diagnosis")["findings"]] for one in (before, after)]
+        assert found[0] == found[1]
+    assert after == before
+    assert axis.tables_path.read_bytes() == sealed
+    assert sorted(one.kind for one in find_campaigns([axis.store.directory])) == sorted([verb, REPLAY])
+
+
 def test_what_is_no_recording_of_a_machine_is_refused(tmp_path: Path) -> None:
     axis = axis_at(tmp_path, "virtual")
     path = tmp_path / "laser.csv"
