@@ -25,12 +25,11 @@ def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
     ui.dark_mode(view.browser.dark)
     ui.page_title(f"{view.desk.name} · {view.t(f'page.{page.name}')}")
     _draw_lost(view)
+    _draw_stop(view)
     with ui.header(elevated=False).classes("hil-header"):
-        with ui.row().classes("w-full items-center no-wrap justify-between"):
-            with ui.column().classes("gap-1"):
-                _draw_axes(view, page)
-                _draw_control(view)
-            _draw_stop(view)
+        with ui.column().classes("gap-1 w-full"):
+            _draw_axes(view, page)
+            _draw_control(view)
         _draw_navigation(view, page, pages)
     page.draw(view)
 
