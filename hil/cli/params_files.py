@@ -10,10 +10,11 @@ from drivers.errors import InputError
 from hil.axis import DriveAxis
 from hil.cli.output import Align, print_table, write_json
 from hil.cli.params_options import add_job, load_axes, sets_of, showing
-from hil.cli.params_output import print_costs, shown
+from hil.cli.params_output import print_costs
 from hil.jobs.parameters import back_up_axes, compare_axes
 from hil.params.compare import Comparison, Side
 from hil.params.formats import FORMATS
+from hil.params.report import shown
 from hil.params.snapshot import Backup
 
 _MOST_ROWS = 60

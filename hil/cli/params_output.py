@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.parameters import ParameterValue
 from drivers.raw_parameters import WireTime
 from hil.cli.output import Align, print_table, write_json
 from hil.params.predict import seconds_together
-from hil.params.report import Ending, JobReport, Row, Verdict, slow
+from hil.params.report import Ending, JobReport, Row, Verdict, shown, slow
 
 _MOST_ROWS = 40  # of parameters that nothing became of
-
-
-def shown(value: ParameterValue | None) -> str:
-    """A value in a table's cell."""
-    if value is None:
-        return "–"
-    if isinstance(value, bytes):
-        return value.hex() or "empty"
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def print_reports(reports: Sequence[JobReport], json: str | None) -> int:

@@ -21,7 +21,7 @@ from hil.params.audit import Ask
 from hil.params.compare import Comparison, compare
 from hil.params.download import Target, download
 from hil.params.formats import read_any, write_any
-from hil.params.journal import Download
+from hil.params.journal import Download, Journal
 from hil.params.recover import Unfinished, recover, set_after, set_before
 from hil.params.report import Ending, JobReport
 from hil.params.set_file import ParameterSet
@@ -55,25 +55,24 @@ def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
         check_detached(read_bytes(path), read_bytes(beside), public)
 
 
-def last_download(axis: DriveAxis) -> Download:
-    """The axis's last download. Raises InputError where there is none that ended with the drive holding its set."""
+def set_before_last(axis: DriveAxis) -> ParameterSet:
+    """What the drive held before the last download that changed something. Raises InputError where there is none, or put back."""
     journal = journal_of(axis)
-    last = journal.last()
+    return set_before(_ended_well(axis, journal, journal.last_change()))
+
+
+def set_of_last(axis: DriveAxis) -> ParameterSet:
+    """What the last download wrote. Raises InputError where there is none, or it was put back."""
+    journal = journal_of(axis)
+    return set_after(_ended_well(axis, journal, journal.last()))
+
+
+def _ended_well(axis: DriveAxis, journal: Journal, last: Download | None) -> Download:
     if last is None:
         raise InputError(f"has no download of {axis.name} in its journal, expected --set FILE", path=journal.folder)
     if last.finished and last.ending not in (Ending.WRITTEN.name, Ending.UNCHANGED.name):
         raise InputError("ended with everything put back, expected --set FILE", path=last.path)
     return last
-
-
-def set_before_last(axis: DriveAxis) -> ParameterSet:
-    """What the drive held before its last download. Raises InputError."""
-    return set_before(last_download(axis))
-
-
-def set_of_last(axis: DriveAxis) -> ParameterSet:
-    """What the last download wrote. Raises InputError."""
-    return set_after(last_download(axis))
 
 
 # -- several axes --------------------------------------------------------------------------------------------------------

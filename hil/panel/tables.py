@@ -10,12 +10,23 @@ from hil.panel.view import View
 
 
 class Table:
-    """columns: keys of their headings; the first `words` of them are words, the others figures. tall: it scrolls by itself."""
+    """columns: keys of their headings; the first `words` of them are words and the others figures, unless `figures` names those. tall:
+    it scrolls by itself."""
 
-    def __init__(self, view: View, name: str, columns: Sequence[str], *, words: int = 1, tall: bool = False) -> None:
+    def __init__(
+        self,
+        view: View,
+        name: str,
+        columns: Sequence[str],
+        *,
+        words: int = 1,
+        figures: Sequence[str] | None = None,
+        tall: bool = False,
+    ) -> None:
+        right = columns[words:] if figures is None else figures
         heads = [
-            {"name": key, "label": view.t(key), "field": key, "align": "left" if number < words else "right"}
-            for number, key in enumerate(columns)
+            {"name": key, "label": view.t(key), "field": key, "align": "right" if key in right else "left"}
+            for key in columns
         ]
         self._columns = tuple(columns)
         self._table = ui.table(columns=heads, rows=[], row_key="row").classes("hil-table")

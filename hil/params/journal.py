@@ -62,6 +62,11 @@ class Download:
         return Phase.END in self.phases
 
     @property
+    def changes(self) -> bool:
+        """Whether anything was to be held differently."""
+        return any(each.old != each.new for each in self.parameters)
+
+    @property
     def may_have_stored(self) -> bool:
         return Phase.STORING in self.phases
 
@@ -78,6 +83,11 @@ class Journal:
     def last(self) -> Download | None:
         """The latest download that was begun. Raises InputError for a file that is none."""
         return next((found for path in reversed(self._files()) if (found := _read(path)) is not None), None)
+
+    def last_change(self) -> Download | None:
+        """The latest that was not only to keep what the drive held. Raises InputError for a file that is none."""
+        found = (_read(path) for path in reversed(self._files()))
+        return next((one for one in found if one is not None and one.changes), None)
 
     def unfinished(self) -> Download | None:
         """The download that has to be finished before another begins."""

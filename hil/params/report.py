@@ -107,6 +107,15 @@ def _plain(value: ParameterValue) -> int | float | str:
     return value.hex() if isinstance(value, bytes) else value
 
 
+def shown(value: ParameterValue | None) -> str:
+    """A value as a person reads it in a table."""
+    if value is None:
+        return "–"
+    if isinstance(value, bytes):
+        return value.hex() or "empty"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
 def slow(rows: Sequence[Row]) -> list[Row]:
     """Parameters whose answers take much longer than the others', the slowest first."""
     times = [time for row in rows for time in (row.read_s, row.write_s) if time is not None]
