@@ -14,10 +14,14 @@ from hil.panel.view import View
 
 @dataclass(frozen=True)
 class Page:
-    """One page. name: in its address, and of its title (`page.<name>` in the texts); draw: puts its elements on the screen"""
+    """One page. name: in its address, and of its title (`page.<name>` in the texts); draw: puts its elements on the screen.
+
+    several: of use with several axes only.
+    """
 
     name: str
     draw: Callable[[View], None]
+    several: bool = False
 
 
 def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
@@ -143,8 +147,8 @@ def _draw_looks(view: View) -> None:
     view.button("button.light" if view.browser.dark else "button.dark", light, name="looks").props("outline")
 
 
-def _draw_navigation(view: View, page: Page, pages: Sequence[Page]) -> None:
+def _draw_navigation(view: View, here: Page, pages: Sequence[Page]) -> None:
     with view.named(ui.row().classes("hil-nav w-full gap-1"), "navigation"):
-        for one in pages:
+        for one in (page for page in pages if len(view.desks) > 1 or not page.several):
             link = ui.link(view.t(f"page.{one.name}"), f"/axis/{view.desk.name}/{one.name}")
-            link.classes("here" if one is page else "")
+            link.classes("here" if one is here else "")
