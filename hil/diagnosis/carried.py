@@ -35,14 +35,12 @@ class Carried:
     """What follows some columns, in one structure or in several on the same columns, which only together have a size.
 
     coefficients (w,), of all structures in turn, and their covariance (w, w), in µm and µm², as random effects
-    rms: over the rows of the campaign, of the part that a smooth function of the columns can hold, µm
     probability: of as much in noise
     """
 
     structures: tuple[Structure, ...]
     coefficients: Floats
     covariance: Floats
-    rms: Estimate
     probability: float
 
     @property
@@ -71,33 +69,53 @@ def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], 
     if not hits:
         return ()
     extra = searcher.extra(choices)
-    places = [_place(extra.random, hit.extra.random) for hit in hits]
     coefficients, covariance = _solved(searcher, extra, noise)
-    free = extra.random.copy()
-    for hit, place in zip(hits, places, strict=True):
-        if _few(hit):
-            free[:, place] = hit.structure.whole * math.sqrt(FREE)
-    freely, freely_known = _solved(searcher, Extra(extra.free, free), noise)
     out = []
     for group in _groups(hits):
-        place = np.concatenate([places[hits.index(hit)] for hit in group])
+        place = np.concatenate([_place(extra.random, hit.extra.random) for hit in group])
         root = np.concatenate([np.full(hit.structure.whole.shape[1], math.sqrt(hit.variance)) for hit in group])
-        mine = np.ix_(place, place)
-        whole = np.hstack([hit.structure.whole for hit in group])
-        if all(map(_few, group)):
-            rms = rms_of(whole, freely[place] * math.sqrt(FREE), freely_known[mine] * FREE)
-        else:
-            rms = rms_of(whole, coefficients[place] * root, covariance[mine] * np.outer(root, root), shrunk=True)
-        out.append(
-            Carried(
-                tuple(hit.structure for hit in group),
-                coefficients[place] * root,
-                covariance[mine] * np.outer(root, root),
-                rms,
-                min(hit.probability for hit in group),
-            )
-        )
+        spread = covariance[np.ix_(place, place)] * np.outer(root, root)
+        probability = min(hit.probability for hit in group)
+        out.append(Carried(tuple(hit.structure for hit in group), coefficients[place] * root, spread, probability))
     return tuple(out)
+
+
+def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise) -> tuple[Estimate, ...]:
+    """RMS of each of the carried over the rows, µm: of the part that a smooth function of its columns can hold.
+
+    It is taken beside a straight line in each direction: of what the table can hold as well nobody can say whose it is. A column that
+    stands in several structures counts for the first.
+    """
+    if not hits:
+        return ()
+    extra = searcher.extra(choices)
+    scale = {id(hit): math.sqrt(FREE if _few(hit) else hit.variance) for hit in hits}
+    design = dict(zip(map(id, hits), _apart(hits), strict=True))
+    columns = extra.random.copy()
+    places = {id(hit): _place(extra.random, hit.extra.random) for hit in hits}
+    for key, place in places.items():
+        columns[:, place] = design[key] * scale[key]
+    coefficients, covariance = _solved(searcher, Extra(extra.free, columns), noise)
+    line = searcher.bench.table.shape.free
+    out = []
+    for group in _groups(hits):
+        place = np.concatenate([places[id(hit)] for hit in group])
+        mine = columns[:, place]
+        shrunk = not all(map(_few, group))
+        out.append(rms_of(mine, coefficients[place], covariance[np.ix_(place, place)], line, shrunk=shrunk))
+    return tuple(out)
+
+
+def _apart(hits: Sequence[Hit]) -> list[Floats]:
+    """The columns of each structure, zero where one before it has the same."""
+    seen: set[bytes] = set()
+    out = []
+    for hit in hits:
+        whole = hit.structure.whole
+        keys = [column.tobytes() for column in whole.T]
+        out.append(whole * np.array([float(key not in seen) for key in keys]))
+        seen.update(keys)
+    return out
 
 
 def _few(hit: Hit) -> bool:
@@ -137,15 +155,17 @@ def _place(columns: Floats, block: Floats) -> NDArray[np.int64]:
     raise LookupError("a structure is not among the columns of the fit")
 
 
-def rms_of(design: Floats, coefficients: Floats, covariance: Floats, *, shrunk: bool = False) -> Estimate:
-    """RMS about the mean of design (n, k) @ true coefficients, from an estimate of these with its covariance.
+def rms_of(
+    design: Floats, coefficients: Floats, covariance: Floats, beside: Floats, *, shrunk: bool = False
+) -> Estimate:
+    """RMS of design (n, k) @ true coefficients, beside what some columns (n, f) can hold, from an estimate with its covariance.
 
-    With G the centred cross products per row, c'Gc of a free estimate is too large by tr GV on average, that of a shrunk one too
+    With G the cross products per row that are left, c'Gc of a free estimate is too large by tr GV on average, that of a shrunk one too
     small by as much; its variance is 4 c'GVGc + 2 tr GVGV (quadratic form of normal variables; Mathai & Provost 1992, ch. 3), and the
     root's is by the delta method.
     """
-    centred = design - np.mean(design, axis=0)
-    gram = centred.T @ centred / len(design)
+    left = design - beside @ np.linalg.lstsq(beside, design, rcond=None)[0]
+    gram = left.T @ left / len(design)
     spread = gram @ covariance
     seen, bias = float(coefficients @ gram @ coefficients), float(np.trace(spread))
     square = max(seen + bias if shrunk else seen - bias, 0.25 * seen, 1e-300)
@@ -155,8 +175,8 @@ def rms_of(design: Floats, coefficients: Floats, covariance: Floats, *, shrunk: 
 
 
 def rms_of_term(term: Term, columns: Columns) -> Estimate:
-    """The same of a fitted effect over rows, its non-linear parameters held."""
+    """The same of a fitted effect over rows about its mean, its non-linear parameters held."""
     k = len(term.coefficients)
     basis = term.effect.basis(term.form, term.theta, columns)
     covariance = np.array(term.covariance)[:k, :k]
-    return rms_of(basis, np.array(term.coefficients), covariance, shrunk=term.form.shrunk)
+    return rms_of(basis, np.array(term.coefficients), covariance, np.ones((len(basis), 1)), shrunk=term.form.shrunk)

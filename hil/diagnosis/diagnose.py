@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import Campaign, prepare
 from hil.diagnosis.candidates import BLIND
-from hil.diagnosis.carried import Carried, carried, rms_of_term
+from hil.diagnosis.carried import Carried, carried, rms_of_term, sizes
 from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.faint import faint_note, is_faint
 from hil.diagnosis.fit import joint_fit
@@ -200,15 +200,17 @@ def _carriers(
     chosen: Chosen, doubtful: Mapping[str, Term], structures: Sequence[Carried], campaign: Campaign
 ) -> Iterator[Carrier]:
     """doubtful: the terms of findings that a cause outside the catalogue explains better than their own effect."""
-    for structure in structures:
-        yield Carrier(structure.columns, structure.rms, structure.probability)
+    last = chosen.last
+    sizes_um = sizes(last.searcher, chosen.hits, chosen.kept, last.noise)
+    for structure, size_um in zip(structures, sizes_um, strict=True):
+        yield Carrier(structure.columns, size_um, structure.probability)
     for selected in chosen.selections:
         for effect, stranger in selected.foreign.items():
             if effect in doubtful:
                 rms_um = rms_of_term(doubtful[effect], campaign.columns)
                 yield Carrier(stranger.columns, rms_um, math.exp(-max(stranger.gain, 0.0)))
-    if chosen.last.memory is not None:
-        found = chosen.last.memory
+    if last.memory is not None:
+        found = last.memory
         yield Carrier((campaign.survey.time_column,), found.rms_um, math.exp(-found.log_odds))
 
 

@@ -42,11 +42,13 @@ class Outcome:
 
 
 def run(kind: str, seed: int, strength: float) -> Outcome:
-    """Diagnose one machine; the true RMS is over the rows of the campaign, about the mean."""
+    """Diagnose one machine; the true RMS is over the rows of the campaign, beside a straight line in each direction."""
     machine = Machine(seed, (kind,), (strength,))
     columns, parts = machine.campaign(0, Plan())
     diagnosis = diagnose(Records.of(columns))
-    true_um = float(np.std(parts[kind]))
+    line = np.column_stack([np.ones(len(columns["run"])), columns["target_mm"]])
+    table = np.hstack([line, line * columns["direction"][:, None]])
+    true_um = float(np.std(parts[kind] - table @ np.linalg.lstsq(table, parts[kind], rcond=None)[0]))
     largest = max(diagnosis.carriers, key=lambda carrier: carrier.rms.value, default=None)
     size = None if largest is None else (largest.rms.value / true_um, NORMAL_95 * largest.rms.std / true_um)
     columns, parts = machine.campaign(1, Plan())

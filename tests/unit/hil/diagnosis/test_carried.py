@@ -10,12 +10,13 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.carried import Carried, carried, rms_of
+from hil.diagnosis.carried import Carried, carried, rms_of, sizes
 from hil.diagnosis.evidence import Noise
 from hil.diagnosis.fit import Setting
 from hil.diagnosis.judge import hit_of
 from hil.diagnosis.searcher import LIGHT, Searcher
 from hil.diagnosis.structure import structures
+from hil.effects import Estimate
 
 Array = np.ndarray
 SMOOTH = Noise(even=300.0, odd=300.0)
@@ -27,8 +28,10 @@ def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
     return {name: rng.uniform(-1.0, 1.0, n) for name in ("coolant_l_min", "load_kg")}
 
 
-def found(error_um: Callable[[dict[str, Array]], Array], seed: int, *structure: tuple[str, ...]) -> tuple[Carried, ...]:
-    """What follows the columns of these structures, each known beforehand to be there."""
+def found(
+    error_um: Callable[[dict[str, Array]], Array], seed: int, *structure: tuple[str, ...]
+) -> list[tuple[Carried, Estimate]]:
+    """What follows the columns of these structures, each known beforehand to be there, and its size."""
     prepared = prepare(campaign(lambda c: wavy(c) + error_um(c), sensors=sensors, noise_um=NOISE_UM, runs=5, seed=seed))
     searcher = Searcher(Setting.free(prepared), enumerate_candidates(prepared, ()), None, LIGHT)
     by_columns = {one.columns: one for one in structures(prepared).structures}
@@ -36,7 +39,8 @@ def found(error_um: Callable[[dict[str, Array]], Array], seed: int, *structure: 
     for columns in structure:
         hits.append(hit_of(searcher.frame(SMOOTH), by_columns[columns], 40.0, 0.001))
         searcher.add_nuisance(hits[-1].extra)
-    return carried(searcher, hits, (), searcher.fit_noise((), SMOOTH))
+    noise = searcher.fit_noise((), SMOOTH)
+    return list(zip(carried(searcher, hits, (), noise), sizes(searcher, hits, (), noise), strict=True))
 
 
 KNOWN: list[tuple[Callable[[dict[str, Array]], Array], tuple[str, ...]]] = [
@@ -47,26 +51,27 @@ KNOWN: list[tuple[Callable[[dict[str, Array]], Array], tuple[str, ...]]] = [
 """Each about as large as the noise."""
 
 
-def sizes(seeds: int) -> tuple[Array, Array]:
+def stated_over_true(seeds: int) -> tuple[Array, Array]:
     """Of each known error in so many campaigns: the stated size over the true one, and how far off it is in stated deviations.
 
-    The true one is over the rows of that campaign, beside what a constant per direction makes.
+    The true one is over the rows of that campaign, beside a straight line in each direction.
     """
     ratio, off = [], []
     for seed in range(seeds):
         for error_um, columns in KNOWN:
-            (one,) = found(error_um, seed, columns)
+            ((one, rms),) = found(error_um, seed, columns)
             values = one.structures[0].values
             made = error_um(dict(values))
-            table = np.column_stack([np.ones(len(made)), values["direction"]])
+            line = np.column_stack([np.ones(len(made)), values["target_mm"]])
+            table = np.hstack([line, line * values["direction"][:, None]])
             true = float(np.std(made - table @ np.linalg.lstsq(table, made, rcond=None)[0]))
-            ratio.append(one.rms.value / true)
-            off.append((one.rms.value - true) / one.rms.std)
+            ratio.append(rms.value / true)
+            off.append((rms.value - true) / rms.std)
     return np.array(ratio), np.array(off)
 
 
 def test_the_interval_of_the_size_holds_the_true_one() -> None:
-    ratio, off = sizes(14)
+    ratio, off = stated_over_true(14)
     assert 0.88 <= np.mean(np.abs(off) <= 1.96) <= 1.0
     assert 0.7 < np.sqrt(np.mean(off**2)) < 1.3
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.06)
@@ -74,7 +79,7 @@ def test_the_interval_of_the_size_holds_the_true_one() -> None:
 
 def test_two_structures_on_the_same_columns_have_one_size_together() -> None:
     """Each alone holds what the other may hold too; only their sum is known."""
-    (one,) = found(
+    ((one, rms),) = found(
         lambda c: 0.9 * c["coolant_l_min"] * c["load_kg"],
         3,
         ("coolant_l_min", "load_kg"),
@@ -82,12 +87,22 @@ def test_two_structures_on_the_same_columns_have_one_size_together() -> None:
     )
     assert one.columns == ("coolant_l_min", "load_kg", "direction")
     assert len(one.terms) == 2
-    assert one.rms.value == pytest.approx(0.3, abs=3 * one.rms.std)
-    assert one.rms.std < 0.06
+    assert rms.value == pytest.approx(0.3, abs=3 * rms.std)
+    assert rms.std < 0.06
+
+
+def test_what_two_structures_share_counts_for_the_first() -> None:
+    """An error of the coolant alone, seen with the load first: the structure with the travel has nothing of it."""
+    first, second = found(
+        lambda c: 0.9 * c["coolant_l_min"], 3, ("coolant_l_min", "load_kg"), ("coolant_l_min", "target_mm")
+    )
+    assert first[1].value == pytest.approx(0.9 / np.sqrt(3.0), abs=3 * first[1].std)
+    assert first[1].std < 0.06
+    assert second[1].value < 0.2
 
 
 def test_as_a_term_it_says_what_the_fit_said_and_nothing_new_beyond_the_range() -> None:
-    (one,) = found(lambda c: 1.5 * c["coolant_l_min"], 4, ("coolant_l_min",))
+    ((one, _),) = found(lambda c: 1.5 * c["coolant_l_min"], 4, ("coolant_l_min",))
     values = one.structures[0].values
     np.testing.assert_allclose(one.error_um(values), one.structures[0].whole @ one.coefficients, atol=1e-12)
     ends = {"coolant_l_min": np.array([np.min(values["coolant_l_min"]), np.max(values["coolant_l_min"])])}
@@ -105,10 +120,10 @@ def test_the_size_of_a_known_normal_estimate_is_that_of_many_draws() -> None:
     root = 0.15 * rng.normal(size=(4, 4))
     drawn = middle + rng.normal(size=(4000, 4)) @ root.T
     sizes = np.std(design @ drawn.T, axis=0)
-    stated = rms_of(design, middle, root @ root.T, shrunk=True)
+    stated = rms_of(design, middle, root @ root.T, np.ones((60, 1)), shrunk=True)
     assert stated.value == pytest.approx(float(np.sqrt(np.mean(sizes**2))), rel=0.02)
     assert stated.std == pytest.approx(float(np.std(sizes)), rel=0.1)
-    squares = [rms_of(design, one, root @ root.T).value ** 2 for one in drawn[:2000]]
+    squares = [rms_of(design, one, root @ root.T, np.ones((60, 1))).value ** 2 for one in drawn[:2000]]
     assert np.mean(squares) == pytest.approx(float(np.var(design @ middle)), rel=0.02), (
         "a free estimate's excess is taken out"
     )

@@ -77,7 +77,7 @@ COLUMNS = {"coolant_l_min": np.linspace(3.0, 7.0, ROWS), "torque_percent": np.li
 def left(*columns: str) -> Carried:
     form = smooth_form(columns, [spread_of(name, COLUMNS) for name in columns], turned=False)
     structure = Structure(columns, np.zeros((ROWS, 1)), form, COLUMNS)
-    return Carried((structure,), np.array([1.0, 0, 0, 0]), np.zeros((4, 4)), Estimate(0.6, 0.1), 0.001)
+    return Carried((structure,), np.array([1.0, 0, 0, 0]), np.zeros((4, 4)), 0.001)
 
 
 def a_diagnosis(*, unexplained: bool = True) -> tuple[Diagnosis, HeldOut]:
