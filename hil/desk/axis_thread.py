@@ -139,8 +139,9 @@ class AxisThread:
                 if asked is not None:
                     self._run(connection)
                     continue
+                next_look = connection.drive.clock.deadline(1.0 / RATE_HZ)
                 self._look(connection)
-                connection.drive.clock.sleep_s(1.0 / RATE_HZ)
+                connection.drive.clock.sleep_until_ns(next_look.end_ns)
             except StoppedByOperator:
                 self._hold(connection.drive)
 
