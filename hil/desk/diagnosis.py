@@ -19,12 +19,16 @@ SIGNS = {1: "+", -1: "−"}
 
 @dataclass(frozen=True)
 class Curves:
-    """A residual along a column, and what is laid over it; points by direction, µm. label, over: in English"""
+    """A residual along a column, and what is laid over it; points by direction, µm. label, over: in English
+
+    smooth: the points that are laid over make a curve along the column
+    """
 
     label: str
     over: str
     residual: Mapping[int, Points]
     laid_over: Mapping[int, Points]
+    smooth: bool
 
 
 @dataclass(frozen=True)
@@ -144,7 +148,7 @@ def _curves(form: object) -> Curves | None:
         {sign: points for sign, name in SIGNS.items() if (points := _points(object_of(form.get(key)).get(name)))}
         for key in ("residual", "laid_over")
     )
-    return Curves(str(form.get("label")), str(form.get("over")), residual, laid_over)
+    return Curves(str(form.get("label")), str(form.get("over")), residual, laid_over, form.get("smooth") is True)
 
 
 def _points(values: object) -> Points:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.axis import AxisConfig
-from hil.diagnosis import diagnose
+from hil.diagnosis import Diagnosis, diagnose
 from hil.diagnosis.follow_up import FollowUp, follow_up, means_of_records
 from hil.diagnosis.pictures import with_plots
 from hil.files import read_text, replace_file
@@ -22,6 +22,8 @@ from hil.user_effects import blaming, catalogue_with, check_on
 
 MOST_POINTS = 1200
 """Of one curve: more show nothing more on a screen."""
+MOST_TURNS = 6.0
+"""A curve along x goes up and down over its range no more often."""
 SIGNS = {1: "+", -1: "−"}
 
 
@@ -50,22 +52,44 @@ def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
     alone = len(findings) == 1
     views = [finding_view(one, whole, alone=alone) for one in findings]
     drawn = {
-        "position": _curves(position_view(whole.records, findings)),
+        "position": _curves(position_view(whole.records, findings)) | _along_position(diagnosis, records),
         "findings": [None if view is None else _curves(view) for view in views],
     }
     return {**form, "drawn": drawn}
 
 
+def _along_position(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
+    """What is laid over the position as whole curves, not at the rows alone: of effects of position and direction; {} for others."""
+    terms = [finding.term for finding in diagnosis.findings]
+    if not terms or any(set(term.needs) - {"target_mm", "direction"} for term in terms):
+        return {}
+    x = np.linspace(np.min(records.target_mm), np.max(records.target_mm), MOST_POINTS)
+    laid_over = {}
+    for sign, name in SIGNS.items():
+        if np.any(records.direction == sign):
+            at = {"target_mm": x, "direction": np.full(len(x), float(sign))}
+            laid_over[name] = _points(
+                x,
+                sum((term.error_um(at) - np.mean(term.error_um(records.columns)) for term in terms), np.zeros(len(x))),
+            )
+    return {"laid_over": laid_over, "smooth": True}
+
+
 def _curves(view: View) -> dict[str, Any]:
-    """label, over: what stands at the x axis and what is laid over; residual, laid_over: by direction, points (x, µm) along x."""
-    residual, laid_over = {}, {}
+    """label, over: what stands at the x axis and what is laid over; residual, laid_over: by direction, points (x, µm) along x.
+
+    smooth: what is laid over is a curve along x; else it depends on more than x, and its points are not to be joined.
+    """
+    residual, laid_over, smooth = {}, {}, True
     for sign, name in SIGNS.items():
         here = view.direction == sign
         if np.any(here):
             order = np.argsort(view.x[here], kind="stable")
             residual[name] = _points(view.x[here][order], view.residual_um[here][order])
-            laid_over[name] = _points(view.x[here][order], view.over_um[here][order])
-    return {"label": view.label, "over": view.over, "residual": residual, "laid_over": laid_over}
+            over_um = view.over_um[here][order]
+            laid_over[name] = _points(view.x[here][order], over_um)
+            smooth = smooth and bool(np.sum(np.abs(np.diff(over_um))) <= MOST_TURNS * np.ptp(over_um))
+    return {"label": view.label, "over": view.over, "residual": residual, "laid_over": laid_over, "smooth": smooth}
 
 
 def _points(x: Floats, y_um: Floats) -> list[list[float]]:

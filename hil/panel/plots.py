@@ -85,10 +85,23 @@ _KEEP = round(TRACE_S * RATE_HZ)
 
 
 class JobPlot:
-    """The curves of the last job of a kind, or of some kinds. Call `refresh` from the page's timer."""
+    """The curves of the last job of a kind, or of some kinds. Call `refresh` from the page's timer.
 
-    def __init__(self, view: View, kind: str | Sequence[str], x: str, y: str, *, name: str, dots: bool = False):
-        self._desk, self._said = view.desk, view.t.said
+    as_one: series that it gives the same name are drawn as one
+    """
+
+    def __init__(
+        self,
+        view: View,
+        kind: str | Sequence[str],
+        x: str,
+        y: str,
+        *,
+        name: str,
+        dots: bool = False,
+        as_one: Callable[[str], str] = str,
+    ):
+        self._desk, self._said, self._as_one = view.desk, view.t.said, as_one
         self._kinds = (kind,) if isinstance(kind, str) else tuple(kind)
         self._plot = Plot(view, name, x, y, keep=2000, tall=True, legend=True, dots=dots)
         self._number = 0  # of the job that is drawn
@@ -105,7 +118,10 @@ class JobPlot:
         graph = self._desk.graph(job.kind, self._seen)
         if graph.points != self._seen or self._seen == 0:
             self._seen = graph.points
-            self._plot.append({self._said(name): points for name, points in graph.series.items()})
+            shown: dict[str, list[tuple[float, float]]] = {}
+            for name, points in graph.series.items():
+                shown.setdefault(self._said(self._as_one(name)), []).extend(points)
+            self._plot.append(shown)
 
 
 def _short(value: float) -> float:
@@ -127,7 +143,7 @@ def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]
         "color": list(COLOURS),
         "animation": False,
         "grid": {"left": 80, "right": 20, "top": 40 if legend else 20, "bottom": 50},
-        "legend": {"show": legend, "top": 0, "textStyle": {"color": ink, "fontSize": 14}},
+        "legend": {"type": "scroll", "show": legend, "top": 0, "textStyle": {"color": ink, "fontSize": 14}},
         "tooltip": {"trigger": "axis"},
         "xAxis": {**axis, "name": x, "nameGap": 30},
         "yAxis": {**axis, "name": y, "nameGap": 60},

@@ -10,6 +10,7 @@ from hil.axis import AxisConfig
 from hil.desk.diagnosis import DiagnosisScreen
 from hil.desk.progress import Progress
 from hil.jobs.loop_plan import CLOSE_LOOP, Looped
+from hil.jobs.stored_diagnosis import measurement_of
 from hil.panel.plots import JobPlot
 from hil.panel.reading import Reading
 from hil.panel.tables import Table
@@ -29,7 +30,7 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
         step = view.value("loop.step", small=True)
         with ui.element("div").classes("hil-grid wide"):
             x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
-            live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True)
+            live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True, as_one=_as_one)
             stages = _draw_stages(view)
 
     def refresh() -> None:
@@ -41,6 +42,12 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
         live.refresh()
 
     return refresh
+
+
+def _as_one(series: str) -> str:
+    """Passes of one exploring campaign are drawn as one."""
+    name, comma, way = series.partition(",")
+    return f"{measurement_of(name)}{comma}{way}"
 
 
 def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> Refresh:

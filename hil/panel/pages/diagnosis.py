@@ -188,11 +188,14 @@ def _options(view: View, drawn: Curves) -> Options:
         )
         for sign, values in drawn.residual.items()
     ]
+    mark = "" if drawn.smooth else "circle"
     lines = [
-        Curve(f"{over} {'+' if sign > 0 else '−'}", values, 2 if sign > 0 else 3)
+        Curve(f"{over} {'+' if sign > 0 else '−'}", values, 2 if sign > 0 else 3, mark)
         for sign, values in drawn.laid_over.items()
     ]
-    return curves(view, t.said(drawn.label), t("diagnosis.plot_y"), [*points, *lines])
+    options = curves(view, t.said(drawn.label), t("diagnosis.plot_y"), [*points, *lines])
+    options["legend"] |= {"itemWidth": 18, "itemHeight": 12}
+    return options
 
 
 def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
