@@ -15,6 +15,8 @@ from hil.iso230 import Iso230
 from hil.jobs.report import FOLDER, HISTORY_FIGURES, NAME
 from hil.jobs.stored_diagnosis import measurement_of, stored_beside
 
+Points = tuple[tuple[float, float], ...]
+DAY_S = 86400.0
 STATES = ("torn", "changed", "open", "closed")
 """From the worst to the best."""
 
@@ -104,6 +106,44 @@ class AxisHistory:
     figures_um: Mapping[str, tuple[float | None, ...]]
     trends: Mapping[str, Trend | None]
 
+    @property
+    def begun(self) -> datetime:
+        """When the first of them was measured."""
+        return datetime.fromtimestamp(self.times_s[0]).astimezone()
+
+    @property
+    def days(self) -> tuple[float, ...]:
+        """Of each point, since the first."""
+        return tuple((time_s - self.times_s[0]) / DAY_S for time_s in self.times_s)
+
+    def points(self, name: str) -> Points:
+        """A figure in µm over the days."""
+        return tuple(
+            (day, value) for day, value in zip(self.days, self.figures_um[name], strict=True) if value is not None
+        )
+
+    def line(self, name: str) -> Points:
+        """The ends of a figure's straight line; none without a trend."""
+        found, points = self.trends[name], self.points(name)
+        if found is None:
+            return ()
+        day, value = (sum(column) / len(points) for column in zip(*points, strict=True))
+        return tuple((end, value + found.slope_um / 30.0 * (end - day)) for end in (points[0][0], points[-1][0]))
+
+
+@dataclass(frozen=True)
+class ReportsScreen:
+    """What an axis has measured, the reports made of it, and its figures over time"""
+
+    measurements: tuple[Measurement, ...]
+    reports: tuple[ReportFile, ...]
+    history: AxisHistory | None
+
+
+def reports_screen(directory: Path, axis: str) -> ReportsScreen:
+    """Of an axis's folder. Reads files: not for a page's own loop."""
+    return ReportsScreen(tuple(measurements(directory)), tuple(reports(directory)), axis_history(directory, axis))
+
 
 def axis_history(directory: Path, axis: str) -> AxisHistory | None:
     """Of an axis's folder; None while nothing there has figures."""
@@ -114,7 +154,7 @@ def axis_history(directory: Path, axis: str) -> AxisHistory | None:
     usual = usual_pass(moments)
     moments = [one for one in moments if one.at.name == usual]
     times_s = tuple(one.at.begun.timestamp() for one in moments)
-    days = np.array(times_s) / 86400.0
+    days = np.array(times_s) / DAY_S
     trends = {name: trend(days, np.array([one.figures_um[name] for one in moments])) for name in HISTORY_FIGURES}
     return AxisHistory(usual, times_s, {name: _known(moments, name) for name in HISTORY_FIGURES}, trends)
 

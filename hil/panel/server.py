@@ -21,6 +21,7 @@ from hil.panel.browsers import COOKIE, Browsers
 from hil.panel.frame import draw_page
 from hil.panel.guard import LOGIN, App, Guard
 from hil.panel.pages import PAGES
+from hil.panel.report_files import serve_reports
 from hil.panel.texts import Texts
 from hil.panel.view import View
 
@@ -62,7 +63,7 @@ class Server(uvicorn.Server):
 
 
 def serve(desks: Sequence[Desk], access: Access, language: str, listening: socket.socket) -> None:
-    """Serve until the process is told to end. listening: a bound socket."""
+    """Serve until the process is told to end. listening: a socket."""
     app = guarded(application(desks, language), access, language)
     cert, key = access.tls or (None, None)
     # NiceGUI looks through all objects for its server, and one of canopen's bears no look: what is there by now is passed over
@@ -80,12 +81,13 @@ def serve(desks: Sequence[Desk], access: Access, language: str, listening: socke
 
 
 def bound(access: Access) -> socket.socket:
-    """A socket on the address of `access`. Raises OSError."""
+    """A listening socket on the address of `access`. Raises OSError."""
     family = socket.AF_INET6 if ":" in access.bind else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((access.bind, access.port))
+        listening.listen()  # who comes before the server is ready waits for it
     except BaseException:
         listening.close()
         raise
@@ -126,6 +128,7 @@ def application(desks: Sequence[Desk], language: str) -> FastAPI:
             return
         draw_page(View(by_name[axis], desks, t, browser, client), page, PAGES)
 
+    serve_reports(app, by_name)
     app.mount(STATIC, StaticFiles(directory=str(files("hil.panel") / "static")), name="static")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/panel.css">', shared=True)
     ui.add_head_html(f'<script src="{STATIC}/panel.js"></script>', shared=True)

@@ -1,7 +1,7 @@
 """The pages, in the order of the navigation. One file each; a new one is added here."""
 
 from hil.panel.frame import Page
-from hil.panel.pages import axes, backlash, calibrate, diagnosis, lost_motion, overview, parameters
+from hil.panel.pages import axes, backlash, calibrate, diagnosis, lost_motion, overview, parameters, reports
 
 PAGES = (
     Page("overview", overview.draw),
@@ -11,4 +11,5 @@ PAGES = (
     Page("lost_motion", lost_motion.draw),
     Page("diagnosis", diagnosis.draw),
     Page("parameters", parameters.draw),
+    Page("reports", reports.draw),
 )
