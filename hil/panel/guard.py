@@ -8,6 +8,7 @@ Beyond loopback every browser is asked for the access token first.
 from __future__ import annotations
 
 import hmac
+import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -33,6 +34,7 @@ class Guard:
         self.app = app
         self._hosts = frozenset(host.lower() for host in hosts)
         self._token = access_token
+        self._admission = secrets.token_urlsafe(32)  # what a browser that knew the token shows from then on
         self._form = form
         self._scheme = "https" if secure else "http"
         self._cookie_flags = "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
@@ -65,7 +67,7 @@ class Guard:
         if self._token is None:
             return True
         given = cookies(headers).get(ACCESS, "")
-        return hmac.compare_digest(given.encode(), self._token.encode())
+        return hmac.compare_digest(given.encode(), self._admission.encode())
 
     async def _ask(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "websocket":
@@ -74,7 +76,7 @@ class Guard:
         if scope["path"] == LOGIN and scope["method"] == "POST":
             given = parse_qs((await _body(receive)).decode("utf-8", "replace")).get("token", [""])[0]
             if self._token is not None and hmac.compare_digest(given.encode(), self._token.encode()):
-                cookie = f"{ACCESS}={self._token}{self._cookie_flags}"
+                cookie = f"{ACCESS}={self._admission}{self._cookie_flags}"
                 await _answer(send, 303, "", [("location", "/"), ("set-cookie", cookie)])
                 return
         await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
