@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Move, Plan, Write
 from hil.journal import Campaign
 from hil.procedures.computing import Computing, at_once, watched
-from hil.procedures.events import Listener, silent
+from hil.procedures.events import Event, Listener, Point, silent
 from hil.procedures.lost_motion import (
     LostMotionResult,
     measure_lost_motion,
@@ -97,12 +97,27 @@ def measuring_job(axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, res
         if present is None and axis.tables_path.exists():
             place.tell(SEALED)
         return run_lost_motion(
-            place.machine(), how, present, place.listener, seed=seed, resume=resume, computing=watched
+            place.machine(), how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
         )
 
     return Job(MEASURE, measuring_plan(axis, how, seed), work)
 
 
+def _named(listener: Listener) -> Listener:
+    """The passes before and after say of what they are: other procedures have such passes too."""
+
+    def tell(event: Event) -> None:
+        found = event.found
+        if event.stage in PROVING:
+            if isinstance(found, Point):
+                found = replace(found, series=f"{PROOF}{found.series}")
+            event = replace(event, stage=f"{PROOF}{event.stage}", found=found)
+        listener(event)
+
+    return tell
+
+
+PROVING, PROOF = ("before", "after"), "proof "
 SEALED = (
     "the stored tables are sealed: what is measured now cannot be stored beside them without their reading password"
 )
@@ -124,14 +139,14 @@ def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
     if not measured.result.good:
         raise StateError("the correction did not prove itself: it is not stored")
     now, then = stored_now(store), measured.present
-    if _named(now) != _named(then):
+    if _in_force(now) != _in_force(then):
         raise StateError(
             "it was not measured with what is stored now: measure again, with the tables' reading password"
         )
     store.save(measured.result.compensation)
 
 
-def _named(compensation: Compensation | None) -> dict[str, Any] | None:
+def _in_force(compensation: Compensation | None) -> dict[str, Any] | None:
     return None if compensation is None else compensation_in_force(compensation)
 
 

@@ -35,11 +35,11 @@ class Curve:
 
 
 class Drawing:
-    """A chart that changes with its result and not by the point."""
+    """A chart that changes with its result and not by the point. looks: "tall" or "round", as the style sheet has them"""
 
-    def __init__(self, view: View, name: str) -> None:
+    def __init__(self, view: View, name: str, looks: str = "tall") -> None:
         self._chart = ui.echart({"series": []})
-        self._chart.classes("hil-plot tall")
+        self._chart.classes(f"hil-plot {looks}")
         view.named(self._chart, name)
         self._latest = Latest()
 
@@ -81,7 +81,8 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
     """Deviations around the circle, magnified; names: of its curves, in their order."""
     ink, grid = inks(view)
     ring, reach = shown.ring_um, RINGS * shown.ring_um
-    label = f"value => Math.abs(value) < {reach * 1.01} ? String(Number(value.toPrecision(6))) : ''"
+    shown_every = f"Math.abs(value) < {reach * 1.01} && Math.round(value / {ring}) % 2 === 0"
+    label = f"value => {shown_every} ? String(Number(value.toPrecision(6))) : ''"
     widths = ({"width": 2, "type": "dashed"}, {"width": 3, "type": "solid"})
     zero = {
         "name": commanded,

@@ -73,7 +73,7 @@ def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Ref
 
 def _draw_polar(view: View) -> Refresh:
     with ui.element("div") as box:
-        drawing = Drawing(view, "circle.polar")
+        drawing = Drawing(view, "circle.polar", "round")
         ring = view.named(ui.label().classes("hil-name"), "circle.ring")
     box.set_visibility(False)
     latest = Latest()
