@@ -13,6 +13,7 @@ from support import bench_axis
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis import load_axis
 from hil.compensation import Compensation
+from hil.effects import ALL
 from hil.journal import Campaign
 from hil.procedures.calibrate import calibrate
 from hil.procedures.close_loop import turn_in_motion
@@ -26,8 +27,10 @@ HIDDEN_UM = 20.0  # trailing at 100 mm/s
 HOW = InMotion((20.0, 60.0, 110.0), runs=3, stretch_mm=60.0, period_s=0.004)
 
 
-def machine_of(tmp_path: Path) -> tuple[Path, BenchParameters]:
-    path = bench_axis.lay_out(tmp_path, machine="geometric", sections=15, runs=2)
+def machine_of(
+    tmp_path: Path, machine: str = "geometric", sections: int = 15, runs: int = 2
+) -> tuple[Path, BenchParameters]:
+    path = bench_axis.lay_out(tmp_path, machine=machine, sections=sections, runs=runs)
     path.write_text(path.read_text().replace("last_mm = 260.0", "last_mm = 480.0"))
     axis = load_axis(path)
     parameters = bench_parameters(axis)
@@ -83,7 +86,7 @@ def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path:
 
 @pytest.mark.slow
 def test_the_loop_measures_a_latency_that_nobody_stated_and_does_not_correct_the_axis_for_it(tmp_path: Path) -> None:
-    path, bench = machine_of(tmp_path)
+    path, bench = machine_of(tmp_path, "ideal", sections=4, runs=1)
     axis = load_axis(path)
     late = replace(bench, laser=replace(bench.laser, latency_s=0.02))
     with connected(axis, late) as machine:
@@ -91,8 +94,9 @@ def test_the_loop_measures_a_latency_that_nobody_stated_and_does_not_correct_the
         campaign = Campaign(tmp_path / "motion", {}, resume=False)
         calibration = calibrate(machine.session, campaign, axis.correction, lambda tables: None)
         machine.session.compensation = Compensation(calibration.tables)
-        how = replace(HOW, feeds_mm_s=(20.0, 110.0), latency_s=None)
-        turn = turn_in_motion(machine.session, campaign, how, lambda compensation: None)
+        how = replace(HOW, feeds_mm_s=(30.0, 110.0), runs=2, period_s=0.008, latency_s=None)
+        few = [effect for effect in ALL if effect.id in ("velocity_lag", "backlash")]
+        turn = turn_in_motion(machine.session, campaign, how, lambda compensation: None, effects=few)
     assert turn.latency is not None
     print(
         f"{turn.latency.describe()}; trailing {lag_at_table_um(turn.before):.2f} µm, then {lag_at_table_um(turn.after):.2f}"
