@@ -327,7 +327,9 @@ FINDING = st.fixed_dictionaries(
 @given(
     found=st.fixed_dictionaries(
         {"findings": st.lists(FINDING | ANY_JSON, max_size=2)},
-        optional=dict.fromkeys([*FOUND.keys() - {"findings"}, "notes", "blind_to", "carried_by"], ANY_JSON),
+        optional=dict.fromkeys(
+            [*FOUND.keys() - {"findings"}, "notes", "blind_to", "carried_by", "left", "non_parametric"], ANY_JSON
+        ),
     )
 )
 @settings(max_examples=150, deadline=None)
