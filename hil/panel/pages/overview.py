@@ -24,7 +24,7 @@ def draw(view: View) -> None:
             remaining = view.value("overview.remaining", "mm", small=True)
             with ui.row():
                 view.button("overview.power_off", lambda: view.desk.power_off(view.token))
-                view.button("overview.reset_fault", lambda: view.desk.reset_fault(view.token))
+                view.button("overview.reset_fault", lambda: _reset_fault(view))
         with view.card("overview.motion"):
             error = view.value("overview.following_error", "µm")
             torque = view.value("overview.torque", "%", small=True)
@@ -86,6 +86,11 @@ def _draw_left_over(view: View) -> None:
                 ui.link(text, f"/axis/{view.desk.name}/{one.page}").classes("hil-note")
 
     view.every(refresh, LOOK_S)
+
+
+async def _reset_fault(view: View) -> None:
+    if await view.ask([view.t("overview.ask_reset", axis=view.desk.name), view.t("plan.ask")]):
+        view.desk.reset_fault(view.token)
 
 
 def _state(view: View, live: Live) -> str:
