@@ -28,6 +28,7 @@ from hil.procedures.drive_table import changing as changing_table
 from hil.procedures.drive_table import held_table
 from hil.procedures.events import Event
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.procedures.latency import measure_latency
 from hil.procedures.lost_motion import LostMotionResult, measure_lost_motion
 from hil.procedures.measure import Step, measure
 from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
@@ -111,6 +112,7 @@ __all__ = [
     "measure_and_store",
     "measure_backlash",
     "measure_in_motion",
+    "measure_latency",
     "measure_lost_motion",
     "measure_run_out",
     "new_key",

@@ -92,6 +92,8 @@ def _in_motion_notes(turn: Turn | None) -> Iterator[str]:
     """What was found in motion, a sentence each."""
     if turn is None:
         return
+    if turn.latency is not None:
+        yield f"In motion: the instrument's readings were dated by its {turn.latency.describe()}."
     for finding in turn.diagnosis.findings:
         yield f"In motion: {finding.effect} ({finding.confidence:.2f}, {finding.action.value}). {finding.explanation}"
     if turn.diagnosis.unexplained:

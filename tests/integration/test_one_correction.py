@@ -18,6 +18,7 @@ from hil.drive_tables import drive_table, wanted_of
 from hil.procedures.doctor import doctor
 from hil.procedures.drive_table import changing, held_table
 from hil.procedures.session import AxisSession
+from hil.replay_wiring import recorded
 from hil.tables import TableSet
 from hil.wiring import connected
 from sim_backends.virtual_table import VirtualCorrectionTable
@@ -67,6 +68,14 @@ def test_a_session_asks_the_drive_first(face: str, tmp_path: Path) -> None:
         with changing(session.drive, tmp_path / "note.json", pytest.fail) as change:
             change.switch(True)
         assert held_table(session.drive).enabled()
+
+
+def test_a_drive_that_is_recorded_says_it_too(tmp_path: Path) -> None:
+    axis, tables = lay_out_table_axis(tmp_path, "in process")
+    with connected(axis) as machine, recorded(machine, tmp_path / "recording.csv"):
+        hand_to_the_drive(machine.session, tables)
+        with pytest.raises(StateError, match=WORDS):
+            machine.session.prepare()
 
 
 def test_a_table_switched_on_meanwhile_stops_the_next_corrected_motion(
