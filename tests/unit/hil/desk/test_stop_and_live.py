@@ -1,0 +1,122 @@
+"""The stop and the pace below the desk's clocks, what is kept of the live signals, and what an interruption left behind."""
+
+import threading
+from pathlib import Path
+
+import pytest
+from support.bench_axis import lay_out
+
+from drivers.clock import NS_PER_S, WallClock
+from drivers.drive import DriveSample, DriveState
+from hil.axis import load_axis
+from hil.desk.left_over import LeftOver, left_over
+from hil.desk.live import Board, Live, of_sample
+from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.journal import Campaign
+from sim_backends.clock import BEAT_NS, SimClock
+
+
+# -- stop ------------------------------------------------------------------------------------------------------------------
+def test_a_stop_wakes_a_real_wait_at_once() -> None:
+    stop = Stop()
+    clock = WallClock(Pacing(stop))
+    begun_ns = clock.now_ns()
+    threading.Timer(0.05, stop.press).start()
+    with pytest.raises(StoppedByOperator):
+        clock.sleep_s(3600.0)
+    assert clock.now_ns() - begun_ns < 20 * NS_PER_S
+    stop.rearm()
+    clock.sleep_s(0.0)
+
+
+def test_simulated_time_goes_no_further_than_a_beat_beyond_a_stop() -> None:
+    stop = Stop()
+    clock = SimClock(0.001, Pacing(stop, 0.0))
+    settled = []
+    clock.attach(
+        lambda now_ns, _dt_s: stop.press() if now_ns == 500_000_000 else None, settle=lambda: settled.append(1)
+    )
+    with pytest.raises(StoppedByOperator):
+        clock.sleep_s(3600.0)
+    assert clock.now_ns() - 500_000_000 < BEAT_NS
+    assert settled == [1]  # what was on its way is on the wire
+
+
+def test_a_clock_that_is_held_back_advances_by_the_same_steps() -> None:
+    """So that a run on the screen is the run of the command line."""
+
+    def steps(clock: SimClock) -> list[int]:
+        seen: list[int] = []
+        clock.attach(lambda now_ns, _dt_s: seen.append(now_ns), bearable=lambda _now_ns: 2_500_000)
+        for duration_s in (0.02, 0.005, 0.1):
+            clock.sleep_s(duration_s)
+        return seen
+
+    assert steps(SimClock(0.005, Pacing(Stop(), 0.0))) == steps(SimClock(0.005))
+
+
+def test_it_is_raised_once_and_not_while_it_is_carried_out() -> None:
+    stop = Stop()
+    stop.press()
+    with pytest.raises(StoppedByOperator):
+        stop.check()
+    stop.press()
+    stop.check()
+    stop.wait_s(0.0)
+    assert stop.pressed
+    stop.rearm()
+    with pytest.raises(StoppedByOperator):
+        stop.wait_s(0.0)
+
+
+def test_no_procedure_takes_it_for_an_error_to_get_over() -> None:
+    assert not issubclass(StoppedByOperator, Exception)
+
+
+def test_the_pace_holds_simulated_time_back() -> None:
+    clock, wall = SimClock(0.01, Pacing(Stop(), 4.0)), WallClock()
+    begun_ns = wall.now_ns()
+    clock.sleep_s(0.4)
+    assert wall.now_ns() - begun_ns >= 0.09 * NS_PER_S
+
+
+# -- live ------------------------------------------------------------------------------------------------------------------
+def test_the_trace_is_bounded_and_asked_for_by_number() -> None:
+    now = [0.0]
+    board = Board(lambda: now[0])
+    for index in range(3000):
+        now[0] += 0.05
+        sample = DriveSample(index * NS_PER_S, DriveState.ENABLED, float(index), False)
+        board.publish(of_sample(board.live, sample, 3000.0))
+    points = board.trace()
+    assert len(points) == 1200
+    assert [points[0].number, points[-1].number] == [1801, 3000]
+    assert [one.position_load_mm for one in board.trace(since=2998)] == [2998.0, 2999.0]
+    assert board.trace(since=3000) == ()
+    assert board.live.remaining_mm == 1.0
+
+
+def test_looks_in_quick_succession_make_one_point() -> None:
+    board = Board(lambda: 1.0)
+    for _ in range(100):
+        board.publish(Live(connected=True))
+    assert len(board.trace()) == 1
+
+
+def test_what_is_not_told_is_not_made_up() -> None:
+    live = of_sample(Live(), DriveSample(0, DriveState.READY, 5.0, True), None)
+    assert (live.following_error_um, live.torque_percent, live.velocity_mm_s, live.remaining_mm) == (None,) * 4
+
+
+# -- left over -------------------------------------------------------------------------------------------------------------
+def test_an_interrupted_calibration_is_found_until_it_is_finished(tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    assert left_over(axis) == ()
+    campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False)
+    assert left_over(axis) == ()  # nothing was measured
+    with campaign.rows("measure", ["run", "direction", "target_mm", "measured_mm"]):
+        pass
+    assert left_over(axis) == (LeftOver("calibrate", "calibrate", "calibrate-001"),)
+    campaign.finish()
+    (axis.store.directory / "backlash-before.json").write_text("{}")
+    assert left_over(axis) == (LeftOver("settings", "backlash", "X-campaign"),)
