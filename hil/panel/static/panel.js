@@ -48,3 +48,11 @@ function hilAppend(id, series, keep, anew, dots) {
   const drawn = [...kept].map(([name, data]) => ({ id: name, name, data, ...look(name), animation: false }));
   chart.setOption({ series: drawn }, anew ? { replaceMerge: ["series"] } : {});
 }
+
+// A chart that was made before its place on the page had a size takes the size on.
+setInterval(() => {
+  for (const box of document.querySelectorAll(".hil-plot")) {
+    const chart = getElement(Number(box.id.slice(1)))?.chart;
+    if (chart && box.clientWidth && chart.getWidth() !== box.clientWidth) chart.resize();
+  }
+}, 500);
