@@ -167,7 +167,8 @@ def _draw_outcome(view: View) -> Refresh:
         shown = parameters_screen(view.desk)
         job, kept = shown.job, shown.backup
         outcome.set_text(t(f"parameters.outcomes.{shown.outcome}") if shown.outcome else "–")
-        backup.set_text("" if kept is None else t("parameters.backed_up", count=kept.parameters, path=kept.path))
+        figures = {} if kept is None else {"count": kept.parameters, "path": kept.path, "left": kept.unreadable}
+        backup.set_text("" if kept is None else t("parameters.backed_up", **figures))
         differing.set_text("–" if shown.differing is None else str(shown.differing))
         same.set_text("–" if shown.same is None else str(shown.same))
         step.set_text(view.stage(job))

@@ -1,0 +1,185 @@
+"""A drive's parameters as the screen's jobs, on a Modbus server of this process: no browser, no desk's thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from support.bench_axis import AXIS
+from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
+
+from drivers.clock import WallClock
+from drivers.errors import InputError, StateError
+from hil.axis import DriveAxis, load_drive_axis
+from hil.desk.progress import Phase, Progress
+from hil.desk.stop import StoppedByOperator
+from hil.jobs import parameters
+from hil.jobs.job import Job, Workplace
+from hil.jobs.parameter_files import keep_set, set_files
+from hil.params.compare import Comparison
+from hil.params.report import Ending, JobReport
+from hil.params.set_file import ParameterSet, SetEntry, read_set, write_set
+from hil.procedures.events import Event
+from sim_backends.modbus_drive import tcp_server
+
+SIDES = {"old": [entry.raw for entry in OLD.entries], "new": [entry.raw for entry in NEW.entries]}
+
+
+@dataclass
+class Operator:
+    """Hears a job, and presses the stop once, at an event of this stage."""
+
+    stops_at: str = ""
+    heard: list[Event] = field(default_factory=list)
+
+    def hears(self, event: Event) -> None:
+        self.heard.append(event)
+
+    def real(self, _duration_s: float) -> None:
+        if self.stops_at and self.heard and self.heard[-1].stage == self.stops_at:
+            self.stops_at = ""
+            raise StoppedByOperator
+
+    def simulated(self, _now_ns: int) -> None: ...
+
+    def runs(self, axis: DriveAxis, job: Job) -> object:
+        def told(_text: str) -> None: ...
+
+        def watched(*_who: object) -> None: ...
+
+        return job.work(Workplace(axis, None, None, self.hears, told, None, self, watched))
+
+
+@pytest.fixture
+def face() -> FortyFace:
+    return FortyFace()
+
+
+@pytest.fixture
+def axis(face: FortyFace, tmp_path: Path) -> Iterator[DriveAxis]:
+    write_map(tmp_path)
+    with tcp_server({7: face}, WallClock()) as (_, port):
+        path = tmp_path / "X.toml"
+        path.write_text(
+            f'{AXIS}\n[drive]\nbackend = "modbus"\nregister_map = "forty.toml"\nurl = "tcp://127.0.0.1:{port}"\nunit = 7\n'
+        )
+        yield load_drive_axis(path)
+
+
+def report(result: object) -> JobReport:
+    assert isinstance(result, JobReport)
+    return result
+
+
+def test_from_a_backup_to_stored_and_back(axis: DriveAxis, face: FortyFace) -> None:
+    operator = Operator()
+    backup = parameters.backup_job(axis)
+    assert (backup.plan.locked, backup.connects, backup.plan.moves) == (False, True, ())
+    kept = operator.runs(axis, backup)
+    assert isinstance(kept, parameters.BackedUp)
+    assert backup.plan.writes[0].place == str(kept.path)
+    assert len(read_set(kept.path).entries) == kept.parameters == COUNT
+    assert kept.unreadable == 2  # its commands' registers, which show nothing
+    assert set_files(axis) == (kept.path,)  # and neither the axis file nor the register map, which are TOML too
+
+    found = operator.runs(axis, parameters.compare_job(axis, NEW))
+    assert isinstance(found, Comparison)
+    assert (len(found.rows), found.same, face.ram) == (COUNT, False, SIDES["old"])
+
+    download = parameters.download_job(axis, NEW)
+    assert download.plan.locked
+    operator.heard.clear()
+    assert report(operator.runs(axis, download)).ending is Ending.WRITTEN
+    assert (face.ram, face.flash) == (SIDES["new"], SIDES["old"])
+    done = [(event.done, event.total) for event in operator.heard if event.stage == "write"]
+    assert done == sorted(done)
+    assert done[-1] == (2 * COUNT, 2 * COUNT)
+
+    with pytest.raises(StateError, match="does not hold this set"):
+        operator.runs(axis, parameters.store_job(axis, OLD))
+    assert face.stores == 0
+    assert report(operator.runs(axis, parameters.store_job(axis, NEW))).stored
+    assert (face.stores, face.flash) == (1, SIDES["new"])
+    before = operator.runs(axis, parameters.restore_job(axis))  # the download, not the storing that changed nothing
+    assert (report(before).ending, face.ram) == (Ending.WRITTEN, SIDES["old"])
+
+
+def test_a_stop_in_the_middle_of_writing_puts_everything_back(axis: DriveAxis, face: FortyFace) -> None:
+    with pytest.raises(StoppedByOperator):
+        Operator("write").runs(axis, parameters.download_job(axis, NEW))
+    assert face.ram == SIDES["old"]
+    assert parameters.unfinished(axis) is None
+
+
+@pytest.mark.parametrize(("forward", "side"), [(True, "new"), (False, "old")])
+def test_what_was_cut_off_is_finished_or_taken_back(axis: DriveAxis, face: FortyFace, forward: bool, side: str) -> None:
+    """Cut off when all is written and the drive has been told to keep it: nobody knows whether it did."""
+    operator = Operator("store")
+
+    def progress(stage: str, drive: str, done: int, total: int) -> None:
+        operator.hears(Event(stage, drive, done, total))
+        operator.real(0.0)
+
+    with pytest.raises(StoppedByOperator):
+        parameters.write_axes([axis], [NEW], store=True, progress=progress)
+    cut_off = parameters.unfinished(axis)
+    assert cut_off is not None
+    assert cut_off.set_name == NEW.name
+    with pytest.raises(InputError, match="is not finished"):
+        Operator().runs(axis, parameters.download_job(axis, OLD))
+    job = parameters.recover_job(axis, forward=forward)
+    assert job.plan.locked
+    assert report(Operator().runs(axis, job)).good
+    assert (face.ram, parameters.unfinished(axis)) == (SIDES[side], None)
+    with pytest.raises(StateError, match="nothing to do"):
+        parameters.recover_job(axis, forward=forward)
+
+
+def test_a_set_that_is_brought(axis: DriveAxis, tmp_path: Path) -> None:
+    whole = tmp_path / "elsewhere" / "new.toml"
+    whole.parent.mkdir()
+    write_set(whole, NEW)
+    data = whole.read_bytes()
+    kept = keep_set(axis, "../../new.toml", data)  # a name is a name, not a way
+    assert kept.parent == axis.store.directory / "parameters" / "sets"
+    assert keep_set(axis, "new.toml", data) == kept
+    assert set_files(axis) == (kept,)
+    assert parameters.load_set(kept, axis).entries == NEW.entries
+    for name, content, why in (
+        ("new.toml", data + b"# other\n", "holds something else"),
+        ("torn.toml", data[: len(data) // 2], "torn.toml"),
+        ("new.exe", data, "expected the name of a set"),
+        (".hidden.toml", data, "expected the name of a set"),
+        ("large.toml", b"#" * 2_000_001, "expected at most"),
+    ):
+        with pytest.raises(InputError, match=why):
+            keep_set(axis, name, content)
+    assert set_files(axis) == (kept,)
+
+
+def test_what_the_screen_says_of_each_outcome(axis: DriveAxis) -> None:
+    from hil.desk.parameters import parameters_screen  # noqa: PLC0415
+
+    class Last:
+        """A desk whose only job is this one."""
+
+        def __init__(self, job: Job, result: object) -> None:
+            self.job, self.progress = job, Progress(1, job.kind, job.plan, Phase.DONE, result=result)
+
+        def last(self, kind: str) -> Progress | None:
+            return self.progress if kind == self.job.kind else None
+
+    def shown(job: Job) -> tuple[str, int | None, int | None, int]:
+        screen = parameters_screen(Last(job, Operator().runs(axis, job)))  # type: ignore[arg-type]
+        return screen.outcome, screen.same, screen.differing, len(screen.rows)
+
+    foreign = ParameterSet("foreign", None, (*NEW.entries, SetEntry("nothing", 1)))
+    assert shown(parameters.compare_job(axis, NEW)) == ("differs", 0, COUNT, COUNT)
+    assert shown(parameters.compare_job(axis, foreign)) == ("unfit", 0, COUNT, COUNT + 1)
+    assert shown(parameters.download_job(axis, foreign))[0] == "refused"
+    assert shown(parameters.download_job(axis, NEW)) == ("written", COUNT, 0, COUNT)
+    assert shown(parameters.download_job(axis, NEW)) == ("unchanged", COUNT, 0, 0)
+    assert shown(parameters.compare_job(axis, NEW, parameters.VERIFY)) == ("holds", COUNT, 0, 0)
+    assert shown(parameters.store_job(axis, NEW))[0] == "stored"
