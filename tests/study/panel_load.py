@@ -92,7 +92,6 @@ def main(axes: int = 8, minutes: float = 2.0) -> None:
 
 def _watch(server: int, machines: list[int], seconds: float, person: panel.Person) -> None:
     begin, simulation = Use.of(server), [Use.of(pid) for pid in machines]
-    drawn = _drawn(person)
     uses = [begin]
     while uses[-1].at_s - begin.at_s < seconds:
         time.sleep(EVERY_S)
@@ -103,20 +102,24 @@ def _watch(server: int, machines: list[int], seconds: float, person: panel.Perso
             flush=True,
         )
     end = uses[-1]
-    lasted_s = end.at_s - begin.at_s
     shares = [Use.of(pid).share_since(before) for pid, before in zip(machines, simulation, strict=True)]
-    rate_hz = (_drawn(person) - drawn) / lasted_s / len(machines)
+    rates_hz = _rates_hz(person)
     print(
         f"server: {100 * end.share_since(begin):.1f} % of a processor, {begin.resident_mb:.1f} -> {end.resident_mb:.1f} MB"
     )
     print(
-        f"shown: {rate_hz:.1f} points per second and axis; simulation beside it: {100 * sum(shares):.0f} % in its own processes"
+        f"shown: {min(rates_hz):.1f} to {max(rates_hz):.1f} looks a second of {len(rates_hz)} axes, over the last minute"
     )
+    print(f"simulation: {100 * sum(shares):.0f} % of a processor, in its own processes")
 
 
-def _drawn(person: panel.Person) -> int:
-    """How many points the browser was given so far, in all plots together."""
-    return int(person.driver.execute_script("return hilDrawn"))
+def _rates_hz(person: panel.Person) -> list[float]:
+    """Of the points that each plot in the browser shows, by their own times."""
+    script = """
+        const curves = [...hilPlots.values()].flatMap((plot) => [...plot.values()]);
+        return curves.map((points) => (points.length - 1) / (points.at(-1)[0] - points[0][0]));
+    """
+    return [float(rate) for rate in person.driver.execute_script(script)]
 
 
 if __name__ == "__main__":

@@ -29,7 +29,6 @@ document.addEventListener("keydown", (event) => {
 
 // -- plots ---------------------------------------------------------------------------------------------------------------------
 const hilPlots = new Map();
-let hilDrawn = 0; // points so far, in all plots
 
 // Append points to the series of a chart. series: [[name, [[x, y], ...]], ...]; keep: points of each; anew: forget what was there;
 // dots: points that are not joined, a triangle up in direction +, down in −.
@@ -39,7 +38,6 @@ function hilAppend(id, series, keep, anew, dots) {
   const kept = anew ? new Map() : hilPlots.get(id) ?? new Map();
   for (const [name, points] of series) {
     const all = (kept.get(name) ?? []).concat(points);
-    hilDrawn += points.length;
     kept.set(name, all.length > keep ? all.slice(all.length - keep) : all);
   }
   hilPlots.set(id, kept);
