@@ -17,7 +17,7 @@ from drivers.drive import DriveState
 from drivers.errors import InputError, MeasurementLostError
 from hil.compensation import Compensation
 from hil.journal import Campaign
-from hil.procedures.events import Event
+from hil.procedures.events import Event, Point
 from hil.procedures.measure import BASE_COLUMNS, Step, bidirectional_steps, measure, other_targets, steps_for_sections
 from hil.procedures.session import AxisSession
 from hil.records import Records, read_csv
@@ -269,3 +269,14 @@ def test_rows_measured_with_other_tables_are_refused(tmp_path: Path) -> None:
     prepared(ToyMachine(), lambda s: measure(s, campaign(tmp_path), "round-1", STEPS, comment="tables 0815"))
     with toy_session(ToyMachine()) as session, pytest.raises(InputError, match="0815"):
         measure(session, campaign(tmp_path, resume=True), "round-1", STEPS, comment="tables 4711")
+
+
+def test_every_capture_is_a_point_of_the_graph(tmp_path: Path) -> None:
+    heard: list[Event] = []
+    records = prepared(ToyMachine(), lambda s: measure(s, campaign(tmp_path / "c"), "round-1", STEPS, heard.append))
+    points = [event.found for event in heard if isinstance(event.found, Point)]
+    ways = {1.0: "round-1, +", -1.0: "round-1, −"}
+    assert [point.series for point in points] == [ways[way] for way in records.direction.tolist()]
+    assert [(point.x, point.y) for point in points] == [
+        (x, pytest.approx(y, abs=1e-3)) for x, y in zip(records.target_mm, records.error_um, strict=True)
+    ]
