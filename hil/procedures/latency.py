@@ -18,8 +18,10 @@ from hil.procedures.session import AxisSession
 
 MOST_ROUNDS = 5
 ENOUGH_S = 2e-5
-"""A shift below this, or within its uncertainty, is no reason for another round."""
+"""A shift below this, or within its uncertainty, is no reason for another round; a link that is known so well is even."""
 ROWS = 40
+EDGES_PERIOD_S = 0.01
+"""Set-points come no faster while latches are fetched between them: a few answers of the drive have room in it."""
 
 
 def measure_latency(session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener = silent) -> Latency:
@@ -29,6 +31,8 @@ def measure_latency(session: AxisSession, campaign: Campaign, how: InMotion, lis
     `measure_in_motion` raises.
     """
     how = replace(how, rows=ROWS)
+    if how.trigger_input is not None:
+        how = replace(how, period_s=max(how.period_s, EDGES_PERIOD_S))
     check_passes(session, how)
     compensation, session.compensation = session.compensation, None
     try:
@@ -43,11 +47,16 @@ def measure_latency(session: AxisSession, campaign: Campaign, how: InMotion, lis
 def dated(
     session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener = silent
 ) -> tuple[InMotion, Latency | None]:
-    """Passes on the fly whose samples are dated by a latency: the one that is known, or else measured now, as `measure_latency`."""
+    """Passes whose samples are dated by a latency, the one that is known, or else measured now, as `measure_latency`; or each by its
+    own edge, where edges showed that the link is uneven."""
     if how.latency_s is not None:
         return replace(how, trigger_input=None), None
     latency = measure_latency(session, campaign, how, listener)
-    return replace(how, latency_s=latency.latency_s, dated_by=latency.describe(), trigger_input=None), latency
+    how = replace(how, latency_s=latency.latency_s, dated_by=latency.describe())
+    if latency.at_edges and latency.within_s > ENOUGH_S:
+        by = f"the edge of each row; the link is uneven, {latency.describe()}"
+        return replace(how, dated_by=by, period_s=max(how.period_s, EDGES_PERIOD_S)), latency
+    return replace(how, trigger_input=None), latency
 
 
 def _by_passes(session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener) -> Latency:

@@ -20,7 +20,7 @@ from hil.cli.main import main
 from hil.journal import Campaign
 from hil.latency import Latency
 from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
-from hil.procedures.latency import measure_latency
+from hil.procedures.latency import dated, measure_latency
 from hil.records import Records, read_csv
 from hil.wiring import Machine, bench_parameters, connected
 from sim_backends.gauge import GaugeParameters
@@ -125,7 +125,7 @@ def test_short_and_long_latencies(tmp_path: Path, latency_s: float, edges: bool)
 @pytest.mark.slow
 def test_edges_over_canopen(tmp_path: Path) -> None:
     with machine(tmp_path, f"trigger_input = 1\n{UMD}", latency_s=0.02, face="canopen") as bench:
-        check(found_on(bench, tmp_path / "rows", replace(HOW, trigger_input=1, period_s=0.01)), 0.02, within_s=2e-5)
+        check(found_on(bench, tmp_path / "rows", replace(HOW, trigger_input=1)), 0.02, within_s=2e-5)
 
 
 @pytest.mark.slow
@@ -184,3 +184,23 @@ def test_doctor_measures_it_or_holds_what_is_stated_against_it(
     capsys.readouterr()
     assert main(["doctor", str(path), "--latency", "60,70"]) == 2
     assert "cannot tell a latency from lost motion" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("found", "captured_at"),
+    [
+        (Latency(0.02, 3e-6, at_edges=False), None),
+        (Latency(0.02, 3e-6, at_edges=True), None),
+        (Latency(0.02, 3e-4, at_edges=True), 1),
+    ],
+)
+def test_rows_are_captured_at_edges_where_the_link_is_uneven(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: Latency, captured_at: int | None
+) -> None:
+    monkeypatch.setattr("hil.procedures.latency.measure_latency", lambda *_: found)
+    with connected(load_axis(bench_axis.lay_out(tmp_path))) as bench:
+        asked = replace(HOW, trigger_input=1, latency_s=None)
+        how, told = dated(bench.session, Campaign(tmp_path / "rows", {}, resume=False), asked)
+    assert (how.trigger_input, how.latency_s, told) == (captured_at, 0.02, found)
+    assert found.describe() in how.dated_by
+    assert how.period_s == (0.01 if captured_at else HOW.period_s)
