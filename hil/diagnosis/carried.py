@@ -70,13 +70,14 @@ def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], 
         return ()
     extra = searcher.extra(choices)
     coefficients, covariance = _solved(searcher, extra, noise)
+    places = _places(extra.random, hits)
     out = []
     for group in _groups(hits):
-        place = np.concatenate([_place(extra.random, hit.extra.random) for hit in group])
-        root = np.concatenate([np.full(hit.structure.whole.shape[1], math.sqrt(hit.variance)) for hit in group])
+        place = np.concatenate([places[i] for i in group])
+        root = np.concatenate([np.full(len(places[i]), math.sqrt(hits[i].variance)) for i in group])
         spread = covariance[np.ix_(place, place)] * np.outer(root, root)
-        probability = min(hit.probability for hit in group)
-        out.append(Carried(tuple(hit.structure for hit in group), coefficients[place] * root, spread, probability))
+        probability = min(hits[i].probability for i in group)
+        out.append(Carried(tuple(hits[i].structure for i in group), coefficients[place] * root, spread, probability))
     return tuple(out)
 
 
@@ -89,19 +90,17 @@ def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], no
     if not hits:
         return ()
     extra = searcher.extra(choices)
-    scale = {id(hit): math.sqrt(FREE if _few(hit) else hit.variance) for hit in hits}
-    design = dict(zip(map(id, hits), _apart(hits), strict=True))
     columns = extra.random.copy()
-    places = {id(hit): _place(extra.random, hit.extra.random) for hit in hits}
-    for key, place in places.items():
-        columns[:, place] = design[key] * scale[key]
+    places = _places(extra.random, hits)
+    for hit, place, design in zip(hits, places, _apart(hits), strict=True):
+        columns[:, place] = design * math.sqrt(FREE if _few(hit) else hit.variance)
     coefficients, covariance = _solved(searcher, Extra(extra.free, columns), noise)
     line = searcher.bench.table.shape.free
     out = []
     for group in _groups(hits):
-        place = np.concatenate([places[id(hit)] for hit in group])
+        place = np.concatenate([places[i] for i in group])
         mine = columns[:, place]
-        shrunk = not all(map(_few, group))
+        shrunk = not all(_few(hits[i]) for i in group)
         out.append(rms_of(mine, coefficients[place], covariance[np.ix_(place, place)], line, shrunk=shrunk))
     return tuple(out)
 
@@ -133,26 +132,33 @@ def _solved(searcher: Searcher, extra: Extra, noise: Noise) -> tuple[Floats, Flo
     return solution.table[random], posterior[random, random]
 
 
-def _groups(hits: Sequence[Hit]) -> list[list[Hit]]:
-    """Hits whose columns are among those of another stand with it."""
-    groups: list[list[Hit]] = []
-    for hit in sorted(hits, key=lambda hit: -len(hit.structure.columns)):
-        mine = set(hit.structure.columns)
-        home = next((group for group in groups if mine <= set(group[0].structure.columns)), None)
+def _groups(hits: Sequence[Hit]) -> list[list[int]]:
+    """Indices of the hits, those whose columns are among those of another together with it."""
+    names = [set(hit.structure.columns) for hit in hits]
+    groups: list[list[int]] = []
+    for i in sorted(range(len(hits)), key=lambda i: -len(names[i])):
+        home = next((group for group in groups if names[i] <= names[group[0]]), None)
         if home is None:
-            groups.append([hit])
+            groups.append([i])
         else:
-            home.append(hit)
+            home.append(i)
     return groups
 
 
-def _place(columns: Floats, block: Floats) -> NDArray[np.int64]:
-    """Indices of the block (n, w) among the columns (n, s)."""
-    width = block.shape[1]
-    for start in range(columns.shape[1] - width + 1):
-        if np.array_equal(columns[:, start : start + width], block):
-            return np.arange(start, start + width)
-    raise LookupError("a structure is not among the columns of the fit")
+def _places(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
+    """Indices of the columns of each hit among the columns (n, s), in which they stand in this order."""
+    out: list[NDArray[np.int64]] = []
+    start = 0
+    for hit in hits:
+        block = hit.extra.random
+        width = block.shape[1]
+        while not np.array_equal(columns[:, start : start + width], block):
+            start += 1
+            if start + width > columns.shape[1]:
+                raise LookupError("a structure is not among the columns of the fit")
+        out.append(np.arange(start, start + width))
+        start += width
+    return out
 
 
 def rms_of(

@@ -22,6 +22,9 @@ from hil.report.views import label_of, list_of, object_of, objects_of, value_of
 
 Mask = NDArray[np.bool_]
 
+EMPTY = 0.01
+"""Highest line over the level of noise, below which the rows were fitted by a table at just their targets."""
+
 
 @dataclass(frozen=True)
 class LeftOver:
@@ -127,6 +130,12 @@ def _table(shown: Sequence[Panel]) -> dict[str, Floats]:
 
 def _spectrum(seen: Spectrum) -> list[Block]:
     period, amplitude = seen.highest
+    if amplitude < EMPTY * seen.level_um:
+        return [
+            said(
+                "Over the position there is no spectrum to draw: at these targets the table holds whatever follows it."
+            )
+        ]
     verdict = "above" if amplitude > seen.level_um else "below"
     caption = (
         f"Spectrum of what is left over the position. The highest line, {amplitude:.3g} µm at a period of {period:.4g} mm, is"

@@ -91,6 +91,13 @@ def test_two_structures_on_the_same_columns_have_one_size_together() -> None:
     assert rms.std < 0.06
 
 
+def test_a_structure_that_is_seen_twice_has_one_size() -> None:
+    ((one, rms),) = found(lambda c: 0.9 * c["coolant_l_min"], 5, ("coolant_l_min",), ("coolant_l_min",))
+    assert len(one.terms) == 2
+    assert rms.value == pytest.approx(0.9 / np.sqrt(3.0), abs=3 * rms.std)
+    assert float(np.std(one.error_um(one.structures[0].values))) == pytest.approx(rms.value, abs=0.05)
+
+
 def test_what_two_structures_share_counts_for_the_first() -> None:
     """An error of the coolant alone, seen with the load first: the structure with the travel has nothing of it."""
     first, second = found(

@@ -163,6 +163,18 @@ def test_it_is_drawn_where_something_is_unexplained_and_elsewhere_when_asked() -
     assert "It shows along: time_s (1.23 ± 0.056 µm RMS). Nothing was compensated for it." in words
 
 
+def test_where_a_table_at_just_these_targets_took_it_all_there_is_no_spectrum() -> None:
+    columns = rows(target_mm=np.tile(np.linspace(0.0, 400.0, 12), 20))
+    left = np.random.default_rng(12).normal(size=N)
+    for target in np.unique(columns["target_mm"]):
+        here = columns["target_mm"] == target
+        left[here] -= np.mean(left[here])
+    blocks = section(diagnosis(left, columns, ["time_s"]), None)
+    assert names(blocks) == ["left-over"]
+    words = " ".join(block.text for block in walk(blocks) if isinstance(block, Paragraph))
+    assert "there is no spectrum to draw" in words
+
+
 def test_a_correction_without_a_cause_is_said_to_be_one() -> None:
     asked = diagnosis(np.ones(N), rows(), ["time_s"], non_parametric=[{"explanation": "The cause is unknown: 0.3 µm."}])
     words = " ".join(block.text for block in walk(section(asked, None)) if isinstance(block, Paragraph))
