@@ -44,7 +44,8 @@ class Texts:
         """A figure as it is written in this language; a dash for one that is not known."""
         if value is None or math.isnan(value):
             return "–"
-        text = f"{value:{'+' if sign else ''}.{digits}f}".replace("-", "−")
+        rounded = round(value, digits) + 0.0  # no −0.0
+        text = f"{rounded:{'+' if sign else ''}.{digits}f}".replace("-", "−")
         return text.replace(".", ",") if self.language == "de" else text
 
 

@@ -36,7 +36,8 @@ def draw(view: View) -> None:
         with view.card("overview.correction"):
             correction = view.value("overview.correction_now", "µm")
             in_force = view.value("overview.in_force", small=True)
-            air = view.value("overview.environment", small=True)
+            ui.label(t("overview.environment")).classes("hil-name")
+            air = view.named(ui.label(), "overview.environment")
     view.named(ui.label(t("overview.not_safety")).classes("hil-note"), "overview.not_safety")
     with ui.element("div").classes("hil-grid"):
         plots = [

@@ -78,4 +78,5 @@ def test_what_procedures_say_is_said_in_every_language() -> None:
 def test_figures_are_written_as_in_the_language() -> None:
     assert Texts("de").number(-1.25, 2) == "−1,25"
     assert Texts("en").number(1.25, 1, sign=True) == "+1.2"
+    assert Texts("en").number(-0.0001, 3) == "0.000"
     assert Texts("zh").number(None) == Texts("zh").number(float("nan")) == "–"
