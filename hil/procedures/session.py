@@ -99,6 +99,7 @@ class AxisSession:
         self._was_enabled = False
         self._entered = False
         self._stopped_for: BaseException | None = None
+        self._has_home = self._keeps_home = False  # homed in here, no fault since; and so for the job that runs
 
     # -- coming and going --------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
@@ -111,6 +112,7 @@ class AxisSession:
             self.drive.close()
             raise
         self._entered = True
+        self._has_home = self._keeps_home = False
         self.drive.corrected_outside = self._compensation is not None
         self._start_ns = self.clock.now_ns()
         return self
@@ -132,8 +134,14 @@ class AxisSession:
     @contextmanager
     def one_job(self) -> Iterator[None]:
         """One of several jobs on one connection: each begins as if the session had just been entered, and ends by putting the axis
-        back as it was found, stopped first where the job failed. What was in force of a correction is not any more."""
-        self._was_enabled = self.drive.sample().state is DriveState.ENABLED
+        back as it was found, stopped first where the job failed. What was in force of a correction is not any more.
+
+        An axis that was homed by an earlier job is not homed again unless its drive was in a fault since: by a method that takes the
+        present position for home, that would move the zero.
+        """
+        sample = self.drive.sample()
+        self._was_enabled = sample.state is DriveState.ENABLED
+        self._keeps_home = self._has_home and sample.homed is True
         self._latest = self._datum_mm = self.history = self._stopped_for = None
         self._start_ns = self.clock.now_ns()
         self.time_offset_s = 0.0
@@ -216,6 +224,7 @@ class AxisSession:
         self.drive.looked_at(sample)
         readings = self._poll()
         if sample.state in _FAULTS:
+            self._has_home = self._keeps_home = False
             code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
             raise DriveFaultError(f"drive {self.drive.name} went into {sample.state.value}{code}", sample.fault_code)
         self._take(readings)
@@ -329,7 +338,7 @@ class AxisSession:
         self.watch(max(self.how.reading_s, 2 * SLICE_S))
         if self.drive.sample().state is not DriveState.ENABLED:
             self.drive.enable()
-        if self.how.home:
+        if self.how.home and not self._keeps_home:
             self.history = None
             limits = self.drive.limits
             slowest = limits.max_velocity_mm_s / 100
@@ -339,6 +348,7 @@ class AxisSession:
                 30 + (limits.travel_max_mm - limits.travel_min_mm) / slowest,
                 "homing",
             )
+            self._has_home = True
         self.take_datum()
 
     def take_datum(self) -> None:

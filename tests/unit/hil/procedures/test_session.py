@@ -111,6 +111,23 @@ def test_prepare_homes_then_takes_the_datum_from_below() -> None:
         assert (session.history.position_mm, session.history.direction) == (30.0, 1)
 
 
+def test_a_later_job_of_a_connection_keeps_the_home_until_there_was_a_fault() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        for _ in range(2):
+            with session.one_job():
+                session.prepare()
+        assert len(machine.told("home")) == 1
+        assert len(machine.told("enable")) == 2
+        machine.trouble = Trouble(fault_at_s=machine.clock.now_ns() / NS_PER_S)
+        with pytest.raises(DriveFaultError), session.one_job():
+            session.watch(1.0)
+        machine.trouble, machine.state = Trouble(), DriveState.SWITCH_ON_DISABLED
+        with session.one_job():
+            session.prepare()
+    assert len(machine.told("home")) == 2
+
+
 def test_prepare_without_homing_and_on_an_enabled_axis_does_neither() -> None:
     machine = ToyMachine(state=DriveState.ENABLED)
     with toy_session(machine, home=False) as session:
