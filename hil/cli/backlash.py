@@ -13,7 +13,8 @@ from hil.cli.axis_options import add_axis_arguments
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
 from hil.files import replace_file
-from hil.jobs.backlash import MeasuredBacklash, backlash_config, facts, form, measure, put_back, report_html, verdict
+from hil.jobs.backlash import MeasuredBacklash, backlash_config, measure, put_back
+from hil.jobs.backlash_result import facts, form, report_html, verdict
 from hil.procedures.torque_backlash import DIRECTIONS
 from hil.wind_up.result import NAMES, fitted_lost_motion, mean_um
 from hil.wiring import connected_drive

@@ -8,6 +8,7 @@ from hil.desk.desk import Desk
 from hil.desk.progress import Phase, Progress
 from hil.jobs import backlash
 from hil.jobs.backlash import Compensating, MeasuredBacklash
+from hil.jobs.backlash_result import verdict
 from hil.wind_up.result import NAMES
 
 
@@ -32,7 +33,7 @@ def backlash_screen(desk: Desk) -> BacklashScreen:
     result = None if measurement is None else measurement.result
     mean_um = warning = None
     if isinstance(result, MeasuredBacklash):
-        mean_um, warning = result.result.lost_motion_um, backlash.verdict(result.result)
+        mean_um, warning = result.result.lost_motion_um, verdict(result.result)
     if backlash.unrestored(desk.axis) and not (measurement is not None and measurement.running):
         warning = "an interrupted measurement left the drive's backlash settings changed: restore them"
     by_direction = {direction: _mean(measurement, direction) for direction in NAMES}
