@@ -69,9 +69,9 @@ class Person:
     def presses(self, key: str) -> None:
         self.driver.find_element(By.TAG_NAME, "body").send_keys(key)
 
-    def waits(self, condition: Callable[[], Any], what: str) -> None:
-        WebDriverWait(self.driver, PATIENCE_S, poll_frequency=0.05, ignored_exceptions=[Exception]).until(
-            lambda _driver: condition(), f"not within {PATIENCE_S:g} s: {what}"
+    def waits(self, condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> None:
+        WebDriverWait(self.driver, within_s, poll_frequency=0.05, ignored_exceptions=[Exception]).until(
+            lambda _driver: condition(), f"not within {within_s:g} s: {what}"
         )
 
     def waits_to_read(self, name: str, text: str) -> None:
@@ -79,10 +79,15 @@ class Person:
 
     def waits_for_a_figure(self, name: str) -> float:
         """Of an element that shows one, once it does."""
-        self.waits(lambda: figure(self.reads(name)) is not None, f"{name} shows a figure")
-        found = figure(self.reads(name))
-        assert found is not None
-        return found
+        found: list[float] = []
+
+        def reads() -> bool:
+            read = figure(self.reads(name))
+            found.extend(() if read is None else (read,))
+            return bool(found)
+
+        self.waits(reads, f"{name} shows a figure")
+        return found[0]
 
     def becomes_builder(self, key: str, reading: str = "") -> None:
         self.clicks("role.become_builder")
@@ -109,7 +114,7 @@ class Person:
 
 
 def figure(text: str) -> float | None:
-    """The number that an element shows, in English."""
+    """The number that an element shows, in English; None for anything else."""
     try:
         return float(text.replace("−", "-"))
     except ValueError:
