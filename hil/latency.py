@@ -77,11 +77,16 @@ class Latency:
 
     def describe(self) -> str:
         """One line for the head of the rows and for a report."""
-        text = f"latency {1e3 * self.latency_s + 0.0:.3f} ± {1e3 * self.within_s:.3f} ms (95 %)"
+        text = f"latency {_ms(self.latency_s)} ± {_ms(self.within_s)} ms (95 %)"
         if self.at_edges:
-            lag = f"{1e3 * self.lag_s:.3f} ± {1e3 * self.lag_within_s:.3f} ms"
+            lag = f"{_ms(self.lag_s)} ± {_ms(self.lag_within_s)} ms"
             return f"{text}, by edges that drive and instrument share; the table is {lag} behind its motor"
         return f"{text}, by passes up and down; a lag of the table behind its motor would be in it"
+
+
+def _ms(seconds: float) -> str:
+    """To a microsecond, and no zero below zero."""
+    return f"{round(1e3 * seconds, 3) + 0.0:.3f}"
 
 
 def check_feeds(feeds: Sequence[float]) -> None:

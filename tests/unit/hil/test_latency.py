@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.latency import DELAY, TimeShift, latency_at_edges, time_shift
+from hil.latency import DELAY, Latency, TimeShift, latency_at_edges, time_shift
 from hil.records import Records
 
 
@@ -99,3 +99,13 @@ def test_a_table_that_trails_is_one_with_the_latency_on_the_fly_and_apart_from_i
 def test_few_passes_are_worth_less() -> None:
     few, many = TimeShift(0.0, 1e-6, 1, 0.0), TimeShift(0.0, 1e-6, 30, 0.0)
     assert few.within_s > 6 * many.within_s
+
+
+def test_it_says_what_it_holds() -> None:
+    assert Latency(-1e-8, 2e-6, at_edges=False).describe() == (
+        "latency 0.000 ± 0.002 ms (95 %), by passes up and down; a lag of the table behind its motor would be in it"
+    )
+    at_edges = Latency(0.02, 3e-6, at_edges=True, lag_s=2e-4, lag_within_s=1e-6)
+    assert "the table is 0.200 ± 0.001 ms behind its motor" in at_edges.describe()
+    assert at_edges.to_json()["lag_s"] == 2e-4
+    assert set(Latency(0.02, 3e-6, at_edges=False).to_json()) == {"latency_s", "within_s", "at_edges"}
