@@ -1,0 +1,136 @@
+"""Calibration, loop, diagnosis and reports as an axis's desk runs them, on the bench and without a browser."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from support.bench_axis import PASSWORDS, lay_out
+
+from hil.axis import AxisConfig, load_axis
+from hil.desk.calibration import calibration_screen
+from hil.desk.campaigns import measurements, reports
+from hil.desk.desk import Desk
+from hil.desk.diagnosis import diagnosis_screen
+from hil.desk.progress import Phase, Progress
+from hil.desk.roles import LockedError
+from hil.jobs import aside, calibrate
+from hil.jobs.calibrate import CALIBRATE
+from hil.jobs.close_loop import loop_job
+from hil.jobs.job import Job
+from hil.jobs.loop_plan import Looped
+from hil.jobs.report import Wanted
+from hil.procedures.close_loop import Turning
+from hil.procedures.explore import Exploration
+from hil.records import read_csv
+
+pytestmark = pytest.mark.slow
+Until = Callable[[Callable[[], bool], str], None]
+READING, KEY = PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"]
+
+
+@pytest.fixture
+def axis(tmp_path: Path) -> AxisConfig:
+    return load_axis(lay_out(tmp_path, machine="typical", sections=5))
+
+
+@pytest.fixture
+def desk(axis: AxisConfig, until: Until) -> Iterator[Desk]:
+    with Desk(axis, pace=0.0) as one:
+        until(lambda: one.live.connected, "the axis is connected")
+        yield one
+
+
+def waits(condition: Callable[[], bool], what: str, within_s: float = 120.0) -> None:
+    """For whole jobs, in real time."""
+    deadline = time.monotonic() + within_s
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"not within {within_s:g} s: {what}")
+        time.sleep(0.02)
+
+
+def now(desk: Desk, kind: str) -> Progress:
+    progress = desk.last(kind)
+    assert progress is not None
+    return progress
+
+
+def run(desk: Desk, token: str, job: Job) -> Progress:
+    desk.run(token, job)
+    waits(lambda: not now(desk, job.kind).running, f"{job.kind} is over")
+    return now(desk, job.kind)
+
+
+def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, desk: Desk) -> None:
+    token = desk.control.take("test")
+    with pytest.raises(LockedError):
+        desk.run(token, calibrate.calibration_job(axis))
+    assert not list(axis.store.directory.glob("*"))
+    refused = run(desk, token, calibrate.verification_job(axis))
+    assert refused.phase is Phase.FAILED
+    assert "reading password" in refused.error
+
+    desk.become_builder(token, KEY, READING)
+    desk.run(token, calibrate.calibration_job(axis))
+    waits(lambda: desk.graph(CALIBRATE).points >= 5, "some points are measured")
+    desk.stop()
+    waits(lambda: not now(desk, CALIBRATE).running, "the stop is carried out")
+    assert now(desk, CALIBRATE).phase is Phase.STOPPED
+    assert calibration_screen(axis).unfinished == {CALIBRATE: ("calibrate-001", 1)}
+    begun = read_csv(axis.store.directory / "calibrate-001" / "measure.csv")
+    assert 5 <= len(begun) < 20
+
+    resumed = run(desk, token, calibrate.calibration_job(axis, resume=True))
+    assert resumed.phase is Phase.DONE, resumed.error
+    measured = read_csv(axis.store.directory / "calibrate-001" / "measure.csv")
+    assert len(measured) == 20
+    assert measured.measured_mm[: len(begun)].tolist() == begun.measured_mm.tolist()
+    assert axis.tables_path.exists()
+    screen = calibration_screen(axis)
+    assert screen.unfinished == {}
+    assert screen.tables
+    assert screen.stages["after"].figures_um["A"] < 0.2 * screen.stages["before"].figures_um["A"]
+
+    verified = run(desk, token, calibrate.verification_job(axis))
+    plain = run(desk, token, calibrate.verification_job(axis, corrected=False))
+    assert (verified.phase, plain.phase) == (Phase.DONE, Phase.DONE)
+    stages = calibration_screen(axis).stages
+    assert stages["verified"].figures_um["A"] < 0.5 * stages["uncorrected"].figures_um["A"]
+    assert {point for point, _ in stages["verified"].means_um[1]} == {
+        point for point, _ in stages["uncorrected"].means_um[1]
+    }
+    assert desk.live.in_force == ""  # of the session: nothing stays in force after a job
+
+
+def test_loop_diagnosis_and_report(axis: AxisConfig, desk: Desk) -> None:
+    token = desk.control.take("test")
+    desk.become_builder(token, KEY, READING)
+    turning = Turning(Exploration(runs=2, rows=12, warm_up_s=30.0), most_further=0)
+    looped = run(desk, token, loop_job(axis, turning))
+    assert looped.phase is Phase.DONE, looped.error
+    assert isinstance(looped.result, Looped)
+    assert list(looped.result.stages) == ["uncorrected", "table", "table, explored", "extended, explored"]
+    assert looped.result.stages["uncorrected"]["rms_um"] > 3.0 * looped.result.stages["extended, explored"]["rms_um"]
+    kept = diagnosis_screen(axis)
+    assert kept.chosen is not None
+    assert kept.chosen.key == "close-loop-001/before"
+    assert kept.shown is not None
+    assert kept.shown.rms_um["before"] > 0.0
+
+    again = next(one for one in measurements(axis.store.directory) if one.key == "close-loop-001/after")
+    desk.compute(token, aside.request(aside.DIAGNOSE, [Wanted(again.key, again.paths)]))
+    number = desk.trace()[-1].number
+    waits(lambda: not desk.computed.running, "the diagnosis is made")
+    assert desk.computed.error == ""
+    assert desk.trace()[-1].number > number  # the axis was looked at meanwhile
+    assert diagnosis_screen(axis, again.key).shown is not None
+
+    desk.compute(token, aside.request(aside.REPORT, [Wanted(again.key, again.paths)]))
+    waits(lambda: not desk.computed.running, "the report is made")
+    assert desk.computed.made == ("report-001.html", "report-001.pdf"), desk.computed.error
+    page = (axis.store.directory / "reports" / "report-001.html").read_text(encoding="utf-8")
+    assert "close-loop-001/after" in page
+    assert "What is left, and why" in page  # the diagnosis that was made of it
+    assert (axis.store.directory / "reports" / "report-001.pdf").read_bytes().startswith(b"%PDF")
+    assert [one.kind for one in reports(axis.store.directory)] == ["report"]
