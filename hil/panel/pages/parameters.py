@@ -12,7 +12,6 @@ from hil.desk.parameters import ParameterRow, parameters_screen
 from hil.jobs import parameters
 from hil.jobs.job import Job
 from hil.jobs.parameter_files import LARGEST_BYTES, keep_set, set_files
-from hil.panel.latest import Latest
 from hil.panel.reading import Reading
 from hil.panel.tables import Table
 from hil.panel.view import View
@@ -181,11 +180,12 @@ def _draw_differences(view: View) -> Refresh:
     with view.card("parameters.differences"):
         heads, figures = ([f"parameters.head.{name}" for name in names] for names in (COLUMNS, FIGURES))
         table = Table(view, "parameters.table", heads, figures=figures, tall=True)
-    latest = Latest()
+    drawn: list[tuple[int, object]] = []  # the job whose rows are there, and how far it was
 
     def refresh() -> None:
         shown = parameters_screen(view.desk)
-        if shown.job is not None and latest.is_new(shown.job.result):
+        if shown.job is not None and drawn != [(shown.job.number, shown.job.phase)]:
+            drawn[:] = [(shown.job.number, shown.job.phase)]
             table.show([_cells(view, row) for row in shown.rows])
 
     return refresh
