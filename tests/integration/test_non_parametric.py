@@ -52,6 +52,13 @@ def test_from_records_to_the_drives_command(
     assert "non_parametric" not in Path(plain).read_text()
     (carrier,) = json.loads((tmp_path / "a.json").read_text())["carried_by"]
     assert 0 < carrier["rms_std_um"] < 0.2 * carrier["rms_um"]
+    report = tmp_path / "report.html"
+    assert main(["report", measured, "--diagnosis", str(tmp_path / "a.json"), "--out", str(report)]) == 0
+    page = report.read_text(encoding="utf-8")
+    assert "What the extended model leaves" in page
+    assert 'id="data-spectrum"' in page
+    assert len(page) < 1_500_000
+    capsys.readouterr()
 
     assert main(["diagnose", measured, "--out", extended, "--non-parametric"]) == 1, "still unexplained"
     assert "the cause is unknown" in capsys.readouterr().out
