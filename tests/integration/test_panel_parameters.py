@@ -1,0 +1,152 @@
+"""The drive's parameters on the operator's screen: a real browser, and a drive with forty parameters on a Modbus line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support import panel
+from support.bench_axis import AXIS, PASSWORDS
+from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
+from support.panel import Person
+
+from drivers.clock import WallClock
+from drivers.raw_parameters import DriveIdentity
+from hil.axis import load_drive_axis
+from hil.params.journal import Noted
+from hil.params.set_file import ParameterSet, read_set, write_set
+from hil.params_wiring import journal_of
+from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from sim_backends.modbus_drive import tcp_server
+from sim_backends.modbus_registers import Bank, Cell, Space
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.browser,
+    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
+]
+KEY = PASSWORDS["HIL_KEY_PASSWORD"]
+FIRST = [entry.raw for entry in NEW.entries[:2]]
+ELEMENTS = {
+    *(f"parameters.{name}" for name in ("instructions", "messages", "file", "bring", "backup", "compare", "verify")),
+    *(
+        f"parameters.{name}"
+        for name in ("download", "store", "restore", "interrupted", "unfinished", "resume", "rollback")
+    ),
+    *(f"parameters.{name}" for name in ("outcome", "differing", "same", "step", "progress", "backed_up", "table")),
+    *("stop", "control.who", "header.state"),
+}
+
+
+@pytest.fixture(scope="module")
+def person() -> Iterator[Person]:
+    with panel.browser() as one:
+        yield one
+
+
+class Face(FortyFace):
+    """With a position, so that somebody can look at it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.banks = {**self.banks, Space.INPUT_REGISTERS: Bank([Cell(0, "H", lambda: 0)], gaps_readable=False)}
+
+
+@pytest.fixture
+def face() -> Face:
+    return Face()
+
+
+@pytest.fixture
+def axis(face: Face, tmp_path: Path) -> Iterator[Path]:
+    write_map(tmp_path)
+    with tcp_server({7: face}, WallClock()) as (_, port):
+        path, key = tmp_path / "X.toml", new_key()
+        path.write_text(
+            f'{AXIS}\n[drive]\nbackend = "modbus"\nregister_map = "forty.toml"\nurl = "tcp://127.0.0.1:{port}"\nunit = 7\n'
+        )
+        save_private_key(tmp_path / "builder.key", key, KEY, cost=Cost(n=1 << 10, r=8, p=1))
+        save_public_key(tmp_path / "builder.pub", key.public_key())
+        yield path
+
+
+def names(person: Person) -> set[str]:
+    script = "return [...document.querySelectorAll('[data-name]')].map((one) => one.dataset.name)"
+    return set(person.driver.execute_script(script))
+
+
+def rows(person: Person) -> list[list[str]]:
+    script = "return [...arguments[0].querySelectorAll('tbody tr')].map((row) => [...row.cells].map((cell) => cell.innerText))"
+    found = person.driver.execute_script(script, person.finds("parameters.table"))
+    return [row for row in found if any(row)]
+
+
+def comes_to(person: Person, outcome: str, differing: int) -> None:
+    person.waits_to_read("parameters.outcome", outcome)
+    person.waits_to_read("parameters.differing", str(differing))
+
+
+def cut_off(axis_file: Path, backup: Path) -> None:
+    """As a power cut leaves it: a download in the journal, of one parameter of those it was to write, without an end."""
+    axis, identity = load_drive_axis(axis_file), read_set(backup).identity
+    assert isinstance(identity, DriveIdentity)
+    old, new = (int(each.entries[0].raw or 0).to_bytes(2, "big") for each in (OLD, NEW))
+    journal_of(axis).begin("X", "cut off", "", identity, [Noted("p0", "p0", old, new)], store=False)
+
+
+def test_a_set_from_backup_to_stored_and_what_was_cut_off(
+    person: Person, axis: Path, face: Face, tmp_path: Path
+) -> None:
+    with panel.served(axis) as (address, _):
+        person.goes_to(f"{address}axis/X/lost_motion")
+        person.waits(lambda: person.finds("lost_motion.no_instrument").is_displayed(), "an axis without an instrument")
+        person.goes_to(f"{address}axis/X/parameters")
+        person.waits(lambda: names(person) >= ELEMENTS, "every element is there")
+        assert not person.finds("parameters.backup").is_enabled()
+        person.clicks("control.take")
+        person.clicks("parameters.backup")
+        assert any(".params.toml will be written" in line for line in person.agrees())
+        person.waits(lambda: f"{COUNT} parameters in" in person.reads("parameters.backed_up"), "backed up")
+        (backup,) = tmp_path.glob("X-*.params.toml")
+
+        new = tmp_path / "elsewhere" / "new.toml"
+        new.parent.mkdir()
+        write_set(new, ParameterSet("new", None, NEW.entries[:2]))
+        person.finds("parameters.bring").find_element("css selector", "input[type=file]").send_keys(str(new))
+        person.clicks("parameters.compare")
+        comes_to(person, "the drive differs", 2)
+        person.waits(lambda: len(rows(person)) == 2, "both differences")
+        old = [entry.raw for entry in OLD.entries[:2]]
+        assert [(row[0], row[2], row[3]) for row in rows(person)] == [
+            (f"p{number}", str(old[number]), str(FIRST[number])) for number in range(2)
+        ]
+        assert not person.finds("parameters.download").is_enabled()  # nothing is written without the builder
+
+        person.becomes_builder(KEY)
+        person.clicks("parameters.download")
+        assert any("what differs is written and read back, all or nothing" in line for line in person.agrees())
+        comes_to(person, "written and read back", 0)
+        person.waits(lambda: [row[5] for row in rows(person)] == ["written", "written"], "row by row")
+        assert face.ram[:2] == FIRST
+        person.clicks("parameters.verify")
+        comes_to(person, "the drive holds the set", 0)
+        person.clicks("parameters.store")
+        person.agrees()
+        comes_to(person, "stored in the drive", 0)
+        assert face.flash[:2] == FIRST
+        person.clicks("parameters.restore")
+        person.agrees()
+        comes_to(person, "written and read back", 0)
+        person.clicks("parameters.verify")
+        comes_to(person, "the drive differs", 2)
+
+        assert not person.finds("parameters.interrupted").is_displayed()
+        cut_off(axis, backup)
+        person.goes_to(f"{address}axis/X/parameters")
+        person.waits(lambda: "“cut off”" in person.reads("parameters.unfinished"), "it is told")
+        person.clicks("parameters.rollback")
+        assert any("given back what it held" in line for line in person.agrees())
+        person.waits_to_read("parameters.outcome", "put back, as before")
+        person.waits(lambda: not person.finds("parameters.interrupted").is_displayed(), "nothing is left over")
+        assert face.ram == [entry.raw for entry in OLD.entries]
