@@ -103,10 +103,10 @@ def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, 
     assert desk.live.in_force == ""  # of the session: nothing stays in force after a job
 
 
-def test_loop_diagnosis_and_report(axis: AxisConfig, desk: Desk) -> None:
+def test_loop_diagnosis_and_history(axis: AxisConfig, desk: Desk) -> None:
     token = desk.control.take("test")
     desk.become_builder(token, KEY, READING)
-    turning = Turning(Exploration(runs=2, rows=12, warm_up_s=30.0), most_further=0)
+    turning = Turning(Exploration(runs=2, rows=10, warm_up_s=10.0), most_further=0)
     looped = run(desk, token, loop_job(axis, turning))
     assert looped.phase is Phase.DONE, looped.error
     assert isinstance(looped.result, Looped)
@@ -126,11 +126,7 @@ def test_loop_diagnosis_and_report(axis: AxisConfig, desk: Desk) -> None:
     assert desk.trace()[-1].number > number  # the axis was looked at meanwhile
     assert diagnosis_screen(axis, again.key).shown is not None
 
-    desk.compute(token, aside.request(aside.REPORT, [Wanted(again.key, again.paths)]))
-    waits(lambda: not desk.computed.running, "the report is made")
-    assert desk.computed.made == ("report-001.html", "report-001.pdf"), desk.computed.error
-    page = (axis.store.directory / "reports" / "report-001.html").read_text(encoding="utf-8")
-    assert "close-loop-001/after" in page
-    assert "What is left, and why" in page  # the diagnosis that was made of it
-    assert (axis.store.directory / "reports" / "report-001.pdf").read_bytes().startswith(b"%PDF")
-    assert [one.kind for one in reports(axis.store.directory)] == ["report"]
+    desk.compute(token, aside.request(aside.HISTORY))
+    waits(lambda: not desk.computed.running, "the history is made")
+    assert desk.computed.made == ("history-001.html",), desk.computed.error
+    assert [one.kind for one in reports(axis.store.directory)] == ["history"]
