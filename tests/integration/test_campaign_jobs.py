@@ -41,7 +41,7 @@ def desk(axis: AxisConfig, until: Until) -> Iterator[Desk]:
         yield one
 
 
-def waits(condition: Callable[[], bool], what: str, within_s: float = 120.0) -> None:
+def waits(condition: Callable[[], bool], what: str, within_s: float = 300.0) -> None:
     """For whole jobs, in real time."""
     deadline = time.monotonic() + within_s
     while not condition():
