@@ -20,6 +20,8 @@ from hil.records import Records
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+OF_A_MODEL = frozenset({"correction_um", "residual_um"})
+"""Columns that `hil apply` writes: what a model says of these rows explains nothing."""
 SHORTEST_PASS = 5
 """Mean rows of a pass below which neighbouring rows of the run are what noise may correlate."""
 
@@ -63,7 +65,7 @@ def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> Campaign:
     """Build a campaign from records. Raises InputError when there are too few rows to say anything."""
     if len(records) < 4:
         raise InputError(f"{len(records)} rows are too few for a fit; expected at least 4")
-    columns = complete(records.columns)
+    columns = complete({name: values for name, values in records.columns.items() if name not in OF_A_MODEL})
     direction = columns["direction"]
     numbers = records.run
     _, run = np.unique(numbers, return_inverse=True)

@@ -43,3 +43,11 @@ def test_too_few_rows_are_refused_by_number() -> None:
     columns = {name: values[:3] for name, values in campaign().columns.items()}
     with pytest.raises(InputError, match="3 rows are too few"):
         prepare(Records.of(columns))
+
+
+def test_what_a_model_said_of_the_rows_is_no_column_of_theirs() -> None:
+    columns = dict(campaign().columns)
+    rows = len(columns["target_mm"])
+    prepared = prepare(Records.of(columns | {"correction_um": np.ones(rows), "residual_um": np.arange(rows) / 1.0}))
+    assert not {"correction_um", "residual_um"} & set(prepared.columns)
+    assert not {"correction_um", "residual_um"} & set(prepared.survey.varying)
