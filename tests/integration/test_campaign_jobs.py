@@ -106,7 +106,7 @@ def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, 
 def test_loop_diagnosis_and_history(axis: AxisConfig, desk: Desk) -> None:
     token = desk.control.take("test")
     desk.become_builder(token, KEY, READING)
-    turning = Turning(Exploration(runs=2, rows=10, warm_up_s=10.0), most_further=0)
+    turning = Turning(Exploration(runs=2, rows=12, warm_up_s=30.0), most_further=0)
     looped = run(desk, token, loop_job(axis, turning))
     assert looped.phase is Phase.DONE, looped.error
     assert isinstance(looped.result, Looped)
