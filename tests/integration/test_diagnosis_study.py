@@ -32,8 +32,8 @@ def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
 
 @pytest.mark.slow
 def test_the_proof_figures_on_many_machines() -> None:
-    """A thirtieth of the whole study (`python tests/study/study.py --machines 520`), with room for one or two more by chance."""
-    outcomes: list[Outcome] = run_all(cases(17, seed=5), workers=2)
+    """A fortieth of the whole study (`python tests/study/study.py --machines 520`), with room for one or two more by chance."""
+    outcomes: list[Outcome] = run_all(cases(12, seed=5), workers=2)
     figures = summary(outcomes)
     assert figures["strong: right first"] >= 0.91
     assert figures["weak: right first"] >= 0.8
