@@ -26,6 +26,11 @@ REPLAY = "replay"
 """Kind of a campaign whose rows come from a recording."""
 
 
+def purpose_of_replay(purpose: Mapping[str, Any], recording: str) -> dict[str, Any]:
+    """What a campaign is for, when its rows come from the recording of this file name; as it is when there is none ("")."""
+    return {**purpose, "kind": REPLAY, "recording": recording} if recording else dict(purpose)
+
+
 @dataclass(frozen=True)
 class Pass:
     """One measuring pass on disk.

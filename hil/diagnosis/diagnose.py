@@ -62,10 +62,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     noise = chosen.last.noise
     floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
     found = _findings(chosen, campaign.columns)
-    faint = [finding for finding in found if is_faint(finding, floor)]
-    findings = tuple(finding for finding in found if not is_faint(finding, floor))
+    faint = {finding.effect: finding for finding in found if is_faint(finding, floor)}
+    findings = tuple(finding for finding in found if finding.effect not in faint)
     if faint:
-        chosen = without(chosen, {finding.effect for finding in faint})
+        chosen = without(chosen, faint)
     doubtful = {finding.effect: finding.term for finding in findings if finding.doubtful}
     unexplained = unexplained or bool(doubtful)
     structures = carried(chosen.last.searcher, chosen.hits, chosen.kept, noise) if unexplained else ()
@@ -90,7 +90,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         recommended=after.rms_um < alone.rms_um,
         notes=(
             *_notes(records, campaign, dropped, after, alone),
-            *map(faint_note, faint),
+            *map(faint_note, faint.values()),
             *(_suspicion(term) for term in extended.found if suspected is not None),
         ),
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.axis import AxisConfig
 from hil.compensation import Compensation
-from hil.history import REPLAY
+from hil.history import purpose_of_replay
 from hil.jobs.figures import error_figures
 from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Plan, Write, measuring_plan
@@ -46,9 +46,7 @@ def run_calibration(
     """
     axis = machine.axis
     purpose = axis.purpose(CALIBRATE)
-    if recording:
-        purpose |= {"kind": REPLAY, "recording": recording}
-    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
+    campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
     machine.session.prepare()
     store_tables = store.save_tables if store is not None else lambda _tables: None
     result = calibrate(machine.session, campaign, axis.correction, store_tables, listener, straightness=straightness)
@@ -114,9 +112,7 @@ def run_verification(
     axis = machine.axis
     purpose = {**axis.purpose(UNCORRECTED if compensation is None else VERIFY), "seed": seed}
     purpose |= {} if compensation is None else compensation_in_force(compensation)
-    if recording:
-        purpose |= {"kind": REPLAY, "recording": recording}
-    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
+    campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
     machine.session.prepare()
     machine.session.compensation = compensation
     name = UNCORRECTED if compensation is None else VERIFY

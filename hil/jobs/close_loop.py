@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.axis import AxisConfig
 from hil.diagnosis.follow_up import FollowUp
-from hil.history import REPLAY
+from hil.history import purpose_of_replay
 from hil.jobs.diagnose import shown_diagnosis
 from hil.jobs.figures import error_figures
 from hil.jobs.job import Job, Workplace
@@ -47,9 +47,7 @@ def run_loop(
     """
     axis = machine.axis
     purpose = loop_purpose(axis, turning)
-    if recording:
-        purpose |= {"kind": REPLAY, "recording": recording}
-    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
+    campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
     machine.session.prepare()
     save = store.save if store is not None else lambda _compensation: None
     loop = close_loop(machine.session, campaign, axis.correction, save, listener, turning=turning)

@@ -10,6 +10,7 @@ from hil.desk.backlash import backlash_screen
 from hil.jobs import backlash
 from hil.panel.plots import JobPlot
 from hil.panel.view import View
+from hil.panel.where import draw_where
 
 Refresh = Callable[[], None]
 
@@ -36,18 +37,8 @@ def draw(view: View) -> None:
 
 def _draw_where(view: View) -> Refresh:
     """Where the axis is, how far it has to go, and the step now running."""
-    t = view.t
     with view.card("backlash.where"):
-        position = view.value("overview.position", "mm", name="backlash.position")
-        remaining = view.value("overview.remaining", "mm", small=True, name="backlash.remaining")
-        step = view.value("backlash.step", small=True)
-
-    def refresh() -> None:
-        position.set_text(t.number(view.desk.live.position_load_mm))
-        remaining.set_text(t.number(view.desk.live.remaining_mm))
-        step.set_text(view.stage(view.desk.last(backlash.MEASURE)))
-
-    return refresh
+        return draw_where(view, "backlash", lambda: view.desk.last(backlash.MEASURE))
 
 
 def _draw_measured(view: View) -> Refresh:

@@ -16,6 +16,7 @@ from hil.panel.plots import JobPlot
 from hil.panel.reading import Reading
 from hil.panel.tables import Table
 from hil.panel.view import View
+from hil.panel.where import draw_where
 
 Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]
@@ -130,18 +131,13 @@ async def _ask_password(view: View) -> None:
 
 def _draw_where(view: View) -> Refresh:
     """Where the axis is, and the step now running."""
-    t = view.t
     with view.card("calibrate.where"):
-        position = view.value("overview.position", "mm", name="calibrate.position")
-        remaining = view.value("overview.remaining", "mm", small=True, name="calibrate.remaining")
-        step = view.value("calibrate.step", small=True)
+        where = draw_where(view, "calibrate", lambda: view.desk.last_of(KINDS))
         bar = view.named(ui.linear_progress(0.0, show_value=False, size="12px"), "calibrate.progress")
 
     def refresh() -> None:
+        where()
         job = view.desk.last_of(KINDS)
-        position.set_text(t.number(view.desk.live.position_load_mm))
-        remaining.set_text(t.number(view.desk.live.remaining_mm))
-        step.set_text(view.stage(job))
         bar.set_value(0.0 if job is None or not job.total else job.done / job.total)
 
     return refresh

@@ -16,6 +16,7 @@ from hil.panel.pages.circle import draw_circle
 from hil.panel.plots import JobPlot
 from hil.panel.tables import Table
 from hil.panel.view import View
+from hil.panel.where import draw_where
 from hil.procedures.lost_motion import rms
 from hil.records import UM_PER_MM
 
@@ -75,18 +76,8 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
 
 def _draw_where(view: View) -> Refresh:
     """Where the axis is, and the step now running."""
-    t = view.t
     with view.card("lost_motion.where"):
-        position = view.value("overview.position", "mm", name="lost_motion.position")
-        remaining = view.value("overview.remaining", "mm", small=True, name="lost_motion.remaining")
-        step = view.value("lost_motion.step", small=True)
-
-    def refresh() -> None:
-        position.set_text(t.number(view.desk.live.position_load_mm))
-        remaining.set_text(t.number(view.desk.live.remaining_mm))
-        step.set_text(view.stage(lost_motion_screen(view.desk).measurement))
-
-    return refresh
+        return draw_where(view, "lost_motion", lambda: lost_motion_screen(view.desk).measurement)
 
 
 def _draw_found(view: View) -> Refresh:
