@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -100,6 +100,7 @@ def measure(
         if 0 < done < len(steps):
             journal.note(f"resumed after {done} rows; homed and datum taken anew")
         readings: list[PositionReading] = []
+        way = _Way(session, steps)
         listener(Event(name, done=done, total=len(steps)))
         for index, step in enumerate(steps[done:], start=done):
 
@@ -107,7 +108,7 @@ def measure(
                 journal.note(what)
                 listener(Event(name, what, done, len(steps)))
 
-            command, reading = resuming(session, partial(_capture, session, step), tell)
+            command, reading = resuming(session, partial(way.capture, index), tell)
             readings.append(reading)
             journal.append(_row(step, command, reading, session.known(), columns))
             listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps), _point(name, step, reading)))
@@ -125,12 +126,40 @@ def _point(name: str, step: Step, reading: PositionReading) -> Point:
     return Point(f"{name}, {'+' if step.direction > 0 else '−'}", step.target_mm, error_um)
 
 
-def _capture(session: AxisSession, step: Step) -> tuple[Command, PositionReading]:
-    _approach(session, step)
-    command = session.move_to(step.target_mm, step.feed_mm_s)
-    if step.dwell_s:
-        session.watch(step.dwell_s)
-    return command, session.read_position()
+@dataclass
+class _Way:
+    """From step to step. at: the index of the one that the axis stands at, None where anything else has moved it since."""
+
+    session: AxisSession
+    steps: Sequence[Step]
+    at: int | None = None
+
+    def capture(self, index: int) -> tuple[Command, PositionReading]:
+        """Come to the step in its direction, and read."""
+        step, stands_at, self.at = self.steps[index], self.at, None
+        if step.overrun_mm == 0.0 and stands_at != index - 1:
+            self._come_back_to(index)
+        _approach(self.session, step)
+        command = self.session.move_to(step.target_mm, step.feed_mm_s)
+        if step.dwell_s:
+            self.session.watch(step.dwell_s)
+        reading, self.at = self.session.read_position(), index
+        return command, reading
+
+    def _come_back_to(self, index: int) -> None:
+        """Drive the way to a step that goes on from where the axis stands, without capturing.
+
+        A stop, homing or a new datum took the axis elsewhere, and with it the travel since the last turning, and the strokes before
+        it, which that row is made of. The way begins where the pass last stood at one of its ends, come to over its whole length.
+        """
+        targets = [step.target_mm for step in self.steps]
+        low, high = min(targets), max(targets)
+        begin = max((i for i in range(index) if targets[i] in (low, high)), default=0)
+        for i, step in enumerate(self.steps[begin:index], start=begin):
+            if i == begin:
+                at_end = step.target_mm == (high if step.direction > 0 else low)
+                _approach(self.session, replace(step, overrun_mm=high - low) if at_end else step, anyhow=True)
+            self.session.move_to(step.target_mm, step.feed_mm_s)
 
 
 def _worth(readings: Sequence[PositionReading]) -> str:
@@ -165,8 +194,8 @@ def _check_plan(journal: RowJournal, steps: Sequence[Step]) -> int:
     return len(records)
 
 
-def _approach(session: AxisSession, step: Step) -> None:
-    """Make sure that the motion to the target goes in the step's direction, by an overrun beyond it where it would not."""
+def _approach(session: AxisSession, step: Step, *, anyhow: bool = False) -> None:
+    """Make sure that the motion to the target goes in the step's direction: by an overrun where it would not, or `anyhow`."""
     history = session.history
     if history is None or history.direction == 0:
         session.take_datum()
@@ -175,7 +204,7 @@ def _approach(session: AxisSession, step: Step) -> None:
     travel = (step.target_mm - here) * step.direction
     if travel > 0 and step.overrun_mm == 0.0:
         return
-    if not travel > 0 or (history is not None and history.direction != step.direction):
+    if anyhow or not travel > 0 or (history is not None and history.direction != step.direction):
         overrun_mm = session.how.overrun_mm if step.overrun_mm is None else step.overrun_mm
         session.approach(step.target_mm - step.direction * overrun_mm)
 

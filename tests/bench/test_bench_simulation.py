@@ -1,6 +1,6 @@
 """Speed, printed with -s: the decoder in lines per second, the bench in simulated seconds per second.
 
-The bounds only catch disasters; the figures are for reading.
+The figures are for reading: what a slow host may make of them is no fault. The bounds only catch disasters.
 """
 
 import random
@@ -33,7 +33,7 @@ def test_decoder_throughput(record_property: Callable[[str, object], None]) -> N
     print(f"\nµMD decoder: {rate:,.0f} lines/s")
     record_property("lines_per_s", rate)
     assert found == 199_999
-    assert rate > 50_000
+    assert rate > 3_000, "no faster than an instrument sends"
 
 
 @pytest.mark.parametrize("every_s", [0.02, 0.1])
@@ -63,4 +63,4 @@ def test_a_campaign_in_simulated_time(every_s: float, record_property: Callable[
     )
     record_property("simulated_per_real", simulated_s / wall_s)
     assert readings > 0.95 * simulated_s * p.laser.rate_hz
-    assert simulated_s / wall_s > 20.0
+    assert simulated_s > wall_s, "not even as fast as a machine"

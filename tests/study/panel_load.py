@@ -98,7 +98,8 @@ def _watch(server: int, machines: list[int], seconds: float, person: panel.Perso
         uses.append(Use.of(server))
         last = uses[-1]
         print(
-            f"{last.at_s - begin.at_s:6.0f} s: {100 * last.share_since(uses[-2]):5.1f} %, {last.resident_mb:6.1f} MB",
+            f"{last.at_s - begin.at_s:6.0f} s: {100 * last.share_since(uses[-2]):5.1f} %, {last.resident_mb:6.1f} MB,"
+            f" {_shown(person)} plots live",
             flush=True,
         )
     end = uses[-1]
@@ -111,6 +112,17 @@ def _watch(server: int, machines: list[int], seconds: float, person: panel.Perso
         f"shown: {min(rates_hz):.1f} to {max(rates_hz):.1f} looks a second of {len(rates_hz)} axes, over the last minute"
     )
     print(f"simulation: {100 * sum(shares):.0f} % of a processor, in its own processes")
+
+
+def _shown(person: panel.Person) -> int:
+    """How many plots in the browser have got points since this was asked last."""
+    script = """
+        const ends = [...hilPlots.values()].flatMap((plot) => [...plot.values()]).map((points) => points.at(-1)[0]);
+        const before = window.hilEnds ?? [];
+        window.hilEnds = ends;
+        return ends.filter((end, index) => end !== before[index]).length;
+    """
+    return int(person.driver.execute_script(script))
 
 
 def _rates_hz(person: panel.Person) -> list[float]:

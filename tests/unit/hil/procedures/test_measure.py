@@ -15,9 +15,11 @@ from support.toy_axis import LIMITS, MEASUREMENT, ToyMachine, Trouble, toy_sessi
 
 from drivers.drive import DriveState
 from drivers.errors import InputError, MeasurementLostError
+from hil.axis_lost_motion import LostMotionConfig
 from hil.compensation import Compensation
 from hil.journal import Campaign
 from hil.procedures.events import Event, Point
+from hil.procedures.lost_motion import proof_steps, stroke_steps
 from hil.procedures.measure import BASE_COLUMNS, Step, bidirectional_steps, measure, other_targets, steps_for_sections
 from hil.procedures.session import AxisSession
 from hil.records import Records, read_csv
@@ -196,6 +198,41 @@ def test_interrupted_at_random_moments_and_resumed_it_ends_with_the_same_rows(tm
     assert without_time(records) == without_time(whole)
     assert np.all(np.diff(records["time_s"]) > 0)
     assert "# resumed after" in path.read_text(encoding="utf-8")
+
+
+LOST_MOTION = LostMotionConfig(
+    at_mm=50.0, stroke_mm=4.0, places=10, finest_um=4.0, runs=1, proof_moves=12, shortest_rise_um=0.25
+)
+STROKES = stroke_steps(LOST_MOTION)
+
+
+def travelled(records: Records) -> np.ndarray:
+    """(n, 2): error and travel since the last turning, µm; of the play's machine the one tells how much of it is wound up."""
+    return np.column_stack([records.error_um, 1000.0 * records["since_reversal_mm"]])
+
+
+@pytest.mark.parametrize("steps", [STROKES, proof_steps(LOST_MOTION, 3)], ids=["strokes", "moves"])
+def test_rows_that_go_on_from_the_one_before_are_the_same_wherever_they_were_interrupted(
+    tmp_path: Path, steps: list[Step]
+) -> None:
+    """What a row holds is the travel behind it, which homing and the datum had taken away."""
+    worn = {"play_mm": 0.05, "wave_um": 0.0}
+    whole = travelled(
+        prepared(ToyMachine(**worn), lambda session: measure(session, campaign(tmp_path / "whole"), "measure", steps))
+    )
+    assert len({round(error, 1) for error in whole[:, 0]}) > 2, "rows differ by the travel behind them"
+    for rows in range(1, len(steps), 4):
+        place, machine = campaign(tmp_path / str(rows)), ToyMachine(**worn)
+
+        def interrupt(event: Event, rows: int = rows) -> None:
+            if event.done == rows:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            prepared(machine, lambda session, place=place: measure(session, place, "measure", steps, interrupt))  # type: ignore[misc]
+        again = campaign(tmp_path / str(rows), resume=True)
+        resumed = prepared(ToyMachine(**worn), lambda session, again=again: measure(session, again, "measure", steps))  # type: ignore[misc]
+        assert travelled(resumed) == pytest.approx(whole, abs=1e-3), f"resumed after {rows} rows"
 
 
 def test_rows_stay_when_the_beam_breaks(tmp_path: Path) -> None:

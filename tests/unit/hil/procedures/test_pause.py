@@ -20,7 +20,7 @@ from drivers.instrument import Reading, ReadingStatus
 from hil.axis import load_axis
 from hil.journal import Campaign
 from hil.procedures.events import Event
-from hil.procedures.measure import bidirectional_steps, measure
+from hil.procedures.measure import Step, bidirectional_steps, measure
 from hil.procedures.pause import STEADY_S
 from hil.procedures.session import AxisSession
 from hil.records import Records
@@ -100,6 +100,29 @@ def test_every_moment_of_a_pass_may_lose_the_signal(tmp_path: Path, port: bool) 
         assert [event.message for event in events if event.message in notes[2]] != []
         assert len(machine.told("quick stop")) >= 1
         assert len(machine.told("enable")) == 2
+
+
+def test_rows_that_go_on_from_the_one_before_are_the_same_after_a_pause(tmp_path: Path) -> None:
+    """Short strokes of a nut with play: what a row holds is the travel behind it, which taking the datum anew took away."""
+    there = [Step(1, 1, target, 0.0) for target in (50.01, 50.03, 50.06, 54.0)]
+    back = [Step(1, -1, target, 0.0) for target in (53.99, 53.97, 53.94, 50.0)]
+    steps = [Step(1, -1, 50.0, 1.0), *there, *back, *there]
+
+    def rows(path: Path, *window: float) -> np.ndarray:
+        with toy_session(ToyMachine(play_mm=0.05, wave_um=0.0)) as session:
+            if window:
+                session.resume_within_s = 60.0
+                outage(session, (window[0], window[0] + 5.0))
+            session.prepare()
+            records = measure(session, Campaign(path, {"kind": "test"}, resume=False), "pass", steps)
+            return np.append(records.error_um, session.elapsed_s())
+
+    plain = rows(tmp_path / "plain")
+    assert len(set(plain[:-1].round(1).tolist())) > 4
+    for number, at_s in enumerate(np.linspace(4.0, plain[-1] - 0.3, 12)):
+        disturbed = rows(tmp_path / str(number), float(at_s))
+        assert disturbed[-1] > plain[-1]
+        assert disturbed[:-1] == pytest.approx(plain[:-1], abs=1e-6), f"lost at {at_s:.1f} s"
 
 
 def test_nothing_moves_before_the_signal_was_steady(tmp_path: Path) -> None:
