@@ -33,7 +33,10 @@ class Curves:
 
 @dataclass(frozen=True)
 class ShownFinding:
-    """parameters: name, value, standard error; rivals: effect, weight, what separates it; texts in English"""
+    """parameters: name, value, standard error; rivals: effect, weight, what separates it; texts in English.
+
+    form, inputs: of the effect, and the columns it reads, "" and () in a file of before these were kept; rms_um: over the rows
+    """
 
     effect: str
     confidence: float | None
@@ -42,6 +45,9 @@ class ShownFinding:
     parameters: tuple[tuple[str, float | None, float | None], ...]
     rivals: tuple[tuple[str, float | None, str], ...]
     curves: Curves | None
+    form: str = ""
+    inputs: tuple[str, ...] = ()
+    rms_um: float | None = None
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,7 @@ def read_shown(of: Measurement) -> ShownDiagnosis:
     curves = [_curves(one) for one in (along if isinstance(along, list) else [])]
     findings = objects_of(form.get("findings"))
     curves += [None] * (len(findings) - len(curves))
+    forms = [*objects_of(drawn.get("forms")), *({} for _ in findings)]
     stages = {name: object_of(form.get(name)) for name in ("before", "after", "after_setup_fixed")}
     return ShownDiagnosis(
         current=form.get("sources", sources(of.paths)) == sources(of.paths),
@@ -113,7 +120,7 @@ def read_shown(of: Measurement) -> ShownDiagnosis:
         blind=tuple((str(one.get("effect")), str(one.get("reason"))) for one in objects_of(form.get("blind_to"))),
         notes=tuple(map(str, list_of(form.get("notes")))),
         next_run=str(object_of(form.get("next_measurement")).get("what", "")),
-        findings=tuple(_finding(one, curve) for one, curve in zip(findings, curves, strict=False)),
+        findings=tuple(map(_finding, findings, curves, forms)),
         position=_curves(drawn.get("position")),
     )
 
@@ -127,7 +134,7 @@ def _carrier(form: Mapping[str, Any]) -> tuple[str, float | None, float | None]:
     return columns, value_of(form, "rms_um"), value_of(form, "rms_std_um")
 
 
-def _finding(form: Mapping[str, Any], curves: Curves | None) -> ShownFinding:
+def _finding(form: Mapping[str, Any], curves: Curves | None, of: Mapping[str, Any]) -> ShownFinding:
     parameters = object_of(form.get("parameters")).items()
     rivals = objects_of(form.get("rivals"))
     return ShownFinding(
@@ -138,6 +145,9 @@ def _finding(form: Mapping[str, Any], curves: Curves | None) -> ShownFinding:
         tuple((name, value_of(value, "value"), value_of(value, "std")) for name, value in parameters),
         tuple((str(one.get("effect")), value_of(one, "confidence"), str(one.get("separate_by"))) for one in rivals),
         curves,
+        str(of.get("name", "")),
+        tuple(map(str, list_of(of.get("inputs")))),
+        value_of(form, "rms_um"),
     )
 
 

@@ -43,7 +43,8 @@ def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
 def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
     """The contract's object, each finding with its plot, and `drawn`: the curves of a screen.
 
-    records: those that were diagnosed. `drawn` is {"position": curves, "findings": [curves or None, one for each finding]}.
+    records: those that were diagnosed. `drawn` is {"position": curves, "findings": [curves or None, one for each finding], "forms":
+    [form and inputs of each finding's effect]}.
     """
     diagnosis = follow.diagnosis
     form = with_plots(follow.to_json(), diagnosis, records)
@@ -54,6 +55,7 @@ def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
     drawn = {
         "position": _curves(position_view(whole.records, findings)) | _along_position(diagnosis, records),
         "findings": [None if view is None else _curves(view) for view in views],
+        "forms": [{"name": one.term.form.name, "inputs": list(one.term.needs)} for one in diagnosis.findings],
     }
     return {**form, "drawn": drawn}
 

@@ -1,7 +1,8 @@
 """Every word of the screen, in three languages: one file each, the same keys in all.
 
-`[said]` holds what procedures say, as patterns: the English one is what they say, the others how it is said there. What is not in it,
-such as a drive's own error, is shown as it came.
+Procedures and drives speak English, on purpose: what they say goes to terminals, journals and reports too. `[said]` holds it as
+patterns: the English one is what they say, the others how it is said there, and so in turn for its parts. What is not in it, such as
+the words of an error, is shown as it came.
 """
 
 from __future__ import annotations
@@ -9,12 +10,19 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from decimal import Decimal
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 LANGUAGES = {"en": "English", "de": "Deutsch", "zh": "中文"}
 SAID = "said"
+FIGURES = re.compile(r"-?\d+(\.\d+)?(, -?\d+(\.\d+)?)*( ± \d+(\.\d+)?)?")
+"""A number, several, or one with its uncertainty, as procedures write them."""
+WEIGHTS = re.compile(r"\w+ [01]\.\d\d(, \w+ [01]\.\d\d)*")
+"""Effects with their weights."""
+NAMES = {re.compile(r"temp_(?P<place>\w+)_c"): "column.temp", re.compile(r"pos_(?P<axis>\w+)_mm"): "column.pos"}
+"""Columns that are named after what they are of."""
 
 
 class Texts:
@@ -32,21 +40,52 @@ class Texts:
         """The text of a name in a table of names; a name that is not in it stands for itself."""
         return self._texts.get(f"{table}.{name}", name)
 
+    def __contains__(self, key: str) -> bool:
+        return key in self._texts
+
     def said(self, text: str) -> str:
-        """What a procedure said, in this language where it is known."""
+        """What a procedure said, in this language where it is known, and its parts likewise."""
         for key, pattern in _patterns():
             match = pattern.fullmatch(text)
             if match is not None:
-                return self._texts[key].format(**match.groupdict())
-        return text
+                return self._with_parts(key, match)
+        return self._named(text)
+
+    def _with_parts(self, key: str, match: re.Match[str]) -> str:
+        return self._texts[key].format(**{name: self.said(part) for name, part in match.groupdict().items()})
+
+    def _named(self, text: str) -> str:
+        """The name of an effect or a column, or figures, or both; anything else as it is."""
+        if FIGURES.fullmatch(text):
+            return self._written(text.replace(", ", "; ") if self.language == "de" else text)
+        if WEIGHTS.fullmatch(text):
+            return "; ".join(" ".join(map(self.said, one.split())) for one in text.split(", "))
+        for pattern, key in NAMES.items():
+            if match := pattern.fullmatch(text):
+                return self._with_parts(key, match)
+        return self._texts.get(f"effect.{text}") or self._texts.get(f"column.{text}", text)
+
+    def _written(self, figure: str) -> str:
+        figure = figure.replace("-", "−")
+        return figure.replace(".", ",") if self.language == "de" else figure
 
     def number(self, value: float | None, digits: int = 3, *, sign: bool = False) -> str:
         """A figure as it is written in this language; a dash for one that is not known."""
         if value is None or math.isnan(value):
             return "–"
         rounded = round(value, digits) + 0.0  # no −0.0
-        text = f"{rounded:{'+' if sign else ''}.{digits}f}".replace("-", "−")
-        return text.replace(".", ",") if self.language == "de" else text
+        return self._written(f"{rounded:{'+' if sign else ''}.{digits}f}")
+
+    def significant(self, value: float | None, digits: int = 4) -> str:
+        """A figure to so many digits, whatever its size; a dash for one that is not known."""
+        if value is None or not math.isfinite(value):
+            return "–"
+        return self._written(f"{Decimal(f'{value:.{digits}g}'):f}")
+
+    def estimate(self, value: float | None, std: float | None, unit: str = "") -> str:
+        """A figure with its standard uncertainty, where there is one, and its unit."""
+        spread = "" if std is None or not math.isfinite(std) else f" ± {self.significant(std, 2)}"
+        return f"{self.significant(value)}{spread} {unit}".rstrip()
 
 
 @cache

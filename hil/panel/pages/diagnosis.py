@@ -15,6 +15,7 @@ from hil.jobs.report import Wanted
 from hil.panel.drawings import Curve, Drawing, Options, curves
 from hil.panel.pages.close_loop import draw_loop
 from hil.panel.reading import Reading
+from hil.panel.sentences import parameter, sentence
 from hil.panel.tables import Table
 from hil.panel.view import View
 
@@ -210,12 +211,12 @@ def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
             )
             said = t("diagnosis.confidence", percent=weight)
             view.named(ui.label(f"{said} · {t.known('diagnosis.action', finding.action)}"), f"{name}.confidence")
-            view.named(ui.label(t.said(finding.explanation)).classes("hil-note"), f"{name}.explanation")
+            view.named(ui.label(sentence(t, finding)).classes("hil-note"), f"{name}.explanation")
             heads = [f"diagnosis.head.{one}" for one in ("parameter", "value", "std")]
             parameters = Table(view, f"{name}.parameters", heads)
             parameters.show(
                 [
-                    [t.known("parameter", one), _significant(view, value), _significant(view, std)]
+                    [parameter(t, one), t.significant(value), t.significant(std)]
                     for one, value, std in finding.parameters
                 ]
             )
@@ -263,14 +264,3 @@ def _effect(view: View, name: str) -> str:
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
-
-
-def _significant(view: View, value: float | None) -> str:
-    """To four digits."""
-    if value is None:
-        return "–"
-    return (
-        view.t.number(value, max(0, 3 - len(str(int(abs(value)))) + 1))
-        if abs(value) >= 1 or value == 0
-        else view.t.number(value, 4)
-    )

@@ -106,5 +106,5 @@ def _environment(view: View, live: Live) -> str:
     number = view.t.number
     parts = [f"{view.t('overview.air')} {number(air.air_temp_c, 2)} °C", f"{number(air.air_pressure_hpa, 1)} hPa"]
     parts.append(f"{number(air.air_humidity_percent, 0)} %")
-    parts += [f"{place} {number(value, 2)} °C" for place, value in sorted(air.place_temps_c.items())]
+    parts += [f"{view.t.said(place)} {number(value, 2)} °C" for place, value in sorted(air.place_temps_c.items())]
     return " · ".join(parts)
