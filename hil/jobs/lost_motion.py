@@ -16,6 +16,7 @@ from hil.jobs.identity import drive_in_words
 from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Move, Plan, Write
 from hil.journal import Campaign
+from hil.lost_motion.estimate import NOT_SEPARATE, separate
 from hil.procedures.computing import Computing, at_once, watched
 from hil.procedures.events import Event, Listener, Point, silent
 from hil.procedures.lost_motion import (
@@ -166,7 +167,8 @@ def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
     """In a few lines. stored: where, or "nothing"."""
     result, present = measured.result, measured.present
     found, proof = result.estimate, result.proof
-    parameters = {name.replace("_", " "): str(each) for name, each in found.parameters.items()}
+    parameters = {name.replace("_", " "): str(each) for name, each in found.told.items()}
+    parameters |= {} if separate(found.parameters) else {"single amounts": NOT_SEPARATE}
     before = (
         "nothing" if present is None else "the tables" if present.rise is None else "the tables and an earlier rise"
     )

@@ -17,6 +17,12 @@ AS_GOOD = 1.1
 """Two tanh terms are taken unless another shape's held-out RMS is smaller by more than this ratio."""
 STILL_RISING = 0.03
 """Share of the lost motion that may come back over the second half of what was measured."""
+SURE = 2.0
+"""A single amount or length of a sum stands for itself from so many of its own standard uncertainties on."""
+LEAST_SHARE = 1e-3
+"""Of the whole, below which a single amount is none."""
+NOT_SEPARATE = "not determined one by one, only their sum"
+"""Said of single amounts."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,11 @@ class Estimate:
         return self.rise.amount_um
 
     @property
+    def told(self) -> dict[str, Uncertain]:
+        """The parameters that are determined: see `told`."""
+        return told(self.parameters)
+
+    @property
     def still_rising(self) -> bool:
         """Whether the strokes were too short for the whole lost motion."""
         return self.late_um > STILL_RISING * self.amount_um
@@ -60,6 +71,7 @@ class Estimate:
             "rise": self.rise.to_json(),
             "amount_um": self.amount_um,
             "parameters": _plain(self.parameters),
+            "determined": sorted(self.told),
             "published": _plain(self.published),
             "late_um": self.late_um,
             "contenders": [
@@ -85,8 +97,8 @@ def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float) -> Estim
     two_tanh = next(one for one in contenders if one.fitted.shape is TWO_TANH)
     chosen = two_tanh if two_tanh.held_out_rms_um <= AS_GOOD * contenders[0].held_out_rms_um else contenders[0]
     rise = chosen.fitted.rise
-    published = _uncertain(two_tanh, by_load, shortest_mm)
-    parameters = published if chosen is two_tanh else _uncertain(chosen, by_load, shortest_mm)
+    published = uncertain(two_tanh.fitted.rise, by_load, shortest_mm)
+    parameters = published if chosen is two_tanh else uncertain(rise, by_load, shortest_mm)
     end_mm = max(float(reversal.travel_mm.max()) for reversal in by_load)
     late_um = rise.risen_um(end_mm) - rise.risen_um(end_mm / 2.0)
     return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um)
@@ -96,9 +108,11 @@ def _plain(parameters: Mapping[str, Uncertain]) -> dict[str, dict[str, float]]:
     return {name: {"value": each.value, "std": each.std} for name, each in parameters.items()}
 
 
-def _uncertain(chosen: Contender, reversals: Sequence[MeasuredReversal], shortest_mm: float) -> dict[str, Uncertain]:
-    """Parameters under the names people use, each with its standard uncertainty; of straight pieces the whole amount alone."""
-    rise = chosen.fitted.rise
+def uncertain(rise: Rise, reversals: Sequence[MeasuredReversal], shortest_mm: float) -> dict[str, Uncertain]:
+    """Parameters under the names people use, each with its standard uncertainty; of straight pieces the whole amount alone.
+
+    rise: as it was fitted to these reversals, over the load's travel; shortest_mm: no rise was to be shorter.
+    """
     shape, amounts, lengths = rise.shape, rise.amounts_um, rise.lengths_mm
     u_whole, u_amounts, u_lengths = uncertainties(rise, reversals, shortest_mm)
     found = {"amount_um": Uncertain(rise.amount_um, u_whole)}
@@ -108,3 +122,26 @@ def _uncertain(chosen: Contender, reversals: Sequence[MeasuredReversal], shortes
         found |= {f"amount_{k + 1}_um": Uncertain(amounts[k], u_amounts[k]) for k in range(len(amounts))}
     found |= {f"rise_{k + 1}_mm": Uncertain(lengths[k], u_lengths[k]) for k in range(shape.rises)}
     return found | ({"onset_2_mm": Uncertain(lengths[-1], u_lengths[-1])} if shape.onsets else {})
+
+
+def separate(parameters: Mapping[str, Uncertain]) -> bool:
+    """Whether the amounts of a sum of terms are determined one by one; True for a shape of one term.
+
+    Where one term would do, two can share its amount in any way: each is then as good as unknown, though their sum is sharp.
+    """
+    whole_um = parameters["amount_um"].value
+    singles = [each for name, each in parameters.items() if _is_single(name)]
+    return all(one.value > max(SURE * one.std, LEAST_SHARE * whole_um) for one in singles)
+
+
+def told(parameters: Mapping[str, Uncertain]) -> dict[str, Uncertain]:
+    """All of them; where single amounts are not determined the whole one instead, and the lengths that are."""
+    if separate(parameters):
+        return dict(parameters)
+    kept = (name for name in parameters if name != "amount_um" and not _is_single(name))
+    sure = {name: each for name in kept if (each := parameters[name]).value > SURE * each.std > 0.0}
+    return {"amount_um": parameters["amount_um"], **sure}
+
+
+def _is_single(name: str) -> bool:
+    return name.startswith("amount_") and name != "amount_um"

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.lost_motion.estimate import Estimate
+from hil.lost_motion.estimate import NOT_SEPARATE, Estimate, separate, told
 from hil.records import Floats, Records
 from hil.report import markup
 from hil.report.page import header, page, tile
@@ -175,10 +175,11 @@ def _contenders(estimate: Estimate) -> str:
 def _parameters(estimate: Estimate) -> str:
     rows = [
         [name.replace("_", " "), markup.significant(each.value), markup.significant(each.std, 2)]
-        for name, each in estimate.published.items()
+        for name, each in told(estimate.published).items()
     ]
     head = ["two tanh terms", "value", "standard uncertainty"]
-    return markup.table(head, rows, css="numbers")
+    note = "" if separate(estimate.published) else f"<p>The amounts of the single terms are {NOT_SEPARATE}.</p>"
+    return markup.table(head, rows, css="numbers") + note
 
 
 def _proof_data(proof: Proven) -> str:

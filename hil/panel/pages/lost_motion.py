@@ -10,6 +10,7 @@ from hil.axis import AxisConfig
 from hil.desk.lost_motion import lost_motion_screen, proof_points, resumable, rise_curves
 from hil.jobs import lost_motion
 from hil.jobs.lost_motion import MeasuredLostMotion
+from hil.lost_motion.estimate import separate
 from hil.panel.drawings import Curve, Drawing, Options, curves
 from hil.panel.latest import Latest
 from hil.panel.pages.circle import draw_circle
@@ -179,6 +180,8 @@ def _draw_fits(view: View) -> Refresh:
         with view.card("lost_motion.parameters"):
             heads = [f"lost_motion.head.{name}" for name in ("parameter", "value", "uncertainty")]
             parameters = Table(view, "lost_motion.fitted", heads)
+            single = view.named(ui.label(t("lost_motion.not_separate")).classes("hil-note"), "lost_motion.not_separate")
+            single.set_visibility(False)
     latest = Latest()
 
     def refresh() -> None:
@@ -201,10 +204,11 @@ def _draw_fits(view: View) -> Refresh:
         parameters.show(
             [
                 [t(f"lost_motion.parameter.{name}"), t.number(per * each.value, 2), f"± {t.number(per * each.std, 2)}"]
-                for name, each in found.parameters.items()
+                for name, each in found.told.items()
                 for per in [UM_PER_MM if name.endswith("_mm") else 1.0]
             ]
         )
+        single.set_visibility(not separate(found.parameters))
 
     return refresh
 

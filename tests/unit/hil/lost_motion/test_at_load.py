@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import InputError
 from hil.lost_motion.at_load import load_mm
-from hil.lost_motion.estimate import estimate
+from hil.lost_motion.estimate import estimate, separate, told, uncertain
 from hil.lost_motion.fit import MeasuredReversal, fit, uncertainties
 from hil.lost_motion.shapes import DEAD_ZONE, TANH, TWO_TANH, Floats, Rise
 
@@ -79,6 +79,33 @@ def test_the_shape_that_is_true_is_chosen_and_strokes_that_were_too_short_are_to
         *("amount_um", "amount_1_um", "amount_2_um", "rise_1_mm", "rise_2_mm", "onset_2_mm")
     }
     assert estimate(strokes(Rise(TANH, (9.0,), (2.5,))), 0.00025).still_rising
+
+
+def test_where_one_term_would_do_the_sum_is_told_and_not_the_amounts_that_share_it() -> None:
+    """One tanh measured twice: how two terms share it changes from one time to the next, what they come to does not."""
+    firsts, wholes = [], []
+    load = load_mm(Rise(TANH, (53.0,), (0.02,)), MOTOR_MM)
+    for seed in (0, 10):
+        by_load = [reversal_of(load, seed + k).by_load() for k in range(3)]
+        parameters = uncertain(fit(TWO_TANH, by_load, 0.00025, table=False).rise, by_load, 0.00025)
+        assert not separate(parameters)
+        shown = told(parameters)
+        assert not {"amount_1_um", "amount_2_um"} & set(shown)
+        assert shown["amount_um"].value == pytest.approx(53.0, abs=0.05)
+        assert all(each.value > 2.0 * each.std for each in shown.values())
+        firsts.append(parameters["amount_1_um"].value)
+        wholes.append(shown["amount_um"].value)
+    assert np.ptp(firsts) > 20.0 * np.ptp(wholes)
+
+
+def test_two_terms_that_are_there_are_told_one_by_one() -> None:
+    truth = Rise(TWO_TANH, (9.0, 5.0), (0.02, 0.3, 0.1))
+    by_load = [reversal_of(load_mm(truth, MOTOR_MM), seed).by_load() for seed in range(4)]
+    parameters = uncertain(fit(TWO_TANH, by_load, 0.00025, table=False).rise, by_load, 0.00025)
+    assert separate(parameters)
+    assert told(parameters) == parameters
+    one = Rise(TANH, (9.0,), (0.02,))
+    assert separate(uncertain(one, by_load, 0.00025))
 
 
 def test_refusals() -> None:
