@@ -2,7 +2,7 @@
 
 Backends (CANopen, Modbus, the in-process virtual drive) implement the underscored methods; the public ones check limits and
 states first, so that no backend can move an axis outside its limits or enable it unsafely. All calls are synchronous and
-short: a motion is *started*, and whoever started it watches samples (see `hil.procedures.session`). Positions are load mm as
+short: a motion is *started*, and whoever started it watches samples (see `hil.procedures.lookout`). Positions are load mm as
 the motor encoder sees them (`scaling` converts); what the table really did only an instrument can tell.
 """
 

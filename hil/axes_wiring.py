@@ -57,7 +57,7 @@ def connected_axes(
         else:
             machines = _on_hardware(axes, stack, waiting)
         for one in machines:
-            one.session.beside = tuple(other.session for other in machines if other is not one)
+            one.session.lookout.beside = tuple(other.session.lookout for other in machines if other is not one)
         for one in machines:
             stack.enter_context(one.session)
         yield machines

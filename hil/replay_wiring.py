@@ -18,17 +18,17 @@ from sim_backends.clock import SimClock
 @contextmanager
 def recorded(machine: Machine, path: Path) -> Iterator[None]:
     """Inside the block, drive and instrument of a connected machine are recorded. Raises InputError for a file that is there."""
-    session = machine.session
-    drive, instrument = session.drive, session.instrument
+    lookout = machine.session.lookout
+    drive, instrument = lookout.drive, lookout.instrument
     config = machine.axis.instrument
     with MachineRecorder(path, machine.clock, tuple(config.place_temps), tuple(config.beside or ())) as recorder:
-        session.drive = RecordedDrive(drive, recorder)
-        session.instrument = RecordedInstrument(instrument, recorder)
-        session.drive.sample()
+        lookout.drive = RecordedDrive(drive, recorder)
+        lookout.instrument = RecordedInstrument(instrument, recorder)
+        lookout.drive.sample()
         try:
             yield
         finally:
-            session.drive, session.instrument = drive, instrument
+            lookout.drive, lookout.instrument = drive, instrument
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import BridgeError, LinkLostError, StateError
 from drivers.instrument import Reading
@@ -14,6 +15,7 @@ from hil.axis import DriveAxis
 from hil.desk.connection import Connect, Connection
 from hil.desk.live import RATE_HZ, Board, Live, of_sample
 from hil.desk.progress import JobLog, Phase
+from hil.desk.standstill import Standstill
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
 from hil.jobs.job import Job, Workplace
 from hil.procedures.session import AxisSession
@@ -22,6 +24,7 @@ from hil.store import SealedStore
 RETRY_S = 2.0
 """Between two attempts to connect an axis that does not answer."""
 CLOSING_S = 10.0
+LOOK_NS = round(NS_PER_S / RATE_HZ)
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class AxisThread:
     def __init__(self, axis: DriveAxis, connect: Connect, pace: float) -> None:
         self.axis = axis
         self.stop = Stop()
+        self.standstill = Standstill()
         self.board = Board()
         self._connect = connect
         self._pace = pace
@@ -54,6 +58,11 @@ class AxisThread:
     # -- for any thread ------------------------------------------------------------------------------------------------
     def start(self) -> None:
         self._thread.start()
+
+    def press_stop(self) -> None:
+        """Stop at the next moment the thread waits, and see how the axis comes to rest."""
+        self.standstill.pressed(self._pacing.now_ns())
+        self.stop.press()
 
     def close(self) -> None:
         """Stop whatever runs, let go of the axis, end the thread. Raises StateError where it does not end in time."""
@@ -131,6 +140,7 @@ class AxisThread:
 
     def _serve(self, connection: Connection) -> None:
         """Until the axis is to be let go: for a job that connects by itself, for another thread, or for good."""
+        due_ns = connection.drive.clock.now_ns()
         while not (self._closing.is_set() or self._lent.is_set()):
             try:
                 asked = self._asked
@@ -139,9 +149,10 @@ class AxisThread:
                 if asked is not None:
                     self._run(connection)
                     continue
-                next_look = connection.drive.clock.deadline(1.0 / RATE_HZ)
+                clock = connection.drive.clock
+                due_ns = max(due_ns + LOOK_NS, clock.now_ns())
                 self._look(connection)
-                connection.drive.clock.sleep_until_ns(next_look.end_ns)
+                clock.sleep_until_ns(due_ns)
             except StoppedByOperator:
                 self._hold(connection.drive)
 
@@ -190,6 +201,7 @@ class AxisThread:
     def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
         """A job's work, however it ends. No more is asked of a job than that it ends: the axis was put back before."""
         self._pacing.set_factor(self._pace)
+        self.standstill.forget()
         try:
             log.end(Phase.DONE, work())
         except StoppedByOperator:
@@ -213,12 +225,15 @@ class AxisThread:
         """From now on every look of any procedure is shown."""
 
         def looked(sample: DriveSample) -> None:
+            self.standstill.look(sample)
             live = of_sample(self.board.live, sample, drive.destination_load_mm)
             self.board.publish(live if session is None else self._with_session(live, session))
 
         drive.on_look = looked
         if session is not None:
-            session.on_readings = lambda readings: self.board.heard(readings, lambda one: _in_load_frame(session, one))
+            session.lookout.on_readings = lambda readings: self.board.heard(
+                readings, lambda one: _in_load_frame(session, one)
+            )
 
     def _with_session(self, live: Live, session: AxisSession) -> Live:
         history, compensation = session.history, session.compensation
@@ -235,9 +250,9 @@ class AxisThread:
         """With no job: look at everything, and let nothing that is seen stop the looking; only a drive that is gone does."""
         connection.drive.looked_at(connection.drive.sample())
         session = connection.session
-        if session is not None and session.on_readings is not None:
+        if session is not None and session.lookout.on_readings is not None:
             with suppress(LinkLostError):  # its readings get old, and are shown so
-                session.on_readings(session.instrument.poll())
+                session.lookout.on_readings(session.instrument.poll())
 
 
 def _in_load_frame(session: AxisSession, reading: Reading) -> float | None:

@@ -103,10 +103,10 @@ def _stream(axes: Sequence[AxisSession], circle: Circle, stage: str, period_s: f
         times.find_arrival()
     seconds = round(circle.duration_s)
     every = max(1, round(_REPORT_EVERY_S / period_s))
-    known = [axis.known_in_stream() for axis in axes]
+    known = [axis.known_for_commands() for axis in axes]
     first, others = axes[0], [axis.drive for axis in axes[1:]]
     with ExitStack() as stack:
-        stack.enter_context(first.stopping_on_error())
+        stack.enter_context(first.lookout.stopping_on_error())
         stream = stack.enter_context(first.drive.stream_with(others, SetPointSettings(period_s)))
         for index, (targets, feed) in enumerate(circle.path(period_s)):
             commands = [
@@ -114,7 +114,7 @@ def _stream(axes: Sequence[AxisSession], circle: Circle, stage: str, period_s: f
             ]
             stream.cycle([command.command_mm for command in commands])
             for axis, command, rows in zip(axes, commands, samples, strict=True):
-                axis.given(command)
+                axis.steering.given(command)
                 rows.extend(axis.readings())
             if index % every == 0:
                 listener(Event(stage, done=min(seconds, round(index * period_s)), total=seconds))

@@ -13,7 +13,8 @@ import numpy as np
 from drivers.drive import Capability, DriveState
 from drivers.errors import BridgeError, RemoteError
 from hil.procedures.drive_units import compare_units
-from hil.procedures.session import SLICE_S, AxisSession
+from hil.procedures.lookout import SLICE_S
+from hil.procedures.session import AxisSession
 
 PROOF_TRAVEL_MM = 2.0
 CAREFUL_TRAVEL_MM = 0.1
