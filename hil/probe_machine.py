@@ -110,7 +110,8 @@ class ProbeStoreConfig:
 
 @dataclass(frozen=True)
 class ProbeMachineConfig:
-    """One machine with a probe. y is None for one without a second axis; bench_seed: of the simulated probe."""
+    """One machine with a probe. y is None for one without a second axis; bench_seed: of the simulated probe; bench_chip_um:
+    thickness of a chip that lies on the simulated block at the first contact."""
 
     path: Path
     name: str
@@ -124,6 +125,7 @@ class ProbeMachineConfig:
     bore: BoreConfig | None
     store: ProbeStoreConfig
     bench_seed: int
+    bench_chip_um: float = 0.0
 
     @property
     def axes(self) -> dict[str, DriveAxis]:
@@ -175,7 +177,7 @@ def load_probe_machine(path: str | Path) -> ProbeMachineConfig:
         _block(root.child("block"), x, y),
         _bore(root, x, y),
         _store(root.child("store", required=False), root.path, name),
-        _bench(root.child("bench", required=False)),
+        *_bench(root.child("bench", required=False)),
     )
     root.finish(("machine", "spindle", "probe", "block", "bore", "store", "bench"))
     if config.block.radius_limit_um is not None and config.probe.tip_radius_mm is None:
@@ -307,7 +309,8 @@ def _store(table: Table, path: Path, name: str) -> ProbeStoreConfig:
     return config
 
 
-def _bench(table: Table) -> int:
+def _bench(table: Table) -> tuple[int, float]:
     seed = table.take("seed", reader.whole(0, 2**31), "a whole number >= 0", 0)
+    chip_um = table.take("chip_um", reader.not_negative, "a number >= 0 in µm", 0.0)
     table.finish()
-    return seed
+    return seed, chip_um

@@ -22,6 +22,7 @@ from hil.axis import DriveAxis
 from hil.files import held
 from hil.probe_machine import ProbeConfig, ProbeMachineConfig
 from hil.procedures.probe_session import ProbeSession, ProbeSignal
+from hil.runout import UM_PER_MM
 from hil.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
@@ -29,6 +30,7 @@ from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.modbus_registers import Face
 from sim_backends.modbus_vendor import VendorRegisters
+from sim_backends.plant.touch_probe import Chip
 from sim_backends.probe import ProbeParameters, known_probe
 from sim_backends.probe_bench import AxisOfBench, ProbeBench
 from sim_backends.probe_latch import ProbeLatch
@@ -164,6 +166,8 @@ def probe_bench(
         bore_mm=None if bore is None else (bore.x_mm, bore.y_mm),
         bore_radius_mm=0.0 if bore is None else bore.reach_mm,
     )
+    if config.bench_chip_um and probe is None and not in_bore:
+        known = replace(known, chips=(Chip(config.bench_chip_um / UM_PER_MM, 0, 0),))
     places = {"x": block.start_mm, "y": y_mm}
     if in_bore:
         middle = config.require_bore()

@@ -118,6 +118,23 @@ def mean_feeds(turns: Sequence[FourFeeds]) -> FourFeeds:
     )
 
 
+def run_out_std_um(turns: Sequence[FourFeeds], step_mm: float) -> float | None:
+    """Standard uncertainty of Δx, and of Δy, as far as these turns show it, µm; None of one turn, which shows nothing.
+
+    step_mm: of the positions, which a contact is known within. The spread of the feeds about the mean of their angle, pooled over the
+    four angles; each of Δx and Δy is half the difference of two means. Source: JCGM 100:2008, 4.2.3, 4.3.7 and 5.1.2.
+    """
+    count = len(turns)
+    if count < 2:
+        return None
+    squares = 0.0
+    for angle_deg in ANGLES_DEG:
+        feeds = [float(getattr(turn, f"n_{angle_deg}_mm")) for turn in turns]
+        squares += sum((feed - sum(feeds) / count) ** 2 for feed in feeds)
+    of_mean = squares / (len(ANGLES_DEG) * (count - 1)) / count
+    return UM_PER_MM * math.sqrt((of_mean + step_mm**2 / 12.0) / 2.0)
+
+
 def check_repeat(turns: Sequence[FourFeeds], limit_um: float) -> None:
     """Raise MeasurementRefusedError, naming the angle and both feeds, unless each angle's feeds agree within the limit."""
     for angle_deg in ANGLES_DEG:

@@ -12,11 +12,13 @@ from pathlib import Path
 from drivers.errors import InputError
 from hil.axis import DriveAxis, load_drive_axis
 from hil.cli.passwords import read_password_file
+from hil.probe_machine import load_probe_machine
 
 EXAMPLE = """\
 example:
   hil panel X.toml                                  prints the address; open it in a browser on this machine
   hil panel X.toml Y.toml --port 8080 --lang de     several axes, German
+  hil panel X.toml Y.toml --probe MACHINE.toml      and the touch probe of the machine
   hil panel X.toml --pace 10                        on the bench, jobs run ten times as fast as a machine (0: as fast as they go)
   hil panel X.toml --bind 192.0.2.7 --cert server.crt --key server.key     for other machines: TLS, and a token for every browser
 
@@ -37,6 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("axes", metavar="AXIS.toml", nargs="+", help="an axis file each")
+    parser.add_argument("--probe", metavar="MACHINE.toml", help="the machine file of a touch probe, for its page")
     parser.add_argument("--port", type=_port, default=0, help="TCP port (default 0: any free one, which is printed)")
     parser.add_argument("--pace", type=_pace, default=1.0, help="of jobs on the bench against real time (default 1)")
     parser.add_argument("--lang", choices=LANGUAGES, default="en", help="language of a new browser (default en)")
@@ -72,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
     """0 once it was told to end."""
     axes = [load_drive_axis(path) for path in args.axes]
     _check_names(axes)
+    probe = None if args.probe is None else load_probe_machine(args.probe)
     tls, token = _access(args)
     try:
         from hil.panel import server  # noqa: PLC0415  (an extra, and seconds of imports)
@@ -89,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         if token is not None and not args.token_file:
             print(f"access token: {token}", flush=True)
         try:
-            server.serve(desks, access, args.lang, listening)
+            server.serve(desks, access, args.lang, listening, probe)
         except KeyboardInterrupt:
             print("hil: the axes were stopped, what was measured is kept", file=sys.stderr)
     return 0

@@ -5,13 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from collections.abc import Callable
 
-from drivers.clock import NS_PER_S, Clock, WallClock
-from drivers.drive import ServoDrive
 from drivers.errors import InputError
 from hil.cli.output import add_json_option, print_facts, write_json
 from hil.cli.passwords import KEY, READING, password
@@ -26,20 +21,12 @@ from hil.cli.probe_output import (
 )
 from hil.cli.progress import terminal_progress
 from hil.files import replace_file
+from hil.jobs import probe
 from hil.probe_machine import MODES, ProbeMachineConfig, load_probe_machine
-from hil.probe_wiring import probe_bench, probe_drives, probe_session
 from hil.procedures.events import Listener
-from hil.procedures.probe_runout import (
-    centre_bore,
-    correct,
-    measure_and_store,
-    on_schedule,
-)
-from hil.procedures.probe_session import ProbeSession
+from hil.procedures.probe_runout import on_schedule
 from hil.runout import CorrectionCode
-from hil.runout_store import RunOutStore, Seal
-from hil.sealed import load_private_key, load_public_key
-from sim_backends.probe_bench import ProbeBench
+from hil.runout_store import RunOutStore
 
 EXAMPLE = """\
 example:
@@ -119,60 +106,16 @@ def _count(text: str) -> int:
 
 
 # -- what all jobs need --------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class _Place:
-    """The machine of a command line: its file, its store, and the simulated machine behind it with its drives, if any."""
-
-    config: ProbeMachineConfig
-    store: RunOutStore
-    bench: ProbeBench | None
-    drives: Mapping[str, ServoDrive]
-    begun: datetime
-
-    @property
-    def clock(self) -> Clock:
-        return WallClock() if self.bench is None else self.bench.clock
-
-    def now(self) -> datetime:
-        """The date; on the bench, simulated time has passed since the command was given."""
-        if self.bench is None:
-            return datetime.now(UTC).replace(microsecond=0)
-        return self.begun + timedelta(seconds=self.bench.clock.now_ns() / NS_PER_S)
-
-    @contextmanager
-    def session(self, *touching: str, mode: str | None = None) -> Iterator[ProbeSession]:
-        """Connected for as long as it takes; real drives are let go between the turns of a schedule."""
-        with ExitStack() as stack:
-            drives = self.drives or stack.enter_context(probe_drives(self.config))
-            yield stack.enter_context(probe_session(self.config, drives, touching=touching, mode=mode))
-
-
 def _open_store(args: argparse.Namespace, config: ProbeMachineConfig, *, writing: bool) -> RunOutStore:
     """The store, its passwords asked for before anything moves."""
-    place = config.store
-    if not place.sealed:
-        return RunOutStore(place.directory, config.name)
-    key = None
-    if writing:
-        key = load_private_key(
-            place.builder_key, password(args.key_password_file, KEY, "builder key's password", os.environ)
-        )
-    reading = password(args.password_file, READING, "reading password", os.environ)
-    public = load_public_key(place.builder_public) if key is None else key.public_key()
-    return RunOutStore(place.directory, config.name, Seal(reading, public, key))
 
+    def reading() -> str:
+        return password(args.password_file, READING, "reading password", os.environ)
 
-@contextmanager
-def _at(
-    args: argparse.Namespace, config: ProbeMachineConfig, *, writing: bool = False, in_bore: bool = True
-) -> Iterator[_Place]:
-    store, begun = _open_store(args, config, writing=writing), datetime.now(UTC).replace(microsecond=0)
-    if not config.on_bench:
-        yield _Place(config, store, None, {}, begun)
-        return
-    bench = probe_bench(config, in_bore=in_bore and config.bore is not None)
-    with probe_drives(config, bench) as drives:
-        yield _Place(config, store, bench, drives, begun)
+    def key() -> str:
+        return password(args.key_password_file, KEY, "builder key's password", os.environ)
+
+    return probe.opened_store(config, reading, key if writing else None)
 
 
 # -- measure -------------------------------------------------------------------------------------------------------------
@@ -184,7 +127,8 @@ def _measure(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_measure_plan(config, args.mode or config.probe.mode)
         return 0
-    with _at(args, config, writing=True, in_bore=False) as place, terminal_progress() as listener:
+    store = _open_store(args, config, writing=True)
+    with probe.at_machine(config, store, in_bore=False) as place, terminal_progress() as listener:
 
         def once() -> str | None:
             return _measure_once(args, place, listener)
@@ -196,9 +140,9 @@ def _measure(args: argparse.Namespace) -> int:
     return 0 if not schedule.refused else 1
 
 
-def _measure_once(args: argparse.Namespace, place: _Place, listener: Listener) -> str | None:
-    with place.session("x", mode=args.mode) as session:
-        measured, refusal = measure_and_store(session, place.store, place.now, listener)
+def _measure_once(args: argparse.Namespace, place: probe.ProbePlace, listener: Listener) -> str | None:
+    found = probe.measure(place, args.mode, listener)
+    measured, refusal = found.measurement, found.refusal
     print_measured(measured, refusal, place.store.path, place.bench)
     if args.report:
         from hil.cli.probe_documents import run_out_report  # noqa: PLC0415  (plots are slow to import)
@@ -215,7 +159,8 @@ def _measure_once(args: argparse.Namespace, place: _Place, listener: Listener) -
 def _correct(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
     code = CorrectionCode(args.code)
-    known, when = _open_store(args, config, writing=False).load()
+    store = _open_store(args, config, writing=False)
+    known, when = store.load()
     if args.dry_run:
         x_um, y_um = (1000 * amount for amount in known.correction_mm(code))
         print(f"run-out of {when}: {run_out_text(known)}")
@@ -223,9 +168,8 @@ def _correct(args: argparse.Namespace) -> int:
             f"would drive x by {x_um:+.2f} µm and y by {y_um:+.2f} µm at spindle angle 0 (turned with the angle found)"
         )
         return 0
-    touching = ("x", "y") if code.in_y else ("x",)
-    with _at(args, config) as place, place.session(*touching, mode="step") as session, terminal_progress() as listener:
-        done = correct(session, known, code, listener)
+    with probe.at_machine(config, store) as place, terminal_progress() as listener:
+        done = probe.drive_correction(place, known, code, listener)
     print_facts({"run-out": f"{run_out_text(known)}, measured {when}", **correction_facts(done)})
     if args.json:
         write_json(args.json, {"machine": config.name, "measured": when, **correction_form(done)})
@@ -235,19 +179,16 @@ def _correct(args: argparse.Namespace) -> int:
 def _centre(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
     bore = config.require_bore()
-    known, when = _open_store(args, config, writing=False).load()
+    store = _open_store(args, config, writing=False)
+    known, when = store.load()
     if args.dry_run:
         print(f"machine {config.name}: would move x to {bore.x_mm:g} mm and y to {bore.y_mm:g} mm")
         print(
             f"would feed each by up to {bore.reach_mm:g} mm to both sides, and go to the middle, corrected by {args.code}"
         )
         return 0
-    with (
-        _at(args, config) as place,
-        place.session("x", "y", mode=args.mode) as session,
-        terminal_progress() as listener,
-    ):
-        found = centre_bore(session, known, CorrectionCode(args.code), listener)
+    with probe.at_machine(config, store) as place, terminal_progress() as listener:
+        found = probe.centre(place, known, CorrectionCode(args.code), mode=args.mode, listener=listener)
     print_centre(found, place.bench)
     if args.report:
         from hil.cli.probe_documents import centre_report  # noqa: PLC0415

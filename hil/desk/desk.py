@@ -6,6 +6,7 @@ control, and for a stop, without.
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
@@ -20,8 +21,13 @@ from hil.desk.control import Control
 from hil.desk.live import Live, TracePoint
 from hil.desk.progress import Graph, JobLog, Phase, Progress
 from hil.desk.roles import Rights
+from hil.desk.standstill import CameToRest
 from hil.jobs.job import Job
 from hil.jobs.plan import Plan
+from hil.probe_machine import ProbeMachineConfig
+
+_NUMBERS = itertools.count(1)
+"""Of the jobs of all desks, in the order they were asked for."""
 
 
 class BusyError(LocalError):
@@ -44,7 +50,6 @@ class Desk:
         self._lock = threading.Lock()
         self._log: JobLog | None = None
         self._last: dict[str, JobLog] = {}
-        self._jobs = 0
         self._borrower: tuple[Desk, JobLog] | None = None
 
     # -- for everybody -------------------------------------------------------------------------------------------------
@@ -94,7 +99,12 @@ class Desk:
         if borrower is not None:
             borrower.stop()
         else:
-            self._thread.stop.press()
+            self._thread.press_stop()
+
+    @property
+    def came_to_rest(self) -> CameToRest | None:
+        """How the axis did after the last stop of a job in motion; None before, and since another job began."""
+        return self._thread.standstill.found
 
     # -- for whoever holds control -------------------------------------------------------------------------------------
     def run(self, token: str | None, job: Job, lent: Mapping[Desk, str | None] | None = None) -> None:
@@ -103,15 +113,14 @@ class Desk:
         Raises NotInControlError, LockedError, BusyError, and StateError while an axis is not connected.
         """
         self.control.require(token)
-        self.rights.require(locked=job.plan.locked)
-        log = JobLog(self._jobs + 1, job.kind, job.plan)
+        self.rights.require(locked=job.plan.locked, of_probe=job.plan.of_probe)
+        log = JobLog(next(_NUMBERS), job.kind, job.plan)
         with ExitStack() as undo:
             for other, its_token in (lent or {}).items():
                 other._lend(its_token, self, log)
                 undo.callback(other._take_back)
             with self._lock:
                 self._require_free()
-                self._jobs += 1
                 self._log = self._last[job.kind] = log
                 threads = tuple(other._thread for other in lent or ())
                 self._thread.ask(Asked(job, log, self.rights.store, threads))
@@ -145,6 +154,14 @@ class Desk:
         """Give the tables' reading password, until control changes hands. Raises what opening them raises."""
         self.control.require(token)
         self.rights.read_tables(password)
+        self._forget_unless_held(token)
+
+    def open_probe(
+        self, token: str | None, config: ProbeMachineConfig, reading_password: str, key_password: str = ""
+    ) -> None:
+        """Give the passwords of the probe's sealed run-out, until control changes hands. Raises what opening it raises."""
+        self.control.require(token)
+        self.rights.open_probe(config, reading_password, key_password)
         self._forget_unless_held(token)
 
     def become_operator(self, token: str | None) -> None:

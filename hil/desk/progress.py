@@ -23,8 +23,8 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Progress:
-    """A job as it stands. number: of the job at this desk; figures: what was measured, in the order of time; result: of a job that is
-    done; error: in one line, of one that failed; stopping: the stop was pressed and is not carried out yet"""
+    """A job as it stands. number: of the job, counted over all desks; figures: what was measured, in the order of time; result: of
+    a job that is done; error: in one line, of one that failed; stopping: the stop was pressed and is not carried out yet"""
 
     number: int
     kind: str

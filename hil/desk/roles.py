@@ -11,6 +11,9 @@ from enum import Enum
 
 from drivers.errors import InputError, LocalError
 from hil.axis import AxisConfig, DriveAxis
+from hil.jobs.probe import opened_store
+from hil.probe_machine import ProbeMachineConfig
+from hil.runout_store import RunOutStore
 from hil.sealed import load_private_key
 from hil.store import SealedStore
 
@@ -32,6 +35,7 @@ class Rights:
         self._lock = threading.Lock()
         self._role = Role.OPERATOR
         self._store: SealedStore | None = None
+        self._probe_store: RunOutStore | None = None
 
     @property
     def role(self) -> Role:
@@ -41,6 +45,19 @@ class Rights:
     def store(self) -> SealedStore | None:
         """The axis's sealed store, as far as passwords were given: for reading, or with the builder's key for writing."""
         return self._store
+
+    @property
+    def probe_store(self) -> RunOutStore | None:
+        """The sealed run-out of the machine's probe, as far as passwords were given: for reading, or with its builder's key."""
+        return self._probe_store
+
+    def open_probe(self, config: ProbeMachineConfig, reading_password: str, key_password: str = "") -> None:
+        """Give the passwords of the probe's run-out, that of its builder's key if it is to be changed. Raises what opening raises."""
+        store = opened_store(config, lambda: reading_password, (lambda: key_password) if key_password else None)
+        if store.path.exists():
+            store.load()
+        with self._lock:
+            self._probe_store = store
 
     def read_tables(self, password: str) -> None:
         """Give the tables' reading password. Raises what opening them raises."""
@@ -73,11 +90,18 @@ class Rights:
     def forget(self) -> None:
         """Back to an operator who has given no password."""
         with self._lock:
-            self._role, self._store = Role.OPERATOR, None
+            self._role, self._store, self._probe_store = Role.OPERATOR, None, None
 
-    def require(self, *, locked: bool) -> None:
-        """Raise LockedError where something locked is to be changed by somebody who is not the builder."""
-        if locked and self._role is not Role.BUILDER:
+    def require(self, *, locked: bool, of_probe: bool = False) -> None:
+        """Raise LockedError where something locked is to be changed by somebody who is not the builder.
+
+        of_probe: it is the probe's run-out, which its own builder's key opens.
+        """
+        opened = self._probe_store
+        is_builder = self._role is Role.BUILDER
+        if of_probe:
+            is_builder = opened is not None and opened.sealing is not None and opened.sealing.builder_key is not None
+        if locked and not is_builder:
             raise LockedError(
                 "this changes what is locked: it needs the builder, with the password of the builder's key"
             )

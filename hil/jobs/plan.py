@@ -11,12 +11,17 @@ from hil.procedures.measure import Step
 
 @dataclass(frozen=True)
 class Move:
-    """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; its furthest ends in load mm; its highest velocity"""
+    """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; its furthest ends in load mm; its highest velocity
+
+    how: "moves" between the two ends; "goes" to the one place that both are; "drives" by so much from wherever it stands; "turns",
+    with ends and velocity in degrees
+    """
 
     what: str
     low_mm: float
     high_mm: float
     velocity_mm_s: float
+    how: str = "moves"
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,8 @@ class Write:
 class Plan:
     """positions: how many are captured, each with `at_rest_s` seconds at rest; datum_mm: where the instrument's zero is taken.
 
-    locked: it changes what only the builder may change.
+    overtravel_mm: of a probe, whose contacts the positions are then: how far beyond each it goes at most; locked: it changes what only
+    the builder may change; of_probe: that is the run-out of the probe, which has a builder's key of its own.
     """
 
     axis: str
@@ -43,6 +49,8 @@ class Plan:
     positions: int = 0
     at_rest_s: float = 0.0
     locked: bool = False
+    overtravel_mm: float | None = None
+    of_probe: bool = False
 
     @property
     def reach_mm(self) -> tuple[float, float] | None:

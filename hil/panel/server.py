@@ -24,6 +24,7 @@ from hil.panel.pages import PAGES
 from hil.panel.report_files import serve_reports
 from hil.panel.texts import Texts
 from hil.panel.view import View
+from hil.probe_machine import ProbeMachineConfig
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 STATIC = "/hil-static"
@@ -62,9 +63,15 @@ class Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
-def serve(desks: Sequence[Desk], access: Access, language: str, listening: socket.socket) -> None:
-    """Serve until the process is told to end. listening: a socket."""
-    app = guarded(application(desks, language), access, language)
+def serve(
+    desks: Sequence[Desk],
+    access: Access,
+    language: str,
+    listening: socket.socket,
+    probe: ProbeMachineConfig | None = None,
+) -> None:
+    """Serve until the process is told to end. listening: a socket; probe: the machine with a touch probe, if any."""
+    app = guarded(application(desks, language, probe), access, language)
     cert, key = access.tls or (None, None)
     # NiceGUI looks through all objects for its server, and one of canopen's bears no look: what is there by now is passed over
     gc.freeze()
@@ -102,7 +109,7 @@ def guarded(app: FastAPI, access: Access, language: str) -> App:
     return Guard(app, hosts, access.token, form, secure=access.tls is not None)
 
 
-def application(desks: Sequence[Desk], language: str) -> FastAPI:
+def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig | None = None) -> FastAPI:
     """All addresses: the stop, the pages of each axis, and what they load."""
     app = FastAPI(openapi_url=None)
     browsers = Browsers(language)
@@ -126,7 +133,7 @@ def application(desks: Sequence[Desk], language: str) -> FastAPI:
         if axis not in by_name or page is None:
             ui.label(t("header.no_page"))
             return
-        draw_page(View(by_name[axis], desks, t, browser, client), page, PAGES)
+        draw_page(View(by_name[axis], desks, t, browser, client, probe), page, PAGES)
 
     serve_reports(app, by_name)
     app.mount(STATIC, StaticFiles(directory=str(files("hil.panel") / "static")), name="static")

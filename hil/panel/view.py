@@ -19,6 +19,7 @@ from hil.jobs.job import Job
 from hil.jobs.plan import Plan
 from hil.panel.browsers import Browser
 from hil.panel.texts import Texts
+from hil.probe_machine import ProbeMachineConfig
 
 AnyElement = TypeVar("AnyElement", bound=Element)
 REFRESH_S = 0.2
@@ -27,13 +28,15 @@ REFRESH_S = 0.2
 
 @dataclass(frozen=True)
 class View:
-    """One page in one browser. t: the texts in its language; desks: all axes of the server."""
+    """One page in one browser. t: the texts in its language; desks: all axes of the server; probe: the machine with a touch probe, if
+    the server was given one."""
 
     desk: Desk
     desks: Sequence[Desk]
     t: Texts
     browser: Browser
     client: Client
+    probe: ProbeMachineConfig | None = None
 
     # -- who is there --------------------------------------------------------------------------------------------------
     @property
@@ -163,10 +166,13 @@ class View:
         if plan.datum_mm is not None:
             lines.append(t("plan.datum", position=t.number(plan.datum_mm)))
         for move in plan.moves:
-            ends = {"low": t.number(move.low_mm), "high": t.number(move.high_mm)}
+            sign = move.how == "drives"
+            ends = {"low": t.number(move.low_mm, sign=sign), "high": t.number(move.high_mm, sign=sign)}
             what = t(f"plan.move.{move.what.split()[0]}", way=move.what.partition(" ")[2])
-            lines.append(t("plan.moves", what=what, speed=t.number(move.velocity_mm_s, 1), **ends))
-        if plan.positions:
+            lines.append(t(f"plan.{move.how}", what=what, speed=t.number(move.velocity_mm_s, 1), **ends))
+        if plan.overtravel_mm is not None:
+            lines.append(t("plan.contacts", count=plan.positions, overtravel=t.number(plan.overtravel_mm, 1)))
+        elif plan.positions:
             lines.append(t("plan.captures", count=plan.positions, seconds=t.number(plan.at_rest_s, 1)))
         lines += [t(f"plan.write.{write.what}", place=write.place) for write in plan.writes]
         return [*lines, t("plan.ask")]

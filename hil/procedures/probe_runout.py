@@ -9,7 +9,7 @@ from datetime import datetime
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import FollowingErrorError, StateError
 from hil.probe_machine import ProbeMachineConfig
-from hil.procedures.events import Event, Listener, silent
+from hil.procedures.events import Event, Listener, Measured, silent
 from hil.procedures.probe_session import ProbeSession
 from hil.runout import (
     ANGLES_DEG,
@@ -98,10 +98,12 @@ def measure_run_out(
     for turn in range(block.turns):
         feeds: list[float] = []
         for angle_deg in ANGLES_DEG:
-            listener(Event("run-out", f"turn {turn + 1}, {angle_deg}°", len(turns) * 4 + len(feeds), total))
+            what, done = contact_name(turn + 1, angle_deg), turn * len(ANGLES_DEG) + len(feeds)
+            listener(Event("run-out", what, done, total))
             session.orient(angle_deg)
             contact_mm = session.touch("x", block.facing, block.search_mm, block.free_mm)
             feeds.append(block.facing * (contact_mm - block.start_mm))
+            listener(Event("run-out", what, done + 1, total, Measured(what, feeds[-1], "mm")))
         turns.append(FourFeeds(*feeds))
         keep(turns[-1])
     listener(Event("run-out", "back to where it was found", total, total))
@@ -110,6 +112,11 @@ def measure_run_out(
             session.move(name, found_at[name])
     seconds = (session.clock.now_ns() - began_ns) / NS_PER_S
     return RunOutMeasurement(tuple(turns), _found(config, turns), session.mode, seconds)
+
+
+def contact_name(turn: int, angle_deg: int) -> str:
+    """What the feed to a contact of M90 is called; turns count from 1."""
+    return f"turn {turn}, {angle_deg}°"
 
 
 def _found(config: ProbeMachineConfig, turns: Sequence[FourFeeds]) -> RunOut:
@@ -143,7 +150,7 @@ def correct(session: ProbeSession, known: RunOut, code: CorrectionCode, listener
             axis.limits.check_target(targets[name])
     counters = {"x": 0.0, "y": 0.0}
     for name, target_mm in targets.items():
-        listener(Event(code.value, f"{name} to {target_mm:.4f} mm"))
+        listener(Event(code.value, f"driving {name} to {target_mm:.4f} mm"))
         session.move(name, target_mm)
         counters[name] = target_mm - session.place(name)
         if abs(counters[name]) > pulse_mm:

@@ -130,6 +130,7 @@ class WatchedDrives:
                     )
                 if sample.state is not DriveState.ENABLED:
                     raise StateError(f"drive {drive.name}: {what} ended by itself, it is {sample.state.value}")
+                drive.looked_at(sample)
                 look(sample)
                 if done(sample):
                     return sample

@@ -1,7 +1,7 @@
 """The pages, in the order of the navigation. One file each; a new one is added here."""
 
 from hil.panel.frame import Page
-from hil.panel.pages import axes, backlash, calibrate, diagnosis, lost_motion, overview, parameters, reports
+from hil.panel.pages import axes, backlash, calibrate, diagnosis, lost_motion, overview, parameters, probe, reports
 
 PAGES = (
     Page("overview", overview.draw),
@@ -9,6 +9,7 @@ PAGES = (
     Page("calibrate", calibrate.draw),
     Page("backlash", backlash.draw),
     Page("lost_motion", lost_motion.draw),
+    Page("probe", probe.draw),
     Page("diagnosis", diagnosis.draw),
     Page("parameters", parameters.draw),
     Page("reports", reports.draw),
