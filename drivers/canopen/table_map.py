@@ -30,7 +30,7 @@ from drivers.correction_table import (
     TableDescription,
 )
 from drivers.errors import InputError
-from drivers.modbus.map_reader import Document, Section, positive, sign, take_enum, text, whole
+from drivers.strict_toml import Document, Section, positive, sign, take_enum, text, whole
 
 SUBINDICES = 254
 _OBJECT = re.compile(r"(?P<index>[0-9A-Fa-f]{4})h(:(?P<subindex>[0-9A-Fa-f]{2}))?")

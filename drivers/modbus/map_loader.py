@@ -32,11 +32,11 @@ from drivers.modbus.drive_map import (
     Transition,
     leads_to_enabled,
 )
-from drivers.modbus.map_reader import Document, Section, positive, whole
 from drivers.modbus.map_roles import RoleReader
 from drivers.modbus.register_map import RegisterMap, find_map, parse_registers
 from drivers.modbus.table_map import TableBlocks
 from drivers.modbus.table_reader import TableReader
+from drivers.strict_toml import Document, Section, positive, whole
 from drivers.touch_probe import Edge
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from drivers.modbus.codec import RegisterType
 from drivers.modbus.drive_map import Condition, Write
-from drivers.modbus.map_reader import Document, Section, text, whole
 from drivers.modbus.register_map import Memory, Register, RegisterMap
+from drivers.strict_toml import Document, Section, text, whole
 
 
 class RoleReader:

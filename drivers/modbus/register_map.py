@@ -22,8 +22,8 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout, Order, Raw, RegisterType, decode, encode
-from drivers.modbus.map_reader import REQUIRED, Document, Section, flag, interval, number, text, whole
 from drivers.modbus.plan import MAX_READ_REGISTERS, MAX_WRITE_REGISTERS, Span, Table
+from drivers.strict_toml import REQUIRED, Document, Section, flag, interval, number, text, whole
 
 Value = int | float | str
 """A value after scale and offset; an int where the type is an integer, the scale 1 and the offset 0."""

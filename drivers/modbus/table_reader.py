@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from drivers.correction_table import UNITS, Directions, Interpolation, Nodes, Outside, TableDescription
-from drivers.modbus.map_reader import Document, Section, sign, take_enum, text, whole
 from drivers.modbus.map_roles import RoleReader
 from drivers.modbus.register_map import Memory, Register, RegisterMap
 from drivers.modbus.table_map import TableBlocks, quantity_of
+from drivers.strict_toml import Document, Section, sign, take_enum, text, whole
 
 
 class TableReader:

@@ -1,6 +1,7 @@
 """Strict reading of TOML: every key is asked for by somebody, every complaint names file, line, key, value and what was expected.
 
-Only what register maps need; knows nothing of registers. Errors are `InputError`s.
+What may go in: what the maps of more than one wire need (register maps, maps of a drive's own correction table); it knows nothing of
+registers or objects. Errors are `InputError`s.
 """
 
 from __future__ import annotations
