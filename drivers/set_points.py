@@ -30,8 +30,8 @@ class SetPointSettings:
             raise InputError(f"stream period is {self.period_s} s, expected > 0")
 
 
-class SetPointStream(ABC):
-    """A context manager around an enabled axis; leaving it holds the axis, enabled, an error quick-stops it."""
+class SetPoints(ABC):
+    """A context manager around enabled axes, one or several; leaving it holds them, enabled, an error quick-stops them all."""
 
     @abstractmethod
     def __enter__(self) -> Self: ...
@@ -40,6 +40,15 @@ class SetPointStream(ABC):
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None: ...
+
+    @property
+    @abstractmethod
+    def missed_cycles(self) -> int:
+        """Periods that went by without a new set-point for an axis."""
+
+
+class SetPointStream(SetPoints):
+    """To one axis."""
 
     @abstractmethod
     def cycle(self, position_load_mm: float) -> float:
@@ -59,22 +68,9 @@ class SetPointStream(ABC):
     def found(self) -> tuple[int, float]:
         """Where the last `cycle` found the axis, load mm, and the clock's time when it was there, as well as the wire can tell."""
 
-    @property
-    @abstractmethod
-    def missed_cycles(self) -> int:
-        """Periods that went by without a new set-point."""
 
-
-class SetPointGroup(ABC):
-    """A context manager around several enabled axes that move together; leaving it holds them all, an error quick-stops them all."""
-
-    @abstractmethod
-    def __enter__(self) -> Self: ...
-
-    @abstractmethod
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None: ...
+class SetPointGroup(SetPoints):
+    """To several axes that move together."""
 
     @abstractmethod
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
@@ -82,8 +78,3 @@ class SetPointGroup(ABC):
 
         Raises as `SetPointStream.cycle`, with all axes quick-stopped.
         """
-
-    @property
-    @abstractmethod
-    def missed_cycles(self) -> int:
-        """Periods that went by without a new set-point for some axis."""

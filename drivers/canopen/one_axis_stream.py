@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.clock import NS_PER_S
-from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
+from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
 
 if TYPE_CHECKING:
     from drivers.canopen.drive import CanOpenDrive
@@ -21,13 +21,11 @@ def _by_sync(settings: SetPointSettings) -> StreamSettings:
     )
 
 
-class OneAxisStream(SetPointStream):
-    """SYNC comes from this process. On entering, the axis must be enabled and the bus be able to carry the cycle."""
+class _BySync(SetPoints):
+    """SYNC comes from this process. On entering, the axes must be enabled and the bus be able to carry the cycle."""
 
-    def __init__(self, drive: CanOpenDrive, settings: SetPointSettings) -> None:
-        self._stream = CyclicStream([drive], _by_sync(settings))
-        self._period_ns = round(settings.period_s * NS_PER_S)
-        self._found = 0, math.nan
+    def __init__(self, drives: Sequence[CanOpenDrive], settings: SetPointSettings) -> None:
+        self._stream = CyclicStream(drives, _by_sync(settings))
 
     def __enter__(self) -> Self:
         self._stream.__enter__()
@@ -37,6 +35,19 @@ class OneAxisStream(SetPointStream):
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._stream.__exit__(exc_type, exc, traceback)
+
+    @property
+    def missed_cycles(self) -> int:
+        return self._stream.counters.missed_cycles
+
+
+class OneAxisStream(_BySync, SetPointStream):
+    """One axis by SYNC."""
+
+    def __init__(self, drive: CanOpenDrive, settings: SetPointSettings) -> None:
+        super().__init__([drive], settings)
+        self._period_ns = round(settings.period_s * NS_PER_S)
+        self._found = 0, math.nan
 
     def cycle(self, position_load_mm: float) -> float:
         (feedback,) = self._stream.cycle([position_load_mm])
@@ -52,29 +63,9 @@ class OneAxisStream(SetPointStream):
     def reached_ns(self) -> int:
         return self._stream.next_sync_ns
 
-    @property
-    def missed_cycles(self) -> int:
-        return self._stream.counters.missed_cycles
 
-
-class AxesInStep(SetPointGroup):
-    """Several axes on one bus, all by one SYNC. Entering it: as of `OneAxisStream`, for all of them."""
-
-    def __init__(self, drives: Sequence[CanOpenDrive], settings: SetPointSettings) -> None:
-        self._stream = CyclicStream(drives, _by_sync(settings))
-
-    def __enter__(self) -> Self:
-        self._stream.__enter__()
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._stream.__exit__(exc_type, exc, traceback)
+class AxesInStep(_BySync, SetPointGroup):
+    """Several axes on one bus, all by one SYNC."""
 
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
         return [feedback.position_load_mm for feedback in self._stream.cycle(positions_load_mm)]
-
-    @property
-    def missed_cycles(self) -> int:
-        return self._stream.counters.missed_cycles
