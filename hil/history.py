@@ -6,7 +6,6 @@ Reads only. A pass is dated by its own line; one from before passes said when th
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
-from hil.files import read_bytes, read_text
+from hil.files import read_bytes
 from hil.iso230 import Iso230, iso230
-from hil.journal import BEGUN, checksums
+from hil.journal import BEGUN, MARKER, checksums, read_purpose
 from hil.records import Records, concatenate, parse_csv
 
 REPLAY = "replay"
@@ -89,7 +88,7 @@ def find_campaigns(places: Iterable[str | Path]) -> list[FoundCampaign]:
     for place in map(Path, places):
         if not place.is_dir():
             raise InputError("is no directory", path=place)
-        markers.update(marker.resolve() for marker in place.rglob("campaign.json"))
+        markers.update(marker.resolve() for marker in place.rglob(MARKER))
     found = [read_campaign(marker.parent) for marker in sorted(markers)]
     return sorted(
         found, key=lambda one: (one.begun is None, one.begun.timestamp() if one.begun else 0.0, one.directory)
@@ -98,15 +97,9 @@ def find_campaigns(places: Iterable[str | Path]) -> list[FoundCampaign]:
 
 def read_campaign(directory: Path) -> FoundCampaign:
     """One campaign. Raises InputError where there is none."""
-    marker = directory / "campaign.json"
-    if not marker.is_file():
+    if not (directory / MARKER).is_file():
         raise InputError("holds no campaign", path=directory)
-    try:
-        purpose = json.loads(read_text(marker))
-    except (ValueError, RecursionError) as error:
-        raise InputError("is not JSON", path=marker) from error
-    if not isinstance(purpose, dict):
-        raise InputError("does not say what it was started for", path=marker)
+    purpose = read_purpose(directory)
     sums = checksums(directory)
     passes = [read_pass(path, sums.get(path.name)) for path in directory.glob("*.csv")]
     return FoundCampaign(directory, purpose, tuple(sorted(passes, key=lambda one: (one.begun.timestamp(), one.name))))

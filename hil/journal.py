@@ -15,6 +15,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
@@ -28,6 +29,8 @@ FINISHED = "finished"
 """Name of the empty file in a campaign whose job came to its end: one without it can be gone on with."""
 BEGUN = "begun "
 """Of the comment line that says when a pass was begun."""
+MARKER = "campaign.json"
+"""What a campaign was started for."""
 
 
 class RowJournal:
@@ -149,6 +152,14 @@ class RowJournal:
         self.close()
 
 
+@dataclass(frozen=True)
+class Unfinished:
+    """A campaign that was broken off and can be gone on with. purpose: what it was started for"""
+
+    directory: Path
+    purpose: Mapping[str, Any]
+
+
 class Campaign:
     """A campaign's directory."""
 
@@ -160,12 +171,12 @@ class Campaign:
         """
         self.directory = directory
         self.resumed = resume
-        marker = directory / "campaign.json"
+        marker = directory / MARKER
         text = json.dumps(purpose, indent=1, sort_keys=True, allow_nan=False)
         if resume:
             if not marker.exists():
                 raise InputError("holds no campaign to resume", path=directory)
-            _check_same(marker, json.loads(text))
+            _check_same(directory, json.loads(text))
             return
         if marker.exists():
             raise InputError("holds a campaign already; use --resume, or another directory", path=directory)
@@ -187,7 +198,7 @@ class Campaign:
         kind = str(purpose["kind"])
         begun = {
             int(suffix): any(path.parent.glob("*.csv"))
-            for path in parent.glob(f"{kind}-[0-9]*/campaign.json")
+            for path in parent.glob(f"{kind}-[0-9]*/{MARKER}")
             if (suffix := path.parent.name.removeprefix(f"{kind}-")).isdecimal()
         }
         last = max(begun, default=0)
@@ -221,14 +232,22 @@ class Campaign:
         replace_file(self.directory / FINISHED, b"")
 
     @staticmethod
-    def unfinished(parent: Path, kind: str) -> Path | None:
-        """The campaign of this kind that `numbered` would resume, if it has rows and its job did not come to its end."""
-        begun = [path.parent for path in parent.glob(f"{kind}-[0-9]*/campaign.json")]
+    def unfinished(parent: Path, kind: str) -> Unfinished | None:
+        """The campaign of this kind that `numbered` would resume, if it has rows and its job did not come to its end.
+
+        None, too, where what it was started for cannot be read: that one cannot be resumed.
+        """
+        begun = [path.parent for path in parent.glob(f"{kind}-[0-9]*/{MARKER}")]
         with_rows = [
             path for path in begun if path.name.removeprefix(f"{kind}-").isdecimal() and any(path.glob("*.csv"))
         ]
         last = max(with_rows, key=lambda path: int(path.name.rpartition("-")[2]), default=None)
-        return None if last is None or (last / FINISHED).exists() else last
+        if last is None or (last / FINISHED).exists():
+            return None
+        try:
+            return Unfinished(last, read_purpose(last))
+        except InputError:
+            return None
 
     def columns(self, name: str) -> tuple[str, ...] | None:
         """The columns of a pass that was begun, None for one that was not."""
@@ -276,19 +295,28 @@ def _is_data(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 
-def _check_same(marker: Path, purpose: Mapping[str, Any]) -> None:
-    """InputError, naming what differs, unless the marker holds this purpose."""
+def read_purpose(directory: Path) -> dict[str, Any]:
+    """What the campaign in this directory was started for. Raises InputError where that cannot be read."""
+    marker = directory / MARKER
     try:
-        started_for = json.loads(read_text(marker))
-    except ValueError as error:
-        raise InputError("is not JSON; the campaign cannot be resumed", path=marker) from error
+        purpose = json.loads(read_text(marker))
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON, expected what the campaign was started for", path=marker) from error
+    if not isinstance(purpose, dict):
+        raise InputError("does not say what the campaign was started for", path=marker)
+    return purpose
+
+
+def _check_same(directory: Path, purpose: Mapping[str, Any]) -> None:
+    """InputError, naming what differs, unless the campaign was started for this."""
+    started_for = read_purpose(directory)
     differences = list(_differences(started_for, purpose, ""))
     if differences:
         more = f" and {len(differences) - 3} more" if len(differences) > 3 else ""
         raise InputError(
             f"was started for something else: {', '.join(differences[:3])}{more};"
             " expected the axis file it was started with, or a new campaign",
-            path=marker,
+            path=directory / MARKER,
         )
 
 

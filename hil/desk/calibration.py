@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,12 +12,11 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig
-from hil.files import read_text
 from hil.history import Pass, read_campaign
 from hil.iso230 import iso230
 from hil.jobs.calibrate import CALIBRATE, UNCORRECTED, VERIFY
 from hil.jobs.identity import uncertainty_of
-from hil.journal import Campaign
+from hil.journal import MARKER, Campaign
 from hil.records import Records, concatenate
 from hil.tables import Outside, section_means, sections_outside
 from hil.uncertainty import budget
@@ -120,7 +118,7 @@ def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict
 def _last_passes(folder: Path, kind: str) -> dict[str, Pass]:
     """Of the last campaign of this kind that has rows, by name."""
     for directory in sorted(folder.glob(f"{kind}-[0-9]*"), key=_of_series, reverse=True):
-        if (directory / "campaign.json").is_file():
+        if (directory / MARKER).is_file():
             passes = {one.name: one for one in read_campaign(directory).passes if one.records is not None}
             if passes:
                 return passes
@@ -139,10 +137,5 @@ def _number(item: tuple[str, Any]) -> int:
 
 def _unfinished(folder: Path, kind: str) -> tuple[str, int] | None:
     found = Campaign.unfinished(folder, kind)
-    if found is None:
-        return None
-    try:
-        purpose = json.loads(read_text(found / "campaign.json"))
-        return found.name, int(purpose.get("seed", 1))
-    except (ValueError, AttributeError):
-        return None
+    seed = None if found is None else found.purpose.get("seed", 1)
+    return (found.directory.name, seed) if found is not None and isinstance(seed, int) else None

@@ -29,7 +29,7 @@ def left_over(axis: DriveAxis) -> tuple[LeftOver, ...]:
     for kind, page in _RESUMED.items() if isinstance(axis, AxisConfig) else ():
         campaign = Campaign.unfinished(directory, kind)
         if campaign is not None:
-            found.append(LeftOver(kind, page, campaign.name))
+            found.append(LeftOver(kind, page, campaign.directory.name))
     if unrestored(axis):
         found.append(LeftOver(SETTINGS, "backlash", directory.name))
     return tuple(found)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hil.axis import AxisConfig
-from hil.files import read_text
 from hil.jobs.plan import Move, Plan, Write, measuring_plan
 from hil.journal import Campaign
 from hil.procedures.explore import Exploration
+from hil.procedures.in_motion import InMotion
 from hil.procedures.measure import bidirectional_steps
 
 CLOSE_LOOP = "close-loop"
@@ -26,8 +25,8 @@ class Looped:
     good: bool
 
 
-def loop_plan(axis: AxisConfig, exploration: Exploration) -> Plan:
-    """What a loop at rest moves and writes at least; runs that tell causes apart come on top."""
+def loop_plan(axis: AxisConfig, exploration: Exploration, in_motion: InMotion | None = None) -> Plan:
+    """What a loop moves and writes at least; runs that tell causes apart come on top."""
     how = axis.measurement
     steps = bidirectional_steps(how.targets_mm, how.runs)
     writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
@@ -36,16 +35,28 @@ def loop_plan(axis: AxisConfig, exploration: Exploration) -> Plan:
     if exploration.warm_up_s > 0:
         low, high = min(how.targets_mm), max(how.targets_mm)
         moves.append(Move("warm", low, high, axis.limits.max_velocity_mm_s / 2))
+    if in_motion is not None:
+        low, high = min(how.targets_mm), max(how.targets_mm)
+        feeds = ", ".join(f"{feed:g}" for feed in in_motion.feeds_mm_s)
+        moves.append(Move(f"feeds {feeds}", low, high, max(in_motion.feeds_mm_s)))
     explored = 2 * exploration.runs * exploration.rows
     return replace(plan, moves=tuple(moves), positions=2 * len(steps) + explored)
 
 
-def unfinished_exploration(directory: Path) -> Exploration | None:
+def passes_at(axis: AxisConfig, feeds_mm_s: tuple[float, ...]) -> InMotion:
+    """Passes at these feeds, with the instrument's latency and trigger as the axis file has them."""
+    how = axis.instrument
+    return InMotion(feeds_mm_s, latency_s=how.latency_s, trigger_input=how.trigger_input)
+
+
+def unfinished_loop(directory: Path) -> tuple[Exploration, InMotion | None] | None:
     """How the loop explores that was broken off and can be gone on with; None where there is none, or one by a plan."""
     found = Campaign.unfinished(directory, CLOSE_LOOP)
     if found is None:
         return None
     try:
-        return Exploration(**json.loads(read_text(found / "campaign.json"))["exploration"])
-    except (ValueError, KeyError, TypeError):
+        passes = found.purpose.get("in_motion")
+        in_motion = None if passes is None else InMotion(**{**passes, "feeds_mm_s": tuple(passes["feeds_mm_s"])})
+        return Exploration(**found.purpose["exploration"]), in_motion
+    except (KeyError, TypeError):
         return None

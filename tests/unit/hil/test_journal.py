@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InputError, StateError
-from hil.journal import Campaign, RowJournal
+from hil.journal import Campaign, RowJournal, Unfinished
 from hil.records import read_csv
 
 NAMES = ("run", "direction", "target_mm", "measured_mm", "time_s", "torque_percent")
@@ -392,6 +392,22 @@ def test_resuming_takes_the_last_campaign_with_rows(tmp_path: Path) -> None:
     with Campaign.numbered(tmp_path, PURPOSE, resume=False).rows("measure", NAMES):
         pass
     assert Campaign.numbered(tmp_path, PURPOSE, resume=True).directory.name == "calibrate-004"
+
+
+def test_what_was_broken_off_is_found_with_what_it_was_started_for(tmp_path: Path) -> None:
+    campaign = Campaign.numbered(tmp_path, {"kind": "k", "seed": 7}, resume=False)
+    assert Campaign.unfinished(tmp_path, "k") is None  # without a row there is nothing to go on with
+    with campaign.rows("pass", NAMES) as journal:
+        journal.append(row(1))
+    assert Campaign.unfinished(tmp_path, "k") == Unfinished(campaign.directory, {"kind": "k", "seed": 7})
+    marker = campaign.directory / "campaign.json"
+    purpose = marker.read_text()
+    for damaged in ("{", "[1]"):  # such a campaign cannot be resumed
+        marker.write_text(damaged)
+        assert Campaign.unfinished(tmp_path, "k") is None
+    marker.write_text(purpose)
+    campaign.finish()
+    assert Campaign.unfinished(tmp_path, "k") is None
 
 
 def test_a_derived_file_is_replaced_as_a_whole(tmp_path: Path) -> None:
