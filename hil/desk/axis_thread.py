@@ -81,8 +81,8 @@ class AxisThread:
 
     def lend(self) -> None:
         """Let go of the axis, for a job of another thread."""
-        self._let_go.clear()
         self._lent.set()
+        self._let_go.clear()
 
     def take_back(self) -> None:
         """That job is over."""
@@ -115,9 +115,10 @@ class AxisThread:
     def _stay_away(self) -> None:
         """While another thread has the axis."""
         self.board.publish(Live())
-        self._let_go.set()
         while self._lent.is_set() and not self._closing.is_set():
+            self._let_go.set()  # whoever comes next may ask before it was seen that the one before is through
             self._closing.wait(1.0 / RATE_HZ)
+        self.board.publish(Live())
 
     def _lose(self, error: Exception) -> None:
         """There is no axis any more; a job that was asked for meanwhile will not be run."""
