@@ -62,6 +62,12 @@ class Pacing:
         self._stop = stop
         self._factor = factor
         self._from: tuple[float, int] | None = None  # a real moment, s, and the simulated one that belongs to it, ns
+        self._simulated_ns: int | None = None  # how far simulated time has come, if it is that
+
+    def now_ns(self) -> int:
+        """The time of the clock that waits here, for any thread: on the bench it stands still between two steps."""
+        simulated_ns = self._simulated_ns
+        return time.monotonic_ns() if simulated_ns is None else simulated_ns
 
     def set_factor(self, factor: float) -> None:
         """From now on."""
@@ -72,6 +78,7 @@ class Pacing:
         self._stop.wait_s(duration_s)
 
     def simulated(self, now_ns: int) -> None:
+        self._simulated_ns = now_ns
         self._stop.check()
         if self._factor <= 0.0:
             return

@@ -63,10 +63,24 @@ def _draw_axes(view: View, page: Page) -> None:
         live, now = view.desk.live, view.desk.job()
         trouble = view.t("header.lost", why=live.trouble) if live.trouble else view.t(f"state.{live.state.name}")
         state.set_text(trouble if live.connected or live.trouble else view.t("header.connecting"))
-        said = "" if now is None or not now.running else view.t("header.running", job=view.t(f"job.{_key(now.kind)}"))
+        said = (
+            _rest(view)
+            if now is None or not now.running
+            else view.t("header.running", job=view.t(f"job.{_key(now.kind)}"))
+        )
         job.set_text(view.t("header.stopping") if now is not None and now.stopping else said)
 
     view.every(refresh)
+
+
+def _rest(view: View) -> str:
+    """How the axis came to rest after a stop, if that is the last that happened."""
+    rest, t = view.desk.came_to_rest, view.t
+    return (
+        ""
+        if rest is None
+        else t("stop.rest", milliseconds=t.number(1e3 * rest.after_s, 0), way=t.number(rest.way_mm, 2))
+    )
 
 
 def _key(kind: str) -> str:

@@ -109,6 +109,9 @@ def test_holds_within_50_ms_of_a_stop_in_motion(
         assert at_work.run(long_way).phase is Phase.STOPPED
         assert 0 < seen.braking_ns - seen.clicked_ns <= BEAT_NS + 3_000_000
         assert 0 < seen.held_ns - seen.clicked_ns <= 50_000_000
+        told = at_work.desk.came_to_rest
+        assert told is not None
+        assert -0.001 <= told.after_s - (seen.held_ns - seen.clicked_ns) / NS_PER_S <= 0.015  # looks are 10 ms apart
         until(lambda: at_work.desk.live.state is not DriveState.ENABLED, "the axis is as it was found")
 
 

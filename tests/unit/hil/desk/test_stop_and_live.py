@@ -11,6 +11,7 @@ from drivers.drive import DriveSample, DriveState
 from hil.axis import load_axis
 from hil.desk.left_over import LeftOver, left_over
 from hil.desk.live import Board, Live, of_sample
+from hil.desk.standstill import CameToRest, Standstill
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
 from hil.journal import Campaign
 from sim_backends.clock import BEAT_NS, SimClock
@@ -67,6 +68,27 @@ def test_it_is_raised_once_and_not_while_it_is_carried_out() -> None:
     stop.rearm()
     with pytest.raises(StoppedByOperator):
         stop.wait_s(0.0)
+
+
+def seen_braking(pressed_at_s: float, speed_mm_s: float = 20.0) -> CameToRest | None:
+    """An axis that moves until 1 s and then brakes by 100 mm/s², looked at every 10 ms."""
+    standstill, position_mm = Standstill(), 0.0
+    for look in range(200):
+        time_s = look / 100.0
+        if time_s >= pressed_at_s:
+            standstill.pressed(round(pressed_at_s * NS_PER_S))
+            pressed_at_s = 1e9
+        standstill.look(DriveSample(round(time_s * NS_PER_S), DriveState.ENABLED, position_mm, False))
+        position_mm += max(0.0, speed_mm_s - 100.0 * max(0.0, time_s - 1.0)) / 100.0
+    return standstill.found
+
+
+def test_how_an_axis_came_to_rest_is_seen() -> None:
+    found = seen_braking(0.99)
+    assert found is not None
+    assert found.after_s == pytest.approx(0.01 + 0.9 * 0.2, abs=0.021)  # a tenth of the speed is left by then
+    assert found.way_mm == pytest.approx(0.2 + 20.0**2 / 200.0, abs=0.25)
+    assert seen_braking(1.5) is None  # it stood
 
 
 def test_no_procedure_takes_it_for_an_error_to_get_over() -> None:
