@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.errors import InputError
 from hil.diagnosis.spline import TableBasis, choose_knots
 from hil.effects import Survey, survey_of
-from hil.effects.history import complete, stand_ins
+from hil.effects.history import complete
 from hil.records import Records
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,6 @@ class Campaign:
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,)
     run: index of the run 0 … r-1, (n,); sweep: index of the one-directional pass, ascending in time, (n,)
     basis: of the declared table; repeated: whether its knots are targets that repeat, so that nothing is known between them
-    made_up: columns that the records lack and that were made from the row order
     """
 
     columns: Mapping[str, Floats]
@@ -43,7 +42,6 @@ class Campaign:
     basis: TableBasis
     repeated: bool
     survey: Survey
-    made_up: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.error_um)
@@ -61,26 +59,33 @@ class Campaign:
         return int(np.max(self.run)) + 1
 
 
+def columns_of(records: Records) -> dict[str, Floats]:
+    """The columns of records as a diagnosis reads them, each (n,): with those of the past, without what a model says of these rows."""
+    return complete({name: values for name, values in records.columns.items() if name not in OF_A_MODEL})
+
+
 def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> Campaign:
     """Build a campaign from records. Raises InputError when there are too few rows to say anything."""
-    if len(records) < 4:
-        raise InputError(f"{len(records)} rows are too few for a fit; expected at least 4")
-    columns = complete({name: values for name, values in records.columns.items() if name not in OF_A_MODEL})
+    return campaign_of(columns_of(records), records.uncorrected_error_um, pitches_mm)
+
+
+def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tuple[float, ...] = ()) -> Campaign:
+    """The same from columns that have those of the past already, each (n,), and the error of the uncorrected machine, (n,)."""
+    if len(error_um) < 4:
+        raise InputError(f"{len(error_um)} rows are too few for a fit; expected at least 4")
     direction = columns["direction"]
-    numbers = records.run
-    _, run = np.unique(numbers, return_inverse=True)
+    _, run = np.unique(columns["run"], return_inverse=True)
     sweep = _sweeps(run, direction)
     knots, repeated = choose_knots(columns["target_mm"], rows_per_pass(run, direction))
     both = bool(np.any(direction > 0) and np.any(direction < 0))
     return Campaign(
         columns=columns,
-        error_um=records.uncorrected_error_um,
+        error_um=error_um,
         run=run.astype(np.int64),
         sweep=sweep.astype(np.int64),
         basis=TableBasis(knots, both),
         repeated=repeated,
         survey=survey_of(columns, pitches_mm),
-        made_up=stand_ins(records.columns),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.campaign import Campaign
 from hil.diagnosis.candidates import BLIND
 from hil.diagnosis.carried import Carried, carried, rms_of_term, sizes
 from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
@@ -54,7 +54,7 @@ def diagnose(
 def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
     started = time.perf_counter()
     rows = AllRows.of(records, seed)
-    campaign = prepare(rows.searched)
+    campaign = rows.searched
     problem = problem_of(campaign, effects, declared, seed)
     chosen = choose(problem)
     left_out = held_out(problem, chosen, rows)

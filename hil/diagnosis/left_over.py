@@ -11,23 +11,22 @@ from typing import Any
 import numpy as np
 
 from hil.diagnosis.result import Diagnosis
-from hil.effects.history import complete, time_column
+from hil.effects.history import time_column
 from hil.effects.survey import varies
-from hil.records import Floats, Records
+from hil.records import Floats
 
 MOST_ROWS = 2000
 """Of longer records every so manieth row: a mean curve and a spectrum are as good with these."""
 DECIMALS = 4
 
 
-def left_over(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
+def left_over(diagnosis: Diagnosis, columns: Mapping[str, Floats]) -> dict[str, Any]:
     """{"left_um": [...], "columns": {name: [...]}, "every": 1}: what the extended model leaves of each (or every so manieth) row.
 
-    records: those that were diagnosed. Beside `run`: position, direction, time, velocity, travel since the reversal and the columns
-    that carry what is unexplained, as far as they are there and vary.
+    columns: of the rows that were diagnosed, with those of the past, each (n,). Beside `run`: position, direction, time, velocity,
+    travel since the reversal and the columns that carry what is unexplained, as far as they are there and vary.
     """
-    columns = complete(records.columns)
-    every = -(-len(records) // MOST_ROWS)
+    every = -(-len(diagnosis.residual_um) // MOST_ROWS)
     shown = {name: columns[name] for name in ("run", *_wanted(diagnosis, columns))}
     return {
         "every": every,

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.left_over import left_over
 from hil.diagnosis.result import Diagnosis
-from hil.effects.history import complete
 from hil.records import Floats, Records
 
 MOST_POINTS = 4000
@@ -28,7 +28,7 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
 
     records: those that were diagnosed. Longer ones than are drawn have no `residual_um`.
     """
-    columns = complete(records.columns)
+    columns = columns_of(records)
     shown = np.arange(0, len(records), -(-len(records) // MOST_POINTS))
     findings = []
     for finding, plain in zip(diagnosis.findings, form["findings"], strict=True):
@@ -45,7 +45,7 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
         }
         findings.append({**plain, "plot": plot})
     whole = {"residual_um": _rounded(diagnosis.before_um, shown)} if len(shown) == len(records) else {}
-    return {**form, "findings": findings, "left": left_over(diagnosis, records), **whole}
+    return {**form, "findings": findings, "left": left_over(diagnosis, columns), **whole}
 
 
 def _column(needs: Sequence[str], columns: Mapping[str, Floats]) -> str:

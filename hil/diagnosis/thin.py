@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.effects.history import complete
+from hil.diagnosis.campaign import Campaign, campaign_of, columns_of
 from hil.records import Records
 
 Floats = NDArray[np.float64]
@@ -58,12 +58,13 @@ class AllRows:
     @classmethod
     def of(cls, records: Records, seed: int) -> AllRows:
         """The past of each row (travel since the reversal …) is worked out before any row is left away."""
-        return cls(complete(records.columns), records.uncorrected_error_um, kept_rows(records.run, seed))
+        return cls(columns_of(records), records.uncorrected_error_um, kept_rows(records.run, seed))
 
     @property
-    def searched(self) -> Records:
-        """The rows that are searched and fitted."""
-        return Records.of({name: values[self.kept] for name, values in self.columns.items()})
+    def searched(self) -> Campaign:
+        """The rows that are searched and fitted. Raises InputError when they are too few to say anything."""
+        kept = {name: values[self.kept] for name, values in self.columns.items()}
+        return campaign_of(kept, self.error_um[self.kept])
 
     def __len__(self) -> int:
         return len(self.error_um)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.campaigns import campaign
 
+from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.left_over import MOST_ROWS, left_over
 from hil.diagnosis.result import Carrier, Diagnosis
 from hil.effects import Estimate
@@ -30,7 +31,7 @@ def records(runs: int) -> Records:
 
 def test_columns_that_are_there_and_vary_are_kept_the_carriers_among_them() -> None:
     made = records(3)
-    form = left_over(a_diagnosis(len(made), ("pos_y_mm", "load_kg"), ("temp_bed_c",)), made)
+    form = left_over(a_diagnosis(len(made), ("pos_y_mm", "load_kg"), ("temp_bed_c",)), columns_of(made))
     assert form["every"] == 1
     assert form["left_um"] == pytest.approx(np.arange(len(made)) / 7.0, abs=1e-4)
     expected = ["run", "target_mm", "direction", "time_s", "since_reversal_mm", "pos_y_mm"]
@@ -40,7 +41,7 @@ def test_columns_that_are_there_and_vary_are_kept_the_carriers_among_them() -> N
 
 def test_of_many_rows_every_so_manieth_is_kept() -> None:
     made = records(250)
-    form = left_over(a_diagnosis(len(made)), made)
+    form = left_over(a_diagnosis(len(made)), columns_of(made))
     assert form["every"] == 3
     assert len(form["left_um"]) == len(made) // 3 + 1 <= MOST_ROWS
     assert {len(values) for values in form["columns"].values()} == {len(form["left_um"])}

@@ -37,7 +37,7 @@ def test_the_past_of_a_row_is_that_of_all_rows_and_a_run_shares_its_fold() -> No
     rows = AllRows.of(records, 0)
     assert len(rows.kept) < len(rows) == 3000
     whole = rows.columns["since_reversal_mm"]
-    np.testing.assert_array_equal(rows.searched["since_reversal_mm"], whole[rows.kept])
+    np.testing.assert_array_equal(rows.searched.columns["since_reversal_mm"], whole[rows.kept])
     run = rows.columns["run"]
     fold = (run[rows.kept] % 3).astype(np.int64)
     spread = rows.folds(fold)
