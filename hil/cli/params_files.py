@@ -8,9 +8,9 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from hil.axis import DriveAxis
-from hil.cli.output import Align, print_table, write_json
+from hil.cli.output import write_json
 from hil.cli.params_options import add_job, load_axes, sets_of, showing
-from hil.cli.params_output import print_costs
+from hil.cli.params_output import print_costs, print_parameters
 from hil.jobs.parameters import back_up_axes, compare_axes
 from hil.params.compare import Comparison, Side
 from hil.params.formats import FORMATS
@@ -116,23 +116,11 @@ def _print(comparison: Comparison, *, costs: bool) -> None:
     same = len(comparison.rows) - len(rows)
     print(f"{name}: {same} of {len(comparison.contents.entries)} parameters as in the set, {len(rows)} not")
     if rows:
-        columns: list[str | tuple[str, Align]] = [
-            "address",
-            ("name", "left"),
-            "held",
-            "set",
-            ("unit", "left"),
-            ("", "left"),
+        cells = [
+            [row.address, row.name, shown(row.held), shown(row.wanted), row.unit, row.why or row.side.value]
+            for row in rows
         ]
-        print_table(
-            columns,
-            [
-                [row.address, row.name, shown(row.held), shown(row.wanted), row.unit, row.why or row.side.value]
-                for row in rows[:_MOST_ROWS]
-            ],
-        )
-        if len(rows) > _MOST_ROWS:
-            print(f"… and {len(rows) - _MOST_ROWS} more (--json FILE has all)")
+        print_parameters("held", cells, _MOST_ROWS)
     for objection in comparison.objections:
         print(f"{name}: {objection}")
     if comparison.error:

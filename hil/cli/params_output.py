@@ -21,6 +21,14 @@ def print_reports(reports: Sequence[JobReport], json: str | None) -> int:
     return 0 if all(each.good for each in reports) else 1
 
 
+def print_parameters(held: str, rows: Sequence[Sequence[str]], most: int) -> None:
+    """Parameters with what they hold (or held), what the set says and what became of it, as a table; at most so many of them."""
+    columns: list[str | tuple[str, Align]] = ["address", ("name", "left"), held, "set", ("unit", "left"), ("", "left")]
+    print_table(columns, rows[:most])
+    if len(rows) > most:
+        print(f"… and {len(rows) - most} more (--json FILE has all)")
+
+
 def _print(report: JobReport) -> None:
     counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in Verdict}
     told = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items() if count)
@@ -28,17 +36,7 @@ def _print(report: JobReport) -> None:
     refused = report.ending is Ending.REFUSED  # then the reasons matter
     changed = [row for row in report.rows if row.verdict is not Verdict.SAME and not refused]
     if changed:
-        columns: list[str | tuple[str, Align]] = [
-            "address",
-            ("name", "left"),
-            "before",
-            "set",
-            ("unit", "left"),
-            ("", "left"),
-        ]
-        print_table(columns, [_cells(row) for row in changed[:_MOST_ROWS]])
-        if len(changed) > _MOST_ROWS:
-            print(f"… and {len(changed) - _MOST_ROWS} more (--json FILE has all)")
+        print_parameters("before", [_cells(row) for row in changed], _MOST_ROWS)
     for objection in report.objections:
         print(f"{report.drive}: {objection}")
     for line in (report.error, *report.notes):
