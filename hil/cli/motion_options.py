@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import math
 
+from drivers.errors import InputError
 from hil.axis import InstrumentConfig
+from hil.jobs.loop_plan import feeds_of
 from hil.procedures.in_motion import InMotion
 
 
@@ -30,12 +31,10 @@ def add_in_motion_options(parser: argparse.ArgumentParser) -> None:
 
 def feeds(text: str) -> tuple[float, ...]:
     """At least two feeds, as argparse takes them."""
-    found = tuple(float(part) for part in text.split(","))
-    if len(set(found)) < 2 or not all(0 < feed < math.inf for feed in found):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}, expected at least two different feeds above 0 mm/s, e.g. 20,60,110"
-        )
-    return found
+    try:
+        return feeds_of(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(error.what) from error
 
 
 def passes_of(args: argparse.Namespace, at: tuple[float, ...], instrument: InstrumentConfig) -> InMotion:

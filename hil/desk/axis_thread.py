@@ -7,17 +7,18 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from drivers.clock import NS_PER_S
+from drivers.clock import NS_PER_S, WallClock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import BridgeError, LinkLostError, StateError
 from drivers.instrument import Reading
 from hil.axis import DriveAxis
+from hil.desk.asking import Asking
 from hil.desk.connection import Connect, Connection
 from hil.desk.live import RATE_HZ, Board, Live, of_sample
 from hil.desk.progress import JobLog, Phase
 from hil.desk.standstill import Standstill
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
-from hil.jobs.job import Job, Workplace
+from hil.jobs.job import Job, Question, Workplace
 from hil.procedures.session import AxisSession
 from hil.store import SealedStore
 
@@ -45,6 +46,7 @@ class AxisThread:
         self.stop = Stop()
         self.standstill = Standstill()
         self.board = Board()
+        self.asking = Asking()
         self._connect = connect
         self._pace = pace
         self._pacing = Pacing(self.stop)
@@ -196,8 +198,12 @@ class AxisThread:
             if name in threads:
                 threads[name]._watch(drive, session)
 
+        def ask(question: Question) -> bool | None:
+            clock = WallClock(self._pacing) if drive is None else drive.clock
+            return self.asking.ask(question, clock, clock.sleep_s if session is None else session.watch)
+
         heard = asked.log
-        return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch)
+        return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask)
 
     def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
         """A job's work, however it ends. No more is asked of a job than that it ends: the axis was put back before."""

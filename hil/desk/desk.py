@@ -15,6 +15,7 @@ from typing import Any
 from drivers.errors import LocalError, StateError
 from hil.axis import DriveAxis
 from hil.desk.aside import Aside, Computed
+from hil.desk.asking import Pending
 from hil.desk.axis_thread import Asked, AxisThread
 from hil.desk.connection import Connect, to_axis
 from hil.desk.control import Control
@@ -89,6 +90,12 @@ class Desk:
         return Graph(0, {}) if log is None else log.graph(since)
 
     @property
+    def question(self) -> Pending | None:
+        """What the running job asks somebody at the machine."""
+        borrower = self._borrowing()
+        return self._thread.asking.pending if borrower is None else borrower.question
+
+    @property
     def computed(self) -> Computed:
         """What is being computed of stored campaigns, or was last."""
         return self._aside.computed
@@ -125,6 +132,11 @@ class Desk:
                 threads = tuple(other._thread for other in lent or ())
                 self._thread.ask(Asked(job, log, self.rights.store, threads))
             undo.pop_all()
+
+    def answer(self, token: str | None, number: int, *, yes: bool) -> None:
+        """Answer the question of this number, if it is still asked."""
+        self.control.require(token)
+        self._thread.asking.answer(number, yes)
 
     def power_off(self, token: str | None) -> None:
         """Take the power off an axis that was left enabled."""

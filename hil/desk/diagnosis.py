@@ -8,9 +8,11 @@ from typing import Any
 
 from hil.axis import AxisConfig
 from hil.desk.campaigns import Measurement, measurements
-from hil.jobs.loop_plan import unfinished_exploration
+from hil.jobs.loop_plan import unfinished_loop
 from hil.jobs.stored_diagnosis import read_stored, sources
+from hil.jobs.stored_loop import StoredLoop, stored_loop
 from hil.procedures.explore import Exploration
+from hil.procedures.in_motion import InMotion
 from hil.report.views import label_of, list_of, object_of, objects_of, value_of
 
 Points = tuple[tuple[float, float], ...]
@@ -76,12 +78,13 @@ class ShownDiagnosis:
 @dataclass(frozen=True)
 class DiagnosisScreen:
     """choices: what can be diagnosed; shown: the stored diagnosis of the chosen one, None without; unfinished: how the loop that can
-    be gone on with explores, None where there is none"""
+    be gone on with explores, at rest and in motion; loop: the last one; None where there is none"""
 
     choices: tuple[Measurement, ...]
     chosen: Measurement | None
     shown: ShownDiagnosis | None
-    unfinished: Exploration | None
+    unfinished: tuple[Exploration, InMotion | None] | None
+    loop: StoredLoop | None
 
     def choice(self, key: str) -> Measurement | None:
         """By its key."""
@@ -95,7 +98,7 @@ def diagnosis_screen(axis: AxisConfig, key: str = "") -> DiagnosisScreen:
     by_itself = next((one for one in choices if one.diagnosis.exists()), choices[0] if choices else None)
     chosen = next((one for one in choices if one.key == key), by_itself)
     shown = None if chosen is None or not chosen.diagnosis.exists() else read_shown(chosen)
-    return DiagnosisScreen(choices, chosen, shown, unfinished_exploration(folder))
+    return DiagnosisScreen(choices, chosen, shown, unfinished_loop(folder), stored_loop(folder))
 
 
 def read_shown(of: Measurement) -> ShownDiagnosis:

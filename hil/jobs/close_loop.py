@@ -13,7 +13,9 @@ from hil.jobs.diagnose import shown_diagnosis
 from hil.jobs.figures import error_figures
 from hil.jobs.job import Job, Workplace
 from hil.jobs.loop_plan import CLOSE_LOOP, Looped, loop_plan
+from hil.jobs.person import Person
 from hil.jobs.stored_diagnosis import STORED
+from hil.jobs.stored_loop import turn_is_good
 from hil.journal import Campaign
 from hil.procedures.close_loop import Loop, Turn, Turning, close_loop
 from hil.procedures.computing import watched
@@ -60,14 +62,20 @@ def run_loop(
 
 
 def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False) -> Job:
-    """For the desk: returns a Looped. The axis is watched while the diagnosis is made."""
+    """For the desk: returns a Looped. The axis is watched while the diagnosis is made; a run that needs a person asks for one."""
 
     def work(place: Workplace) -> Looped:
-        how = replace(turning, computing=watched)
-        loop = run_loop(place.machine(), place.opened_store(), how, place.listener, resume=resume)
+        machine, person = place.machine(), Person(place)
+        how = replace(turning, computing=watched, consent=turning.consent or person.consents)
+        session = machine.session
+        before, session.conditions = session.conditions, person.conditions(axis, session.conditions)
+        try:
+            loop = run_loop(machine, place.opened_store(), how, place.listener, resume=resume)
+        finally:
+            session.conditions = before
         return Looped(loop_stages(loop), loop_is_good(loop))
 
-    return Job(CLOSE_LOOP, loop_plan(axis, turning.exploration), work)
+    return Job(CLOSE_LOOP, loop_plan(axis, turning.exploration, turning.in_motion), work)
 
 
 def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
@@ -94,4 +102,5 @@ def loop_is_good(loop: Loop) -> bool:
 
 def _turn_is_good(turn: Turn) -> bool:
     before, after = error_figures(turn.before)["rms_um"], error_figures(turn.after)["rms_um"]
-    return not turn.diagnosis.unexplained and bool(after <= max(before, 2 * turn.diagnosis.noise_floor.value))
+    found = turn.diagnosis
+    return turn_is_good(before, after, found.noise_floor.value, unexplained=found.unexplained)

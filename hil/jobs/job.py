@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from drivers.clock import Waiting
@@ -20,12 +20,34 @@ Watch = Callable[[str, ServoDrive, AxisSession | None], None]
 
 
 @dataclass(frozen=True)
+class Question:
+    """What somebody at the machine is asked while a job waits, to be answered by yes or no.
+
+    kind: says what, such as "run" or "condition"; figures: what it is about, as procedures say it; within_s: how long the job waits
+    """
+
+    kind: str
+    figures: Mapping[str, str]
+    within_s: float
+
+
+Ask = Callable[[Question], bool | None]
+"""Asks, and waits with the axis watched: the answer, None where nobody gave one in time. A stop ends it."""
+
+
+def nobody(_question: Question) -> bool | None:
+    """For where nobody can be asked."""
+    return None
+
+
+@dataclass(frozen=True)
 class Workplace:
     """A connected axis as a job finds it; session: None for an axis without an instrument, or where the job connects by itself.
 
     store: with the builder's key while a builder is at the desk, without it where only the reading password was given, else None.
     waiting: for a job that connects by itself: its clock has to wait through this, so that it can be stopped.
     watch: for the same: watch(axis name, drive, session or None) shows the looks at that axis on its desk.
+    ask: somebody at the machine.
     """
 
     axis: DriveAxis
@@ -36,6 +58,7 @@ class Workplace:
     store: SealedStore | None
     waiting: Waiting
     watch: Watch
+    ask: Ask = nobody
 
     @property
     def drive(self) -> ServoDrive:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from nicegui import ui
 
 from hil.desk.roles import Role
+from hil.panel.question import draw_question
 from hil.panel.texts import LANGUAGES
 from hil.panel.view import View
 
@@ -35,6 +36,7 @@ def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
             _draw_axes(view, page)
             _draw_control(view)
         _draw_navigation(view, page, pages)
+    draw_question(view)
     page.draw(view)
 
 

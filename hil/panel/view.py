@@ -125,7 +125,7 @@ class View:
 
     def show_error(self, error: BaseException) -> None:
         """As a note that stays until it is closed."""
-        text = self.t("control.not_yours") if isinstance(error, NotInControlError) else one_line(error)
+        text = self.t("control.not_yours") if isinstance(error, NotInControlError) else self.t.said(one_line(error))
         with self.client.content:
             ui.notification(
                 text, type="negative", position="bottom-right", timeout=None, close_button=self.t("button.close")
@@ -168,7 +168,7 @@ class View:
         for move in plan.moves:
             sign = move.how == "drives"
             ends = {"low": t.number(move.low_mm, sign=sign), "high": t.number(move.high_mm, sign=sign)}
-            what = t(f"plan.move.{move.what.split()[0]}", way=move.what.partition(" ")[2])
+            what = t(f"plan.move.{move.what.split()[0]}", way=t.said(move.what.partition(" ")[2]))
             lines.append(t(f"plan.{move.how}", what=what, speed=t.number(move.velocity_mm_s, 1), **ends))
         if plan.overtravel_mm is not None:
             lines.append(t("plan.contacts", count=plan.positions, overtravel=t.number(plan.overtravel_mm, 1)))

@@ -8,9 +8,9 @@ from nicegui import ui
 
 from hil.axis import AxisConfig
 from hil.desk.diagnosis import DiagnosisScreen
-from hil.desk.progress import Progress
-from hil.jobs.loop_plan import CLOSE_LOOP, Looped
+from hil.jobs.loop_plan import CLOSE_LOOP, feeds_of, passes_at
 from hil.jobs.stored_diagnosis import measurement_of
+from hil.panel.latest import Latest
 from hil.panel.plots import JobPlot
 from hil.panel.reading import Reading
 from hil.panel.tables import Table
@@ -31,7 +31,7 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
         with ui.element("div").classes("hil-grid wide"):
             x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
             live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True, as_one=_as_one)
-            stages = _draw_stages(view)
+            stages = _draw_stages(view, kept)
 
     def refresh() -> None:
         job = view.desk.last(CLOSE_LOOP)
@@ -56,7 +56,8 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
         runs = ui.number(t("loop.runs"), value=usual.runs, min=2, max=100, precision=0).style("width: 12rem")
         rows = ui.number(t("loop.rows"), value=usual.rows, min=8, max=1000, precision=0).style("width: 12rem")
         warm = ui.number(t("loop.warm_up"), value=usual.warm_up_s, min=0, max=86_400).style("width: 14rem")
-        for field, name in ((runs, "runs"), (rows, "rows"), (warm, "warm_up")):
+        feeds = ui.input(t("loop.feeds"), placeholder=t("loop.at_rest")).style("width: 16rem")
+        for field, name in ((runs, "runs"), (rows, "rows"), (warm, "warm_up"), (feeds, "feeds")):
             view.named(field, f"loop.{name}")
         start_button = view.button("loop.start", lambda: start(False))
         resume_button = view.button("loop.resume", lambda: start(True))
@@ -66,10 +67,12 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
         from hil.procedures.close_loop import Turning  # noqa: PLC0415
 
         how = Exploration(int(runs.value), int(rows.value), float(warm.value))
+        asked = str(feeds.value or "").strip()
+        in_motion = passes_at(axis, feeds_of(asked)) if asked else None
         unfinished = None if kept.value is None else kept.value.unfinished
         if resume and unfinished is not None:
-            how = unfinished
-        await view.ask_and_run(loop_job(axis, Turning(how), resume=resume))
+            how, in_motion = unfinished
+        await view.ask_and_run(loop_job(axis, Turning(how, in_motion=in_motion), resume=resume))
 
     def refresh() -> None:
         store = desk.rights.store
@@ -81,27 +84,29 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
     return refresh
 
 
-def _draw_stages(view: View) -> Refresh:
-    """The axis after each stage."""
+def _draw_stages(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
+    """The axis after each stage of the last loop, as it stands on disk."""
     t = view.t
     with ui.element("div"):
         verdict = view.value("loop.verdict", small=True)
+        of = view.named(ui.label().classes("hil-name"), "loop.of")
         table = Table(view, "loop.stages", ["loop.head.stage", *(f"loop.head.{name}" for name in FIGURES)])
-    drawn: list[Progress] = []
+    latest = Latest()
 
     def refresh() -> None:
-        job = view.desk.last(CLOSE_LOOP)
-        if job is None or not isinstance(job.result, Looped) or drawn == [job]:
+        loop = None if kept.value is None else kept.value.loop
+        if loop is None or not latest.is_new(loop):
             return
-        drawn[:] = [job]
-        verdict.set_text(t("loop.good" if job.result.good else "loop.not_good"))
+        outcome = "loop.not_ended" if loop.good is None else "loop.good" if loop.good else "loop.not_good"
+        verdict.set_text(t(outcome))
+        of.set_text(loop.place)
         table.show(
             [
                 [
                     t(f"loop.stage.{name.replace(', ', '_').replace(' ', '_')}"),
                     *(t.number(figures.get(one), 2) for one in FIGURES),
                 ]
-                for name, figures in job.result.stages.items()
+                for name, figures in loop.stages.items()
             ]
         )
 
