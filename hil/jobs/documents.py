@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from hil.axis import AxisConfig
 from hil.diagnosis.pictures import with_plots
@@ -22,49 +23,37 @@ def calibration_report(axis: AxisConfig, result: Calibration) -> str:
         NamedCampaign(f"round {number}", one.records, _outside_note(len(one.outside), axis.correction.band))
         for number, one in enumerate(result.rounds, start=1)
     ]
-    return render_html(
-        ReportData(
-            f"Calibration of axis {axis.name}",
-            tuple(campaigns),
-            identity(axis),
-            _limits(axis.correction.band),
-            in_force(result.tables),
-            uncertainty=uncertainty_of(axis),
-        )
-    )
+    return render_html(_of_axis(axis, "Calibration of", campaigns, result.tables))
 
 
 def verification_report(axis: AxisConfig, tables: TableSet, result: Verification) -> str:
     """One campaign with the correction in force."""
-    note = _outside_note(len(result.outside), axis.correction.band)
-    campaigns = (NamedCampaign("verified", result.records, note),)
-    return render_html(
-        ReportData(
-            f"Verification of axis {axis.name}",
-            campaigns,
-            identity(axis),
-            _limits(axis.correction.band),
-            in_force(tables),
-            uncertainty=uncertainty_of(axis),
-        )
-    )
+    verified = NamedCampaign("verified", result.records, _outside_note(len(result.outside), axis.correction.band))
+    return render_html(_of_axis(axis, "Verification of", [verified], tables))
 
 
 def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
     """The whole loop, with the diagnosis and what its effects look like over the rows it was made on."""
     turn = loop.turn
-    return render_html(
-        ReportData(
-            f"Closed loop on axis {axis.name}",
-            loop_campaigns(loop),
-            identity(axis),
-            _limits(axis.correction.band),
-            in_force(turn.extended.tables),
-            with_plots(turn.diagnosis.to_json(), turn.diagnosis, turn.diagnosed),
-            NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
-            (*notes, *_in_motion_notes(loop.in_motion)),
-            uncertainty=uncertainty_of(axis),
-        )
+    data = replace(
+        _of_axis(axis, "Closed loop on", loop_campaigns(loop), turn.extended.tables),
+        diagnosis=with_plots(turn.diagnosis.to_json(), turn.diagnosis, turn.diagnosed),
+        diagnosed=NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
+        notes=(*notes, *_in_motion_notes(loop.in_motion)),
+    )
+    return render_html(data)
+
+
+def _of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tables: TableSet) -> ReportData:
+    """What was measured, on which axis and how it stood, the band it is held against, the tables in force, how well it is known."""
+    band = axis.correction.band
+    return ReportData(
+        f"{what} axis {axis.name}",
+        tuple(campaigns),
+        identity(axis),
+        None if band is None else (band.low_um, band.high_um),
+        in_force(tables),
+        uncertainty=uncertainty_of(axis),
     )
 
 
@@ -103,10 +92,6 @@ def _in_motion_notes(turn: Turn | None) -> Iterator[str]:
 def in_force(tables: TableSet) -> tuple[TableInForce, ...]:
     what = f"{tables.mode.value}, {len(tables.pitch.position_mm)} positions"
     return (TableInForce("correction tables", tables.digest(), what),)
-
-
-def _limits(band: Band | None) -> tuple[float, float] | None:
-    return None if band is None else (band.low_um, band.high_um)
 
 
 def _outside_note(outside: int, band: Band | None) -> str:
