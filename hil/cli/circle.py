@@ -23,7 +23,8 @@ example:
   hil circle X.toml Y.toml --centre 120 80 --clockwise
 
 Both drives take set-points together: on one CAN bus by one SYNC, otherwise by this computer's clock. Both instruments measure. An axis
-without stored tables drives uncorrected. `hil lost-motion` makes the correction that this is to show.
+without stored tables drives uncorrected. `hil lost-motion` makes the correction that this is to show. Readings are dated by the
+latency_s of each axis file; of instruments that are late by different times, state it: they see an ellipse.
 Exit status 1: with the correction in force the bumps fell neither to half nor to the floor.
 """
 MM_MIN = 60.0

@@ -100,10 +100,13 @@ def run_circle(
     check_axes(sessions, circle, period_s)
     campaign = Campaign.numbered(axes[0].store.directory, _purpose(axes, circle, stored), resume=False)
     prepare(sessions)
+    latency_s = [axis.instrument.latency_s or 0.0 for axis in axes]
     runs = {}
     for name, corrections in wanted.items():
         stage = f"circle, {name}"
-        runs[name] = drive_circle(sessions, circle, corrections, stage=stage, period_s=period_s, listener=listener)
+        runs[name] = drive_circle(
+            sessions, circle, corrections, latency_s=latency_s, stage=stage, period_s=period_s, listener=listener
+        )
         campaign.write(f"{name}.csv", _csv(runs[name], axes))
         listener(Event(stage, found=Measured(name, runs[name].trace.bump_mean_um, "µm")))
     return DrivenCircle(axes, circle, runs, campaign.directory)

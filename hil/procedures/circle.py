@@ -70,12 +70,15 @@ def drive_circle(
     circle: Circle,
     compensations: Sequence[Compensation | None],
     *,
+    latency_s: Sequence[float] = (0.0, 0.0),
     stage: str = "circle",
     period_s: float = 0.004,
     listener: Listener = silent,
 ) -> CircleRun:
     """One circle with these corrections in force, on prepared sessions; none is in force afterwards, on every way out.
 
+    latency_s: of each axis's instrument (`hil.latency`). One that both have only turns what is seen about its centre; where they
+    differ from what is stated, an ellipse is seen, its half-axes feed × difference apart.
     Raises CapabilityError, LimitError before anything moves, and whatever stops an axis: all stop together.
     """
     check_axes(axes, circle, period_s)
@@ -83,7 +86,8 @@ def drive_circle(
         for axis, compensation in zip(axes, compensations, strict=True):
             axis.compensation = compensation
         _to_the_start(axes, circle)
-        return _stream(axes, circle, stage, period_s, listener)
+        dates = [dates_of(axis, latency) for axis, latency in zip(axes, latency_s, strict=True)]
+        return _stream(axes, dates, circle, stage=stage, period_s=period_s, listener=listener)
     finally:
         for axis in axes:
             axis.compensation = None
@@ -96,8 +100,15 @@ def _to_the_start(axes: Sequence[AxisSession], circle: Circle) -> None:
         axis.watch(axis.how.dwell_s)
 
 
-def _stream(axes: Sequence[AxisSession], circle: Circle, stage: str, period_s: float, listener: Listener) -> CircleRun:
-    clocks = [dates_of(axis) for axis in axes]
+def _stream(
+    axes: Sequence[AxisSession],
+    clocks: Sequence[Dates],
+    circle: Circle,
+    *,
+    stage: str,
+    period_s: float,
+    listener: Listener,
+) -> CircleRun:
     samples: list[list[tuple[int, Reading]]] = [[] for _ in axes]
     for times in clocks:
         times.find_arrival()

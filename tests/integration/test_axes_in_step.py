@@ -14,6 +14,7 @@ from drivers.errors import CapabilityError, InputError, LimitError, StateError
 from drivers.set_points import SetPointSettings
 from hil.axes_wiring import connected_axes
 from hil.axis import AxisConfig, load_axis
+from hil.jobs.circle import BEFORE, run_circle
 from hil.lost_motion.circle import Circle
 from hil.procedures.circle import check_axes, drive_circle, prepare
 from hil.procedures.events import Event, Listener
@@ -116,6 +117,25 @@ def test_an_interrupt_in_the_circle_stops_both_and_leaves_them_as_they_were(tmp_
         assert bench is not None
         assert not bench.servo.powered
         assert bench.servo.velocity_actual_counts_s == 0
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_an_instrument_that_is_late_is_dated_by_what_its_axis_file_states(tmp_path: Path, stated: bool) -> None:
+    """y seen τ late is y - v·τ·cos φ at the angle φ: the radius is off by v·τ·sin 2φ / 2, from peak to peak by v·τ."""
+    late_s, feed_mm_s = 0.02, 5.0
+    x, y = lay_out_axes(tmp_path, machine="ideal")
+    if stated:
+        y.write_text(y.read_text().replace("[instrument]", f"[instrument]\nlatency_s = {late_s}"))
+    first, second = IDEAL
+    late = replace(second, laser=replace(second.laser, latency_s=late_s))
+    with connected_axes((load_axis(x), load_axis(y)), (first, late)) as machines:
+        driven = run_circle(machines, Circle((40.0, 40.0), 5.0, feed_mm_s), (None, None), period_s=0.02)
+    trace = driven.traces[BEFORE]
+    if stated:
+        assert trace.roundness_um < 0.5  # the laser's noise, 0.03 µm a reading
+        assert trace.floor_um < 0.5
+    else:
+        assert trace.roundness_um == pytest.approx(1000.0 * feed_mm_s * late_s, rel=0.01)
 
 
 def test_axes_that_nothing_paces_together_are_refused(tmp_path: Path) -> None:
