@@ -105,6 +105,28 @@ class Person:
     def _note(self) -> WebElement:
         return self.driver.find_element(By.CSS_SELECTOR, ".q-notification")
 
+    def names(self) -> set[str]:
+        """Of every element that is on the page, hidden ones too."""
+        script = "return [...document.querySelectorAll('[data-name]')].map((one) => one.dataset.name)"
+        return set(self.driver.execute_script(script))
+
+    def drawn(self, chart: str) -> dict[str, int]:
+        """How many points each curve of a chart has."""
+        number = int(str(self.finds(chart).get_attribute("id")).removeprefix("c"))
+        script = (
+            "return Object.fromEntries(getElement(arguments[0]).chart.getOption().series"
+            ".map((one) => [one.name, one.data.length]))"
+        )
+        return dict(self.driver.execute_script(script, number))
+
+    def table(self, name: str) -> list[list[str]]:
+        """The rows of a table, without its heading."""
+        script = (
+            "return [...arguments[0].querySelectorAll('tbody tr')]"
+            ".map((row) => [...row.cells].map((cell) => cell.innerText))"
+        )
+        return [row for row in self.driver.execute_script(script, self.finds(name)) if any(row)]
+
     def agrees(self) -> list[str]:
         """To the one question that is asked; its lines."""
         self.waits(lambda: self.finds("question.yes").is_displayed(), "a question is asked")
