@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,10 @@ from hil.jobs import aside, calibrate
 from hil.jobs.calibrate import CALIBRATE
 from hil.jobs.close_loop import loop_job
 from hil.jobs.job import Job
-from hil.jobs.loop_plan import Looped
+from hil.jobs.loop_plan import Looped, feeds_of, passes_at
+from hil.jobs.plan import Move
 from hil.jobs.report import Wanted
+from hil.jobs.stored_loop import STAGES, StoredLoop, stored_loop
 from hil.procedures.close_loop import Turning
 from hil.procedures.explore import Exploration
 from hil.records import read_csv
@@ -106,15 +109,22 @@ def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, 
 def test_loop_diagnosis_and_history(axis: AxisConfig, desk: Desk) -> None:
     token = desk.control.take("test")
     desk.become_builder(token, KEY, READING)
-    turning = Turning(Exploration(runs=2, rows=12, warm_up_s=30.0), most_further=0)
-    looped = run(desk, token, loop_job(axis, turning))
+    passes = replace(passes_at(axis, feeds_of("30, 110")), runs=1, rows=6, latency_s=0.0, period_s=0.008)
+    turning = Turning(Exploration(runs=2, rows=12, warm_up_s=30.0), most_further=0, in_motion=passes)
+    job = loop_job(axis, turning)
+    targets = axis.measurement.targets_mm
+    assert job.plan.moves[-1] == Move("feeds 30, 110", min(targets), max(targets), 110.0)
+    looped = run(desk, token, job)
     assert looped.phase is Phase.DONE, looped.error
     assert isinstance(looped.result, Looped)
-    assert list(looped.result.stages) == ["uncorrected", "table", "table, explored", "extended, explored"]
+    assert list(looped.result.stages) == list(STAGES)
+    stored = stored_loop(axis.store.directory)  # as a desk finds it that was not there
+    assert stored == StoredLoop("close-loop-001", looped.result.stages, looped.result.good)
     assert looped.result.stages["uncorrected"]["rms_um"] > 3.0 * looped.result.stages["extended, explored"]["rms_um"]
-    kept = diagnosis_screen(axis)
-    assert kept.chosen is not None
-    assert kept.chosen.key == "close-loop-001/before"
+    latest = diagnosis_screen(axis).chosen
+    assert latest is not None
+    assert latest.key == "close-loop-001/motion-before"
+    kept = diagnosis_screen(axis, "close-loop-001/before")
     assert kept.shown is not None
     assert kept.shown.rms_um["before"] > 0.0
 
