@@ -14,7 +14,11 @@ from hil.axis import AxisConfig, load_axis
 from hil.desk.calibration import calibration_screen, latest
 from hil.desk.campaigns import axis_history, measurements, reports
 from hil.desk.diagnosis import diagnosis_screen
+from hil.jobs.loop_plan import feeds_of, unfinished_loop
 from hil.jobs.stored_diagnosis import measurement_of, read_stored, sources
+from hil.jobs.stored_loop import StoredLoop, stored_loop
+from hil.procedures.explore import Exploration
+from hil.procedures.in_motion import InMotion
 from hil.records import Records, to_csv
 
 ROWS = Iterable[tuple[int, int, float, float]]
@@ -213,3 +217,47 @@ def test_what_is_no_diagnosis_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"JSON|diagnosis"):
         read_stored(path)
+
+
+# -- the loop ------------------------------------------------------------------------------------------------------------
+EXPLORED = {"before-1": BEFORE, "before-2": BEFORE, "before-10": FIRST, "after-1": FIRST}
+
+
+def test_a_loop_of_before_is_shown_as_far_as_it_was_measured(axis: AxisConfig) -> None:
+    folder = axis.store.directory
+    assert stored_loop(folder) is None
+    purpose = {"exploration": {"runs": 3, "rows": 8, "warm_up_s": 5.0}, "in_motion": {"feeds_mm_s": [20.0, 60.0]}}
+    rounds = {"measure": BEFORE, "round-2": FIRST, "round-10": SECOND}
+    here = kept(folder, "close-loop-002", rounds | EXPLORED, "2026-03-01T10:00:00+00:00", **purpose)
+    (kept(folder, "close-loop-009", {}, "") / "measure.csv").write_text("run,direction,target_mm,measured_mm\n")
+    found = stored_loop(folder)
+    assert found is not None
+    assert (found.place, found.good) == ("close-loop-002", None)
+    assert [(stage, one["rows"]) for stage, one in found.stages.items()] == [
+        ("uncorrected", len(BEFORE)),
+        ("table", len(SECOND)),
+        ("table, explored", 2 * len(BEFORE) + len(FIRST)),
+        ("extended, explored", len(FIRST)),
+    ]
+    assert found.stages["table"]["rms_um"] == pytest.approx(0.25)
+    (folder / "close-loop-009" / "measure.csv").unlink()
+    assert unfinished_loop(folder) == (Exploration(3, 8, 5.0), InMotion((20.0, 60.0)))
+
+    (here / "finished").touch()
+    assert stored_loop(folder) == StoredLoop("close-loop-002", found.stages, None)  # it kept no diagnosis
+    for unexplained, waiting, good in ((False, None, True), (True, None, False), (False, "somebody has to", False)):
+        asked = {"unexplained": unexplained, "next_measurement": {"what": "a run", "person": waiting}}
+        (here / "before.diagnosis.json").write_text(json.dumps(FORM | asked))
+        assert stored_loop(folder) == StoredLoop("close-loop-002", found.stages, good)
+    assert diagnosis_screen(axis).loop == stored_loop(folder)
+
+
+@pytest.mark.parametrize(("text", "feeds"), [("20,60, 110", (20.0, 60.0, 110.0)), ("20,5; 60", (20.5, 60.0))])
+def test_feeds_as_people_type_them(text: str, feeds: tuple[float, ...]) -> None:
+    assert feeds_of(text) == feeds
+
+
+@pytest.mark.parametrize("text", ["", "20", "20,20", "20,-5", "20;fast", "20,inf"])
+def test_what_is_no_two_feeds(text: str) -> None:
+    with pytest.raises(InputError, match="expected at least two different feeds"):
+        feeds_of(text)
