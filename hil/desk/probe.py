@@ -22,6 +22,7 @@ Points = list[tuple[float, float]]
 KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE)
 SHOWN = 200
 """Of a long history the latest are shown."""
+UNITS, MOST_OF_A_UNIT = {"minutes": 60.0, "hours": 3600.0, "days": 86_400.0}, 100
 STORED, REFUSED, BROKEN_OFF = "stored", "refused", "broken off"
 
 
@@ -145,9 +146,11 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class HistoryCurves:
-    """begun: of the first measurement; the others h after it. x, y: of what was put into force, µm; left_out: of what was not"""
+    """begun: of the first measurement; the others so many minutes, hours or days (unit) after it. x, y: of what was put into force,
+    µm; left_out: of what was not"""
 
     begun: datetime
+    unit: str
     x: Points
     y: Points
     left_out: Points
@@ -157,14 +160,17 @@ def history_curves(history: Sequence[PastMeasurement]) -> HistoryCurves | None:
     """Run-out over time; None without any."""
     if not history:
         return None
-    curves = HistoryCurves(history[0].when, [], [], [])
+    begun = history[0].when
+    lasted_s = (history[-1].when - begun).total_seconds()
+    unit, unit_s = next((one for one in UNITS.items() if lasted_s < MOST_OF_A_UNIT * one[1]), ("days", UNITS["days"]))
+    curves = HistoryCurves(begun, unit, [], [], [])
     for one in history:
-        hours = (one.when - curves.begun).total_seconds() / 3600.0
+        later = (one.when - begun).total_seconds() / unit_s
         if one.verdict == STORED:
-            curves.x.append((hours, one.x_um))
-            curves.y.append((hours, one.y_um))
+            curves.x.append((later, one.x_um))
+            curves.y.append((later, one.y_um))
         else:
-            curves.left_out.extend([(hours, one.x_um), (hours, one.y_um)])
+            curves.left_out.extend([(later, one.x_um), (later, one.y_um)])
     return curves
 
 

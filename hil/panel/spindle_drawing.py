@@ -43,9 +43,13 @@ def around_the_spindle(view: View, shown: BallPlaces, names: Mapping[str, str]) 
         "symbolSize": 16,
         "z": 3,
         "data": [
-            {"value": place, "label": {"formatter": f"{angle}°"}} for angle, place in zip(shown.at, places, strict=True)
+            {
+                "value": place,
+                "label": {"formatter": f"{angle}°", "position": "left" if 90 < place[1] < 270 else "right"},
+            }
+            for angle, place in zip(shown.at, places, strict=True)
         ],
-        "label": {"show": True, "position": "right", "color": ink, "fontSize": 16},
+        "label": {"show": True, "color": ink, "fontSize": 16},
         "itemStyle": {"color": COLOURS[5]},
     }
     series: list[dict[str, Any]] = [{**one, "coordinateSystem": "polar"} for one in (circle, arrow, contacts)]

@@ -48,8 +48,8 @@ def draw(view: View) -> None:
         ui.markdown(view.t("probe.steps"))
     messages = view.messages("probe.messages")
     kept: Kept = Reading(view, lambda: probe_record(at.config, at.store))
-    mode = _draw_mode(at)
-    parts = [_draw_machine(at), _draw_start(at, mode)]
+    mode, settings = _draw_settings(at)
+    parts = [settings]
     with ui.element("div").classes("hil-grid"):
         parts += [_draw_where(view), _draw_run_out(at), _draw_in_force(at, kept)]
     with ui.element("div").classes("hil-grid wide"):
@@ -73,21 +73,22 @@ def draw(view: View) -> None:
 
 
 # -- what it takes ---------------------------------------------------------------------------------------------------------
-def _draw_mode(at: AtProbe) -> ui.select:
-    """Which machine, and how contacts are found."""
-    t, config = at.view.t, at.config
-    names = ", ".join(axis.name for axis in config.axes.values())
-    with ui.row().classes("items-end hil-fields"):
-        machine = t("probe.machine", name=config.name, axes=names)
-        at.view.named(ui.label(machine).classes("hil-name"), "probe.machine")
-        modes = {mode: t(f"probe.modes.{mode}") for mode in MODES}
-        return at.view.named(ui.select(modes, label=t("probe.mode"), value=config.probe.mode), "probe.mode")
-
-
-def _draw_machine(at: AtProbe) -> Refresh:
-    """Which other axes have to be under this browser's control; whether the store is open."""
+def _draw_settings(at: AtProbe) -> tuple[ui.select, Refresh]:
+    """How contacts are found; start; whether the store is open, and which other axes have to be under this browser's control."""
     view, t, sealed = at.view, at.view.t, at.config.store.sealed
-    with ui.row().classes("items-center"):
+    names = ", ".join(axis.name for axis in at.config.axes.values())
+    modes = {mode: t(f"probe.modes.{mode}") for mode in MODES}
+
+    async def start() -> None:
+        store = at.store
+        if store is not None:
+            await at.ask_and_run(probe.measuring_job(at.config, store, str(mode.value)))
+
+    with ui.row().classes("items-center hil-fields"):
+        machine = t("probe.machine", name=at.config.name, axes=names)
+        view.named(ui.label(machine).classes("hil-name"), "probe.machine")
+        mode = view.named(ui.select(modes, label=t("probe.mode"), value=at.config.probe.mode), "probe.mode")
+        start_button = view.button("probe.start", start)
         state = view.named(ui.label().classes("hil-name"), "probe.store")
         opening = view.button("probe.open", partial(_ask_passwords, at)).props("outline")
     needs = view.named(ui.label().classes("hil-note"), "probe.needs")
@@ -95,6 +96,7 @@ def _draw_machine(at: AtProbe) -> Refresh:
 
     def refresh() -> None:
         store = at.store
+        start_button.set_enabled(at.can_start and writable(store))
         open_to = "not_opened" if store is None else "writable" if writable(store) else "readable"
         state.set_text(t(f"probe.stores.{open_to if sealed else 'plain'}"))
         opening.set_enabled(view.in_control)
@@ -102,7 +104,7 @@ def _draw_machine(at: AtProbe) -> Refresh:
         needs.set_text(t("probe.needs", axes=missing) if missing else "")
         needs.set_visibility(bool(missing))
 
-    return refresh
+    return mode, refresh
 
 
 async def _ask_passwords(at: AtProbe) -> None:
@@ -124,22 +126,6 @@ async def _ask_passwords(at: AtProbe) -> None:
 
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------
-def _draw_start(at: AtProbe, mode: ui.select) -> Refresh:
-    """Measure, and put into force what closes."""
-
-    async def start() -> None:
-        store = at.store
-        if store is not None:
-            await at.ask_and_run(probe.measuring_job(at.config, store, str(mode.value)))
-
-    button = at.view.button("probe.start", start)
-
-    def refresh() -> None:
-        button.set_enabled(at.can_start and writable(at.store))
-
-    return refresh
-
-
 def _draw_where(view: View) -> Refresh:
     """Where this page's axis is, and the step now running."""
     with view.card("probe.where"):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from nicegui import ui
-
 from hil.desk.probe import STORED, HistoryCurves, PastMeasurement, ProbeRecord, history_curves
 from hil.panel.drawings import Curve, Drawing, Options, curves
 from hil.panel.latest import Latest
@@ -19,13 +17,12 @@ FIGURES = ("x", "y", "radius", "closure")
 
 def draw_history(view: View, kept: Reading[ProbeRecord]) -> Callable[[], None]:
     """A plot and a table of what was measured, the latest first; returns the refresh."""
-    with ui.element("div").classes("hil-grid wide"):
-        with view.card("probe.history", name="probe.history.card"):
-            drawing = Drawing(view, "probe.history")
-        with view.card("probe.measurements", name="probe.measurements.card"):
-            heads = {name: f"probe.past.{name}" for name in (*WORDS[:2], *FIGURES, WORDS[2])}
-            figures = [heads[name] for name in FIGURES]
-            table = Table(view, "probe.measurements", list(heads.values()), figures=figures, tall=True)
+    with view.card("probe.history", name="probe.history.card"):
+        drawing = Drawing(view, "probe.history")
+    with view.card("probe.measurements", name="probe.measurements.card"):
+        heads = {name: f"probe.past.{name}" for name in (*WORDS[:2], *FIGURES, WORDS[2])}
+        figures = [heads[name] for name in FIGURES]
+        table = Table(view, "probe.measurements", list(heads.values()), figures=figures, tall=True)
     latest = Latest()
 
     def refresh() -> None:
@@ -47,7 +44,7 @@ def _options(view: View, shown: HistoryCurves) -> Options:
         Curve(t("probe.y"), shown.y, 1, "diamond"),
         Curve(t("probe.left_out"), shown.left_out, 6, "triangle", turned=True),
     ]
-    x = t("probe.history_x", begun=shown.begun.astimezone().strftime("%Y-%m-%d %H:%M"))
+    x = t(f"probe.history_x.{shown.unit}", begun=shown.begun.astimezone().strftime("%Y-%m-%d %H:%M"))
     return curves(view, x, t("probe.history_y"), drawn)
 
 
