@@ -1,0 +1,122 @@
+"""Walking the states of a Modbus drive by the transitions of its register map, with the reason when it does not move.
+
+What may go in: states and the writes that change them. It knows nothing of positions; who enables writes the target first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.clock import Clock
+from drivers.drive import DriveSample, DriveState
+from drivers.errors import DriveFaultError, MotionTimeoutError, ProtocolError, StateError
+from drivers.modbus.drive_map import FAULTS, DriveMap, Transition
+from drivers.modbus.drive_values import DriveValues
+from drivers.modbus.orders import POLL_S, Orders
+from drivers.modbus.register_access import RegisterAccess
+
+_BOOT_S = 5.0  # how long a drive may be not ready to switch on
+
+StateTest = Callable[[DriveState], bool]
+
+
+class PowerStates:
+    """sample(): of the drive, for the fault that is named in an error."""
+
+    def __init__(
+        self,
+        drive_name: str,
+        drive_map: DriveMap,
+        access: RegisterAccess,
+        values: DriveValues,
+        orders: Orders,
+        *,
+        clock: Clock,
+        sample: Callable[[], DriveSample],
+    ) -> None:
+        self._name = drive_name
+        self._map = drive_map
+        self._access = access
+        self._values = values
+        self._orders = orders
+        self._clock = clock
+        self._sample = sample
+
+    def state(self) -> DriveState:
+        """Asked for now."""
+        names = [rule.condition.register for rule in self._map.states]
+        return self._values.state(dict(self._access.integers(names)))
+
+    def await_ready(self) -> None:
+        """Until the drive is through with starting up."""
+        self._await("ready", lambda now: now is not DriveState.NOT_READY, _BOOT_S)
+
+    def can_disable(self, state: DriveState) -> bool:
+        """Whether the map leads out of this state by taking power off."""
+        return any(state in transition.sources for transition in self._map.disable)
+
+    # -- walks -------------------------------------------------------------------------------------------------------
+    def enable(self, before_power: Callable[[], None]) -> None:
+        """Walk to ENABLED; `before_power()` is called right before the step that closes the loop."""
+        for _ in range(len(self._map.enable) + 1):
+            state = self.state()
+            if state is DriveState.ENABLED:
+                return
+            transition = self._from(self._map.enable, state, "enable")
+            if DriveState.ENABLED in transition.targets:
+                before_power()
+            self._walk(transition, "enable")
+        raise ProtocolError(f"drive {self._name}: enabling goes round in circles, it is {self.state().value}")
+
+    def disable(self, state: DriveState) -> None:
+        """Power off from this state, of an axis that stands still."""
+        self._walk(self._from(self._map.disable, state, "disable"), "disable", fault_ends=True)
+
+    def reset_fault(self) -> None:
+        """Acknowledge by the map's sequence; leaves the axis disabled. Raises DriveFaultError when the cause is still there."""
+        state = self.state()
+        if state is DriveState.FAULT_REACTION:
+            state = self._await("end of the fault reaction", lambda now: now is not state, _BOOT_S)
+        if state not in FAULTS:
+            return
+        transition = self._from(self._map.reset_fault, state, "reset the fault")
+        self._orders.give(transition.writes)
+        try:
+            self._await("reset", lambda now: now in transition.targets, transition.timeout_s)
+        except MotionTimeoutError as error:
+            sample = self._sample()
+            if sample.state not in FAULTS:
+                raise
+            raise DriveFaultError(
+                f"drive {self._name}: the fault stays, its cause is still there", sample.fault_code
+            ) from error
+
+    def _from(self, transitions: tuple[Transition, ...], state: DriveState, verb: str) -> Transition:
+        for transition in transitions:
+            if state in transition.sources:
+                return transition
+        if state in FAULTS:
+            raise DriveFaultError(
+                f"drive {self._name} cannot {verb}: it is in {state.value}", self._sample().fault_code
+            )
+        raise StateError(f"drive {self._name} cannot {verb} from {state.value}")
+
+    def _walk(self, transition: Transition, verb: str, *, fault_ends: bool = False) -> None:
+        self._orders.give(transition.writes)
+        state = self._await(
+            f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
+            lambda now: now in transition.targets or now in FAULTS,
+            transition.timeout_s,
+        )
+        if state in FAULTS and not fault_ends:
+            raise DriveFaultError(f"drive {self._name}: fault while trying to {verb}", self._sample().fault_code)
+
+    def _await(self, what: str, good: StateTest, timeout_s: float) -> DriveState:
+        deadline = self._clock.deadline(timeout_s)
+        while True:
+            state = self.state()
+            if good(state):
+                return state
+            if deadline.expired:
+                raise MotionTimeoutError(f"drive {self._name}: {what} not within {timeout_s:g} s, it is {state.value}")
+            self._clock.sleep_s(POLL_S)

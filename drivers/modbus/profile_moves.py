@@ -1,0 +1,137 @@
+"""Profile moves of a Modbus drive by the hand-shake of its register map: begun so that each step is seen to be taken.
+
+What may go in: what one move needs between the settings it is given and the moment in which the axis has set off. Whether it may be
+begun at all, and stopping one that was never confirmed, is the drive's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.drive import DriveLimits
+from drivers.errors import MotionTimeoutError
+from drivers.modbus.codec import Raw
+from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.drive_values import DriveValues
+from drivers.modbus.orders import Orders, hold
+from drivers.modbus.register_access import RegisterAccess
+from drivers.scaling import AxisScaling
+
+
+@dataclass(frozen=True)
+class Move:
+    """In motor counts, with what is written for it; velocity of the load."""
+
+    start_counts: float
+    target_counts: float
+    velocity_mm_s: float
+    written: dict[str, Raw]
+
+
+class ProfileMoves:
+    """Of one drive. under_way: the last move begun, None after anything else moved the axis."""
+
+    def __init__(
+        self,
+        drive_name: str,
+        drive_map: DriveMap,
+        access: RegisterAccess,
+        values: DriveValues,
+        orders: Orders,
+        *,
+        scaling: AxisScaling,
+        limits: DriveLimits,
+    ) -> None:
+        self.under_way: Move | None = None
+        self._name = drive_name
+        self._map = drive_map
+        self._access = access
+        self._values = values
+        self._orders = orders
+        self._scaling = scaling
+        self._limits = limits
+
+    def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> Move:
+        """A move from where a sample found the axis. Raises InputError for what its registers cannot hold; writes nothing."""
+        start_counts = self._values.position_counts(raw)
+        target_counts = float(self._scaling.motor_counts(position_load_mm))
+        return Move(start_counts, target_counts, velocity_mm_s, self._profile(target_counts, velocity_mm_s))
+
+    def _profile(self, target_counts: float, velocity_mm_s: float) -> dict[str, Raw]:
+        """All that a move needs, speeds before the target, as some drives start on the target; neighbours are joined when written."""
+        move = self._map.move
+        speed = {move.velocity: velocity_mm_s * self._scaling.counts_per_load_mm}
+        written = self._settings(speed | self._ramps(move.acceleration, move.deceleration))
+        written[move.target] = self._values.raw(target_counts, move.target)
+        if not move.start:
+            return written
+        return dict(sorted(written.items(), key=lambda item: self._map.registers[item[0]].span))
+
+    def ramp_settings(self, *names: str | None) -> dict[str, Raw]:
+        """The axis's highest acceleration for these registers, as far as the drive has them, to be written."""
+        return self._settings(self._ramps(*names))
+
+    def _ramps(self, *names: str | None) -> dict[str, float]:
+        counts_s2 = self._limits.max_acceleration_mm_s2 * self._scaling.counts_per_load_mm
+        return {name: counts_s2 for name in names if name is not None}
+
+    def _settings(self, wanted: dict[str, float]) -> dict[str, Raw]:
+        """Speeds and ramps in counts -> raw, after noting what stood there."""
+        self._orders.remember(tuple(wanted))
+        return {name: self._values.raw_speed(counts, name) for name, counts in wanted.items()}
+
+    def set_mode(self, raw: dict[str, Raw] | None = None) -> None:
+        """The mode of operation for moves; raw: what was read just now."""
+        move = self._map.move
+        self._orders.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
+
+    def make_ready(self, raw: dict[str, Raw]) -> None:
+        """Mode and hand-shake as a new target needs them."""
+        move = self._map.move
+        self.set_mode(raw)
+        if not self._orders.hold_now(move.idle, raw):
+            self._orders.give(move.release)
+            self._orders.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
+
+    def begin(self, planned: Move) -> None:
+        """Returns when the axis has set off. After any error it may be moving."""
+        move, orders = self._map.move, self._orders
+        self._access.write(planned.written)
+        self.under_way = planned
+        orders.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
+        orders.wait_for(move.accepted, "new target to be accepted", move.timeout_s)
+        orders.give(move.release)
+        orders.wait_for(move.released, "set-point hand-shake to end", move.timeout_s)
+        self._await_departure(planned)
+
+    def reached(self, raw: dict[str, Raw]) -> bool:
+        """Whether the drive says it is in position, and is where the move under way ends."""
+        move = self._map.move
+        if not hold(move.reached, raw):
+            return False
+        if self.under_way is None or move.window is None:
+            return True
+        off_counts = abs(self._values.position_counts(raw) - self.under_way.target_counts)
+        return off_counts <= self._values.window_counts()
+
+    def _reached_now(self) -> bool:
+        return self.reached(self._access.read(self._map.sampled()))
+
+    def _await_departure(self, move: Move) -> None:
+        """See "in position" of the last move go, so that nobody takes it for the end of this one.
+
+        Raises MotionTimeoutError when the drive accepted the target but stays where it is and says that it is there.
+        """
+        way_counts = abs(move.target_counts - move.start_counts)
+        way_mm = abs(self._scaling.load_mm(way_counts))
+        ramps_s = 2.0 * move.velocity_mm_s / self._limits.max_acceleration_mm_s2
+        longest_s = way_mm / move.velocity_mm_s + ramps_s + 0.05
+        if way_counts <= self._values.window_counts() or self._orders.becomes(
+            lambda: not self._reached_now(), min(longest_s, self._map.move.timeout_s)
+        ):
+            return
+        left = abs(self._values.position_counts(self._access.read([self._map.position])) - move.target_counts)
+        if left > max(1.0, 0.5 * way_counts):
+            raise MotionTimeoutError(
+                f"drive {self._name}: accepted a target {way_mm:.6f} mm away, says it is in position, and does not move"
+            )
