@@ -113,7 +113,9 @@ def test_diagnosis_of_a_stored_campaign(person: Person, folder: Path) -> None:
     } <= names(person)
     assert "cosine" in person.reads("diagnosis.blind")
     assert not person.finds("loop.start").is_enabled()  # only the builder may store
-    assert {"loop.runs", "loop.rows", "loop.warm_up", "loop.stages", "loop.live", "loop.step"} <= names(person)
+    assert {"loop.runs", "loop.rows", "loop.warm_up", "loop.feeds", "loop.stages", "loop.live", "loop.step"} <= names(
+        person
+    )
     assert (folder / "X-campaign" / "verify-004" / "verify.diagnosis.json").exists()
 
 
@@ -179,3 +181,26 @@ def test_calibrated_stored_and_verified(person: Person, folder: Path) -> None:
     } <= names(person)
     assert person.finds("calibrate.resume.calibrate").is_displayed() is False
     assert {path.name for path in (folder / "X-campaign").glob("*-00[1-9]")} >= {"calibrate-001", "uncorrected-001"}
+
+
+def test_a_loop_of_before_and_the_diagnosis_in_german(person: Person, folder: Path) -> None:
+    here = folder / "X-campaign" / "close-loop-001"
+    here.mkdir()
+    (here / "campaign.json").write_text(json.dumps({"kind": "close-loop", "axis": "X"}))
+    for name, size in (("measure", 3), ("round-1", 1)):
+        (here / f"{name}.csv").write_text(to_csv(campaign(lambda c, size=size: size * wavy(c), runs=2, targets=6)))
+    goes_to(person, "diagnosis")
+    person.clicks("language")
+    person.waits(lambda: person.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item"), "the languages are offered")
+    next(
+        one for one in person.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item") if one.text == "Deutsch"
+    ).click()
+    person.waits(
+        lambda: person.reads("diagnosis.finding.1.explanation").startswith("Die Abweichung wiederholt sich alle"),
+        "what was found is said in German",
+    )
+    assert "Periode, mm" in person.reads("diagnosis.finding.1.parameters")
+    assert "Kosinusfehler" in person.reads("diagnosis.blind")
+    assert person.reads("loop.of") == "close-loop-001"
+    assert person.reads("loop.verdict") == "nicht zu Ende geführt"
+    assert [row.split()[0] for row in person.reads("loop.stages").splitlines()[1:]] == ["unkorrigiert", "Tabelle"]
