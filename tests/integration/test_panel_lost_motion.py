@@ -126,3 +126,5 @@ def test_from_worn_axes_to_a_correction_in_force_and_a_circle(person: Person, tm
         drives_a_circle(person)
         person.goes_to(f"{address}axis/Y/lost_motion")
         person.waits(lambda: person.finds("lost_motion.start").is_enabled(), "the other axis is there again")
+        person.goes_to(f"{address}axis/Y/probe")
+        person.waits(lambda: "start the screen with --probe" in person.reads("probe.none"), "how to name a machine")

@@ -8,6 +8,7 @@ import pytest
 from support import panel, probe_files
 from support.panel import Person
 
+from hil.sealed import Cost, new_key, save_private_key, save_public_key
 from sim_backends.plant.touch_probe import Bore
 from sim_backends.probe import known_probe
 
@@ -45,6 +46,20 @@ def comes_to_the_probe(person: Person, address: str) -> None:
     person.clicks("control.take")
 
 
+def lay_out_keys(directory: Path) -> None:
+    key = new_key()
+    save_private_key(directory / "builder.key", key, "builder", cost=Cost(n=1 << 10, r=8, p=1))
+    save_public_key(directory / "builder.pub", key.public_key())
+
+
+def opens_the_store(person: Person, key_password: str) -> None:
+    person.clicks("probe.open")
+    person.waits(lambda: person.finds("probe.key_password").is_displayed(), "the passwords are asked for")
+    person.finds("probe.reading_password").send_keys("reading")
+    person.finds("probe.key_password").send_keys(key_password)
+    person.clicks("probe.open.yes")
+
+
 def measures(person: Person, ended: str) -> list[str]:
     """M90; what was asked before. ended: what the result is called"""
     count = len(person.table("probe.measurements"))
@@ -78,16 +93,26 @@ def test_refused_with_a_chip_then_in_force_and_a_bore_centred(tmp_path: Path) ->
             person.waits_to_read("probe.since", "nothing yet")
             assert not person.finds("probe.correct").is_enabled()
 
-        probe_files.lay_out(tmp_path, more=BENCH, **given)  # type: ignore[arg-type]
+        probe_files.lay_out(tmp_path, more=f"{BENCH}[store]\nsealed = true\n", **given)  # type: ignore[arg-type]
+        lay_out_keys(tmp_path)
         with panel.served(*server) as (address, _):
             comes_to_the_probe(person, address)
             person.waits(lambda: person.table("probe.measurements"), "what was refused is remembered")
+            person.waits_to_read("probe.since", "sealed, not opened")
+            assert not person.finds("probe.start").is_enabled()
+            opens_the_store(person, "wrong")
+            person.is_refused("password")
+            opens_the_store(person, "builder")
+            person.waits_to_read("probe.store", "Store: opened by the builder")
             for _ in range(2):
                 measures(person, "in force")
             is_shown(person)
             centres_a_bore(person)
-            person.goes_to(f"{address}axis/Y/probe")  # one machine, whichever axis's page
+            person.goes_to(
+                f"{address}axis/Y/probe"
+            )  # one machine, whichever axis's page; but what is sealed was not opened here
             person.waits(lambda: person.reads("probe.bore.centre") != "–", "the centre")
+            assert person.reads("probe.store") == "Store: sealed, not opened"
 
 
 def is_shown(person: Person) -> None:

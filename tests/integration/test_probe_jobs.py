@@ -128,6 +128,8 @@ class _Stopped:
     clicked_ns: int = 0
     held_ns: int = 0
     demand_counts: int = 0
+    shown_mm: float = 0.0
+    place_mm: float = 0.0
 
 
 @pytest.mark.parametrize("drive", [probe_files.VIRTUAL, pytest.param(probe_files.CANOPEN, marks=pytest.mark.slow)])
@@ -143,6 +145,7 @@ def test_holds_within_50_ms_of_a_stop_while_feeding_towards_the_block(
             speed_mm_s = servo.velocity_actual_counts_s / bench.axes["x"].scaling.counts_per_load_mm
             if not stopped.clicked_ns and speed_mm_s > 0.99 * TOUCH_MM_S:
                 stopped.clicked_ns = now_ns
+                stopped.place_mm, stopped.shown_mm = bench.place("x"), at.desk.live.position_load_mm or 0.0
                 at.desk.stop()
             elif stopped.clicked_ns and servo.position_demand_counts == stopped.demand_counts and speed_mm_s < 2.0:
                 stopped.held_ns = stopped.held_ns or now_ns
@@ -151,6 +154,7 @@ def test_holds_within_50_ms_of_a_stop_while_feeding_towards_the_block(
         seen.look = look
         assert at.run(at.m90()).phase is Phase.STOPPED
         assert 0 < stopped.held_ns - stopped.clicked_ns <= 50_000_000
+        assert stopped.shown_mm == pytest.approx(stopped.place_mm, abs=0.5)  # looked at while it was fed
         (bench,) = seen.benches
         assert 101.1 < bench.place("x") < 102.9  # under way, and short of the face
         assert bench.probe.touches == 0
@@ -206,6 +210,18 @@ def test_a_chip_on_the_block_is_refused_and_said_in_german(tmp_path: Path, until
         record = at.record()
         assert record.in_force is None
         assert [(one.verdict, one.why) for one in record.history] == [("refused", measured.refusal)]
+
+
+def test_axes_to_be_lent_are_told_by_their_files_and_their_names(tmp_path: Path) -> None:
+    """Not the page's own, and none that only looks alike."""
+    config = load_probe_machine(probe_files.lay_out(tmp_path))
+    probe_files.lay_out(tmp_path / "other")
+    strange = tmp_path / "other/Z.toml"
+    strange.write_text((tmp_path / "other/X.toml").read_text().replace('name = "X"', 'name = "Z"'))
+    paths = (tmp_path / "X.toml", tmp_path / "other/../S.toml", tmp_path / "other/Y.toml", strange)
+    desks = [Desk(load_drive_axis(path)) for path in paths]
+    assert [desk.name for desk in lent(config, desks, desks[0])] == ["S", "Y"]
+    assert [desk.name for desk in lent(config, desks, desks[3])] == ["X", "S", "Y"]
 
 
 # -- who may -----------------------------------------------------------------------------------------------------------------

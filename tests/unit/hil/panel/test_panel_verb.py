@@ -16,6 +16,7 @@ from hil.cli.main import main
         (("--bind", "192.0.2.1", "--cert", "x.crt", "--key", "x.key"), "x.crt: is not there"),
         (("--port", "65536"), "expected a port, 0 to 65535"),
         (("--pace", "-1"), "expected a number >= 0"),
+        (("--probe", "mill.toml"), "mill.toml: cannot be read"),
     ],
 )
 def test_refused_in_one_line(
