@@ -67,7 +67,7 @@ class ShownDiagnosis:
     peak_um: Mapping[str, float]
     recommended: bool
     unexplained: bool
-    carriers: tuple[tuple[str, float | None, float | None], ...]
+    carriers: tuple[tuple[tuple[str, ...], float | None, float | None], ...]
     blind: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     next_run: str
@@ -132,8 +132,8 @@ def _figures(stages: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, fl
     return {stage: value for stage, figures in stages.items() if (value := value_of(figures, name)) is not None}
 
 
-def _carrier(form: Mapping[str, Any]) -> tuple[str, float | None, float | None]:
-    columns = " × ".join(label_of(str(name)).partition(",")[0] for name in list_of(form.get("columns")))
+def _carrier(form: Mapping[str, Any]) -> tuple[tuple[str, ...], float | None, float | None]:
+    columns = tuple(label_of(str(name)).partition(",")[0] for name in list_of(form.get("columns")))
     return columns, value_of(form, "rms_um"), value_of(form, "rms_std_um")
 
 

@@ -1,8 +1,8 @@
 """Every word of the screen, in three languages: one file each, the same keys in all.
 
-Procedures and drives speak English, on purpose: what they say goes to terminals, journals and reports too. `[said]` holds it as
-patterns: the English one is what they say, the others how it is said there, and so in turn for its parts. What is not in it, such as
-the words of an error, is shown as it came.
+Procedures and drives speak English, on purpose: what they say goes to terminals, journals and reports too, and a report that is made
+here is in English as well. `[said]` holds what they say as patterns: the English one is what they say, the others how it is said
+there, and so in turn for its parts. What is not in it, such as the words of an error, is shown as it came.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ FIGURES = re.compile(r"-?\d+(\.\d+)?(, -?\d+(\.\d+)?)*( ± \d+(\.\d+)?)?")
 """A number, several, or one with its uncertainty, as procedures write them."""
 WEIGHTS = re.compile(r"\w+ [01]\.\d\d(, \w+ [01]\.\d\d)*")
 """Effects with their weights."""
+COLUMNS = re.compile(r"\w+( × \w+)*(; \w+( × \w+)*)*")
+"""Columns of which something depends."""
 NAMES = {re.compile(r"temp_(?P<place>\w+)_c"): "column.temp", re.compile(r"pos_(?P<axis>\w+)_mm"): "column.pos"}
 """Columns that are named after what they are of."""
 
@@ -60,6 +62,8 @@ class Texts:
             return self._written(text.replace(", ", "; ") if self.language == "de" else text)
         if WEIGHTS.fullmatch(text):
             return "; ".join(" ".join(map(self.said, one.split())) for one in text.split(", "))
+        if COLUMNS.fullmatch(text) and not text.isidentifier():
+            return re.sub(r"\w+", lambda name: self._named(name[0]), text)
         for pattern, key in NAMES.items():
             if match := pattern.fullmatch(text):
                 return self._with_parts(key, match)

@@ -56,7 +56,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
         runs = ui.number(t("loop.runs"), value=usual.runs, min=2, max=100, precision=0).style("width: 12rem")
         rows = ui.number(t("loop.rows"), value=usual.rows, min=8, max=1000, precision=0).style("width: 12rem")
         warm = ui.number(t("loop.warm_up"), value=usual.warm_up_s, min=0, max=86_400).style("width: 14rem")
-        feeds = ui.input(t("loop.feeds"), placeholder=t("loop.at_rest")).style("width: 16rem")
+        feeds = ui.input(t("loop.feeds"), placeholder=t("loop.at_rest")).style("width: 24rem")
         for field, name in ((runs, "runs"), (rows, "rows"), (warm, "warm_up"), (feeds, "feeds")):
             view.named(field, f"loop.{name}")
         start_button = view.button("loop.start", lambda: start(False))

@@ -150,7 +150,8 @@ def _draw_verdict(view: View, kept: Kept) -> Refresh:
         unexplained.classes(replace=f"hil-value small hil-{'bad' if shown.unexplained else 'good'}")
         carriers.set_text(
             "\n".join(
-                f"{t.said(name)}: {t.number(rms, 2)} ± {t.number(std, 2)} µm" for name, rms, std in shown.carriers
+                f"{' × '.join(map(t.said, columns))}: {t.number(rms, 2)} ± {t.number(std, 2)} µm"
+                for columns, rms, std in shown.carriers
             )
         )
         old = "" if shown.current else f" · {t('diagnosis.old')}"
@@ -216,7 +217,7 @@ def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
             parameters = Table(view, f"{name}.parameters", heads)
             parameters.show(
                 [
-                    [parameter(t, one), t.significant(value), t.significant(std)]
+                    [parameter(t, one), t.significant(value), t.significant(std, 2)]
                     for one, value, std in finding.parameters
                 ]
             )

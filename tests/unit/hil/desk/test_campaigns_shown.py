@@ -196,7 +196,7 @@ def test_a_stored_diagnosis_is_shown_as_far_as_it_goes(axis: AxisConfig) -> None
     assert shown.current
     assert (shown.rms_um, shown.peak_um) == ({"before": 2.0, "after": 0.5}, {"before": 4.0})
     assert (shown.unexplained, shown.recommended, shown.next_run) == (True, True, "a dense sweep")
-    assert shown.carriers == (("Temp screw × Target", 0.8, 0.1),)
+    assert shown.carriers == ((("Temp screw", "Target"), 0.8, 0.1),)
     finding = shown.findings[0]
     assert (finding.effect, finding.parameters) == ("cyclic", (("period_mm", 10.0, 0.01),))
     assert finding.rivals == (("local_wear", 0.03, "a dense sweep"),)

@@ -123,6 +123,7 @@ def test_parts_of_what_is_said_are_said_too() -> None:
     assert de.said("12.345 mm") == "12,345 mm"
     assert de.said("abbe fits these rows but does not help on runs left out: not taken").startswith("Abbe-Fehler passt")
     assert de.said("since_reversal_mm is missing: made up from the row order").startswith("Weg seit der Umkehr fehlt")
+    assert de.said("temp_screw_c × target_mm; load_kg") == "Temperatur Spindel × Position; Last"
     assert de.said("temp_screw_c") == "Temperatur Spindel"
     assert de.said("Temp screw, °C") == "Temperatur Spindel, °C"
     faint = faint_note(
