@@ -16,6 +16,8 @@ How a page is added
    (title), `[job]` (kind of the job, blanks as _), `[plan.move]` and `[plan.write]` (what the plan moves and writes), `[said]`
    (patterns of what its procedures say).
 
+What the server has besides axes is a field of the view (`view.probe`, the machine with a touch probe).
+
 An element's name (`data-name`) is by default its text's key; tests find elements by it. A refresh is called five times a second and
 sends only what has changed: it reads the desk and sets texts, and never waits. What takes longer than a moment and is no job goes
 through `await view.aside(work)`.
