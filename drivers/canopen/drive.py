@@ -1,39 +1,29 @@
 """CanOpenDrive: a CiA-402 servo drive behind the `ServoDrive` abstraction.
 
-What may go in: what makes a CANopen node a ServoDrive - opening it safely, fresh samples, profile moves, homing. Walking the power
-states is `power`'s work, SDO `sdo`'s, PDOs `pdo`'s, supervision `node`'s. One link may carry several drives; whoever made the link
-closes it.
+What may go in: what makes a CANopen node a ServoDrive - opening it safely, fresh samples, and who does what when it moves. Walking
+the power states is `power`'s work, moves are `motion`'s, homing `homing`'s, SDO `sdo`'s, PDOs `pdo`'s, supervision `node`'s. One link
+may carry several drives; whoever made the link closes it.
 
 A sample is asked for: SYNC goes out and the synchronous TPDOs that answer it are waited for, so it is never older than the call.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import (
-    QUICK_STOP_ENDINGS,
-    Command,
-    Control,
-    HomingStatus,
-    Mode,
-    Status,
-    decode_homing,
-    decode_state,
-)
+from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Mode, Status, decode_state
 from drivers.canopen.connection import Connection
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds import EdsFile
-from drivers.canopen.motion import FAULTS, RUN, ProfileMotion
+from drivers.canopen.homing import Homing
+from drivers.canopen.identity import Identity, error_history, read_identity, stores_on_command
+from drivers.canopen.motion import FAULTS, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import SYNC, NmtCommand, NodeMonitor
-from drivers.canopen.objects import Entry
 from drivers.canopen.one_axis_stream import AxesInStep, OneAxisStream
-from drivers.canopen.parameters import ON_COMMAND
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
@@ -62,19 +52,6 @@ from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 
 __all__ = ["CanOpenDrive", "CanOpenSettings", "HomingSettings", "Identity"]
-
-
-@dataclass(frozen=True)
-class Identity:
-    """Who answered: 1018h, 1008h to 100Ah."""
-
-    vendor_id: int
-    product_code: int
-    revision: int
-    serial: int
-    device_name: str
-    hardware: str
-    software: str
 
 
 class CanOpenDrive(ServoDrive):
@@ -106,8 +83,6 @@ class CanOpenDrive(ServoDrive):
         self.identity: Identity | None = None
         self.notes: list[str] = []  # what open found worth telling an engineer
         self._open = False
-        self._homed: bool | None = None
-        self._homing = False
         self._fault_code: int | None = None
         self._has_probe = self._stores = False
         self._parameters: NamedParameters | None = None
@@ -126,7 +101,7 @@ class CanOpenDrive(ServoDrive):
         dictionary = None if self.eds is None else self.eds.mappable_objects()
         self.connection = Connection(self.link, self.sdo, self.monitor, self.settings, dictionary)
         try:
-            self._read_identity()
+            self.identity = read_identity(self.sdo)
             self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
             self.motion = ProfileMotion(
                 self.sdo,
@@ -136,9 +111,9 @@ class CanOpenDrive(ServoDrive):
                 handshake_s=self.settings.handshake_timeout_s,
                 mode_s=self.settings.mode_timeout_s,
             )
-            self._homed = None
+            self.homing = Homing(self.name, self.power, self.motion)
             self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
-            self._stores = self._stores_on_command()
+            self._stores = stores_on_command(self.sdo)
             self._note_ramps()
             self.connection.set_up((*self.sampler.specs, self.rpdo))
             self.notes += self.connection.notes
@@ -151,41 +126,11 @@ class CanOpenDrive(ServoDrive):
             self._release()
             raise
 
-    def _read_identity(self) -> None:
-        device_type = self.sdo.read(objects.DEVICE_TYPE)
-        if device_type & 0xFFFF != 402:
-            raise ProtocolError(
-                f"drive {self.name}: node {self.node_id} has device profile {device_type & 0xFFFF}, not 402"
-            )
-        number, text = self.sdo.read_or, self._text
-        self.identity = Identity(
-            number(objects.VENDOR_ID, 0),
-            number(objects.PRODUCT_CODE, 0),
-            number(objects.REVISION, 0),
-            number(objects.SERIAL_NUMBER, 0),
-            text(objects.DEVICE_NAME),
-            text(objects.HARDWARE_VERSION),
-            text(objects.SOFTWARE_VERSION),
-        )
-
     @property
     def pdo_findings(self) -> list[Finding]:
         """What the linter pointed out when the PDOs were set up."""
         self._require_open()
         return self.connection.pdo_findings
-
-    def _text(self, entry: Entry) -> str:
-        try:
-            return self.sdo.read_text(entry)
-        except AbortError:
-            return ""
-
-    def _stores_on_command(self) -> bool:
-        """1010h:1; a drive that has it and does not let it be read leaves it open, and is not trusted with it."""
-        try:
-            return bool(self.sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
-        except AbortError:
-            return False
 
     def _note_ramps(self) -> None:
         """A quick stop that brakes less than a move does overshoots the move's target; said once, changed never."""
@@ -320,11 +265,10 @@ class CanOpenDrive(ServoDrive):
         if state in FAULTS:
             if self._fault_code is None:
                 self._fault_code = self.power.error_code()
-            self._homing = False
+            self.homing.under_way = False
         else:
             self._fault_code = None
-        if self._homing:
-            self._watch_homing(status)
+        self.homing.look(status)
         position_mm = scaling.load_mm(self.sampler.position_counts)
         velocity_mm_s = None if velocity is None else scaling.load_mm(velocity)
         if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
@@ -333,22 +277,18 @@ class CanOpenDrive(ServoDrive):
             self.sampler.heard_ns,
             state,
             position_mm,
-            bool(status & Status.TARGET_REACHED) and not self._homing,
+            bool(status & Status.TARGET_REACHED) and not self.homing.under_way,
             velocity_mm_s,
             None if torque is None else scaling.direction * torque / 10.0,
             None if error is None else scaling.load_mm(error),
-            self._homed,
+            self.homing.homed,
             self._fault_code,
         )
 
     def error_history(self) -> list[int]:
         """The drive's own list of errors (1003h), the latest first; the lower 16 bits of each are an error code."""
         self._require_open()
-        count = self.sdo.read_or(objects.ERROR_HISTORY, 0)
-        return [
-            self.sdo.read(Entry(0x1003, number, objects.DataType.U32, "standard error field"))
-            for number in range(1, min(count, 254) + 1)
-        ]
+        return error_history(self.sdo)
 
     # -- what stands beside the motion -------------------------------------------------------------------------------------
     def _touch_probe(self) -> CanOpenTouchProbe:
@@ -428,7 +368,7 @@ class CanOpenDrive(ServoDrive):
             self._await_standstill()
         elif state is DriveState.QUICK_STOP:
             self._await_standstill()
-        self._homing = False
+        self.homing.under_way = False
         if self.motion.mode is Mode.PROFILE_VELOCITY:
             self.motion.stay()  # a speed that is left in the drive would come to life with the next enabling
         self.power.disable()
@@ -436,7 +376,7 @@ class CanOpenDrive(ServoDrive):
     def quick_stop(self) -> None:
         """Quick stop command; what follows the ramp is up to the drive's 605Ah. When SDO fails the RPDO is tried as well."""
         self._require_open()
-        self._homing = False
+        self.homing.under_way = False
         try:
             self.power.write(Command.QUICK_STOP.word)
         except (TransportError, ProtocolError, AbortError):
@@ -456,10 +396,10 @@ class CanOpenDrive(ServoDrive):
         """Change the mode of operation; see `ProfileMotion.set_mode`."""
         self._require_open()
         self.motion.set_mode(mode)
-        self._homing = False
+        self.homing.under_way = False
 
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
-        self._homing = False
+        self.homing.under_way = False
         self._move(position_load_mm, velocity_mm_s, after_the_present=False)
 
     def queue_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
@@ -482,7 +422,7 @@ class CanOpenDrive(ServoDrive):
         )
 
     def _start_velocity(self, velocity_mm_s: float) -> None:
-        self._homing = False
+        self.homing.under_way = False
         counts = self.scaling.motor_counts_per_s(velocity_mm_s) if velocity_mm_s else 0
         sign = self.scaling.direction * (1 if velocity_mm_s > 0 else -1)
         self.motion.run_at(sign * counts, self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2))
@@ -499,21 +439,7 @@ class CanOpenDrive(ServoDrive):
 
     # -- homing ----------------------------------------------------------------------------------------------------------
     def _start_homing(self) -> None:
-        homing, scaling = self.settings.homing, self.scaling
-        settings: list[tuple[Entry, int | None]] = [
-            (objects.HOMING_METHOD, homing.method),
-            (objects.HOMING_SPEED_SWITCH, _counts(homing.speed_switch_mm_s, scaling.motor_counts_per_s)),
-            (objects.HOMING_SPEED_ZERO, _counts(homing.speed_zero_mm_s, scaling.motor_counts_per_s)),
-            (objects.HOME_OFFSET, _counts(homing.home_position_mm, scaling.motor_counts)),
-        ]
-        for entry, value in settings:
-            if value is not None:
-                self.motion.set(entry, value)
-        self.set_mode(Mode.HOMING)
-        self._homed = False
-        self.power.write(RUN)
-        self.power.write(RUN | Control.HOMING_START)
-        self._homing = True
+        self.homing.start(self.settings.homing, self.scaling)
 
     def home(self, timeout_s: float, *, attempts: int = 1) -> DriveSample:
         """Home and wait for it; a homing that fails is begun again, `attempts` times in all.
@@ -531,16 +457,3 @@ class CanOpenDrive(ServoDrive):
                 self.quick_stop()
                 raise
         raise StateError(f"drive {self.name}: homing was given no attempt")
-
-    def _watch_homing(self, status: int) -> None:
-        homing = decode_homing(status)
-        if homing is HomingStatus.COMPLETED:
-            self._homed, self._homing = True, False
-        elif homing is not None and homing.failed:
-            self._homing = False
-            self.power.write(RUN)
-            raise DriveFaultError(f"drive {self.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})")
-
-
-def _counts(value: float | None, convert: Callable[[float], int]) -> int | None:
-    return None if value is None else convert(value)

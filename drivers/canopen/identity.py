@@ -1,0 +1,66 @@
+"""Who a CANopen node is, and what it says of itself beside its motion: read over SDO, changed never."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.canopen import objects
+from drivers.canopen.objects import Entry
+from drivers.canopen.parameters import ON_COMMAND
+from drivers.canopen.sdo import SdoClient
+from drivers.errors import AbortError, ProtocolError
+
+PROFILE = 402
+_MOST_ERRORS = 254
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who answered: 1018h, 1008h to 100Ah."""
+
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial: int
+    device_name: str
+    hardware: str
+    software: str
+
+
+def read_identity(sdo: SdoClient) -> Identity:
+    """Of a servo drive. Raises ProtocolError for a node of another device profile (1000h)."""
+    profile = sdo.read(objects.DEVICE_TYPE) & 0xFFFF
+    if profile != PROFILE:
+        raise ProtocolError(f"{sdo.name}: node {sdo.node_id} has device profile {profile}, not {PROFILE}")
+    return Identity(
+        sdo.read_or(objects.VENDOR_ID, 0),
+        sdo.read_or(objects.PRODUCT_CODE, 0),
+        sdo.read_or(objects.REVISION, 0),
+        sdo.read_or(objects.SERIAL_NUMBER, 0),
+        _text(sdo, objects.DEVICE_NAME),
+        _text(sdo, objects.HARDWARE_VERSION),
+        _text(sdo, objects.SOFTWARE_VERSION),
+    )
+
+
+def _text(sdo: SdoClient, entry: Entry) -> str:
+    try:
+        return sdo.read_text(entry)
+    except AbortError:
+        return ""
+
+
+def stores_on_command(sdo: SdoClient) -> bool:
+    """1010h:1; a drive that has it and does not let it be read leaves it open, and is not trusted with it."""
+    try:
+        return bool(sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
+    except AbortError:
+        return False
+
+
+def error_history(sdo: SdoClient) -> list[int]:
+    """1003h, the latest first; the lower 16 bits of each are an error code."""
+    count = min(sdo.read_or(objects.ERROR_HISTORY, 0), _MOST_ERRORS)
+    return [
+        sdo.read(Entry(0x1003, number, objects.DataType.U32, "standard error field")) for number in range(1, count + 1)
+    ]
