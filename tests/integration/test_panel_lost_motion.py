@@ -40,23 +40,6 @@ def person() -> Iterator[Person]:
         yield one
 
 
-def names(person: Person) -> set[str]:
-    script = "return [...document.querySelectorAll('[data-name]')].map((one) => one.dataset.name)"
-    return set(person.driver.execute_script(script))
-
-
-def drawn(person: Person, chart: str) -> dict[str, int]:
-    """How many points each curve of a chart has."""
-    number = int(str(person.finds(chart).get_attribute("id")).removeprefix("c"))
-    script = "return Object.fromEntries(getElement(arguments[0]).chart.getOption().series.map((one) => [one.name, one.data.length]))"
-    return dict(person.driver.execute_script(script, number))
-
-
-def table(person: Person, name: str) -> list[list[str]]:
-    script = "return [...arguments[0].querySelectorAll('tbody tr')].map((row) => [...row.cells].map((cell) => cell.innerText))"
-    return [row for row in person.driver.execute_script(script, person.finds(name)) if any(row)]
-
-
 def is_shown(person: Person) -> None:
     """What was measured, fitted and proven."""
     assert person.waits_for_a_figure("lost_motion.amount") == pytest.approx(WORN_UM, rel=0.01)
@@ -64,13 +47,13 @@ def is_shown(person: Person) -> None:
     assert person.waits_for_a_figure("lost_motion.before") > 10.0
     assert person.waits_for_a_figure("lost_motion.after") < 0.05 * WORN_UM
     assert person.reads("lost_motion.state") == "proven, not stored"
-    person.waits(lambda: len(table(person, "lost_motion.contenders")) == 5, "five shapes in competition")
-    assert sum("(taken)" in row[0] for row in table(person, "lost_motion.contenders")) == 1
-    assert table(person, "lost_motion.fitted")[0][0] == "Amount, µm"
-    person.waits(lambda: len(drawn(person, "lost_motion.rise")) == 7, "both directions, and five shapes laid over them")
-    assert len(drawn(person, "lost_motion.beginning")) == 7
-    assert drawn(person, "lost_motion.moves") == {"without the correction": 7, "with the correction": 7}
-    assert sum(drawn(person, "lost_motion.rows").values()) > 20
+    person.waits(lambda: len(person.table("lost_motion.contenders")) == 5, "five shapes in competition")
+    assert sum("(taken)" in row[0] for row in person.table("lost_motion.contenders")) == 1
+    assert person.table("lost_motion.fitted")[0][0] == "Amount, µm"
+    person.waits(lambda: len(person.drawn("lost_motion.rise")) == 7, "both directions, and five shapes laid over them")
+    assert len(person.drawn("lost_motion.beginning")) == 7
+    assert person.drawn("lost_motion.moves") == {"without the correction": 7, "with the correction": 7}
+    assert sum(person.drawn("lost_motion.rows").values()) > 20
 
 
 def drives_a_circle(person: Person) -> None:
@@ -80,10 +63,10 @@ def drives_a_circle(person: Person) -> None:
     person.clicks("circle.start")
     asked = person.agrees()
     assert sum("Circle, axis" in line for line in asked) == 2
-    person.waits(lambda: "corrected" in drawn(person, "circle.polar"), "both circles")
-    assert set(drawn(person, "circle.polar")) == {"commanded", "uncorrected", "corrected"}
-    person.waits(lambda: len(table(person, "circle.bumps")) == 2, "the bumps of both")
-    before, after = ([float(cell) for cell in row[1:5]] for row in table(person, "circle.bumps"))
+    person.waits(lambda: "corrected" in person.drawn("circle.polar"), "both circles")
+    assert set(person.drawn("circle.polar")) == {"commanded", "uncorrected", "corrected"}
+    person.waits(lambda: len(person.table("circle.bumps")) == 2, "the bumps of both")
+    before, after = ([float(cell) for cell in row[1:5]] for row in person.table("circle.bumps"))
     assert before == pytest.approx([WORN_UM] * 4, rel=0.05)
     assert after[0::2] == pytest.approx([0.0, 0.0], abs=3.0)  # X turns around at 0 and 180°, and is corrected
     assert after[1::2] == pytest.approx([WORN_UM] * 2, rel=0.05)  # Y is not
@@ -99,7 +82,7 @@ def test_from_worn_axes_to_a_correction_in_force_and_a_circle(person: Person, tm
         person.goes_to(f"{address}axis/Y/lost_motion")
         person.clicks("control.take")
         person.goes_to(f"{address}axis/X/lost_motion")
-        person.waits(lambda: names(person) >= ELEMENTS, "every element is there")
+        person.waits(lambda: person.names() >= ELEMENTS, "every element is there")
         assert not person.finds("lost_motion.start").is_enabled()  # without control nothing starts
         person.clicks("control.take")
         person.clicks("lost_motion.start")

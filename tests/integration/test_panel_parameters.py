@@ -71,11 +71,6 @@ def axis(face: Face, tmp_path: Path) -> Iterator[Path]:
         yield path
 
 
-def names(person: Person) -> set[str]:
-    script = "return [...document.querySelectorAll('[data-name]')].map((one) => one.dataset.name)"
-    return set(person.driver.execute_script(script))
-
-
 def rows(person: Person) -> list[list[str]]:
     script = "return [...arguments[0].querySelectorAll('tbody tr')].map((row) => [...row.cells].map((cell) => cell.innerText))"
     found = person.driver.execute_script(script, person.finds("parameters.table"))
@@ -102,7 +97,7 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.goes_to(f"{address}axis/X/lost_motion")
         person.waits(lambda: person.finds("lost_motion.no_instrument").is_displayed(), "an axis without an instrument")
         person.goes_to(f"{address}axis/X/parameters")
-        person.waits(lambda: names(person) >= ELEMENTS, "every element is there")
+        person.waits(lambda: person.names() >= ELEMENTS, "every element is there")
         assert not person.finds("parameters.backup").is_enabled()
         person.clicks("control.take")
         person.clicks("parameters.backup")
