@@ -136,7 +136,7 @@ class Desk:
     def answer(self, token: str | None, number: int, *, yes: bool) -> None:
         """Answer the question of this number, if it is still asked."""
         self.control.require(token)
-        self._thread.asking.answer(number, yes)
+        (self._borrowing() or self)._thread.asking.answer(number, yes)
 
     def power_off(self, token: str | None) -> None:
         """Take the power off an axis that was left enabled."""

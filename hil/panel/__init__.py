@@ -4,7 +4,8 @@ How a page is added
 
 1. What it starts goes to `hil/jobs/<job>.py`: functions of a connected axis that the command line's verb calls too, a plan (`Plan`:
    what moves how far, what is written), and a `Job` made of both. A job runs in the axis's thread and gets a `Workplace`:
-   `place.drive`, `place.session`, `place.machine()`, `place.opened_store()`, `place.listener` for events, `place.tell` for messages.
+   `place.drive`, `place.session`, `place.machine()`, `place.opened_store()`, `place.listener` for events, `place.tell` for messages,
+   `place.ask` for what somebody at the machine has to answer or do (a line in `[ask]`; it is asked on every page).
    A plan that is `locked` is refused to anybody but the builder.
 2. What it shows and is more than one figure of the desk goes to `hil/desk/<page>.py`: a function of the desk that returns a frozen
    value (`backlash_screen`), tested without a browser.

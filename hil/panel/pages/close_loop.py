@@ -33,8 +33,14 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
             live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True, as_one=_as_one)
             stages = _draw_stages(view, kept)
 
+    measured = [""]
+
     def refresh() -> None:
         job = view.desk.last(CLOSE_LOOP)
+        now = "" if job is None or not job.running else measurement_of(job.stage.partition(" ")[0])
+        if now != measured[0]:  # one more stage is on disk
+            measured[0] = now
+            kept.again()
         messages.show(job)
         step.set_text(view.stage(job))
         buttons()
