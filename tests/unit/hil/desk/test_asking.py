@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from support.bench_axis import lay_out
@@ -14,12 +16,16 @@ from hil.desk.desk import Desk
 from hil.desk.progress import Phase, Progress
 from hil.desk.stop import Pacing, Stop
 from hil.diagnosis.planned_run import PlannedRun, Point
-from hil.jobs import person
+from hil.jobs import close_loop, person
 from hil.jobs.job import Job, Question, Workplace
 from hil.jobs.person import Person
 from hil.jobs.plan import Plan
+from hil.procedures.close_loop import Loop, Turning
 from hil.procedures.conditions import AskedConditions, NoConditions
 from hil.procedures.events import silent
+from hil.procedures.session import AxisSession
+from hil.store import SealedStore
+from hil.wiring import Machine
 
 Until = Callable[[Callable[[], bool], str], None]
 RUN = PlannedRun("levels", "measure by turns", (Point(1, 1, 0.0, 1.0),), 3.0, "somebody has to bring load to 60 kg")
@@ -140,3 +146,32 @@ def test_the_bench_brings_its_conditions_about_itself_and_a_person_those_of_a_ma
     assert asked.read() == {"setup": 2.0}
     with pytest.raises(StateError, match="setup was not brought to 3: somebody answered"):
         asked.set("setup", 3.0)
+
+
+def test_the_loop_asks_for_its_runs_and_for_its_conditions(axis: AxisConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever is at a machine is asked in place of nobody, and for the time of the loop alone."""
+    asked: list[Question] = []
+    there = NoConditions()
+    session = SimpleNamespace(conditions=there)
+
+    def turned(machine: Machine, _store: object, turning: Turning, *_: object, **__: object) -> Loop:
+        assert turning.consent is not None
+        assert turning.consent(RUN)
+        machine.session.conditions.set("setup", 2.0)
+        raise StateError("far enough")
+
+    def answers(question: Question) -> bool:
+        asked.append(question)
+        return True
+
+    monkeypatch.setattr(close_loop, "run_loop", turned)
+    on_machine = replace(axis, drive=replace(axis.drive, backend="canopen"))
+    place = Workplace(
+        *(on_machine, None, cast(AxisSession, session), silent, print, cast(SealedStore, object()), Pacing(Stop())),
+        lambda *_: None,
+        answers,
+    )
+    with pytest.raises(StateError, match="far enough"):
+        close_loop.loop_job(on_machine, Turning()).work(place)
+    assert [one.kind for one in asked] == ["run", "condition"]
+    assert session.conditions is there
