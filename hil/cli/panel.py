@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import secrets
 import sys
 from collections.abc import Sequence
@@ -87,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
 
     access = server.Access(args.bind, args.port, tls, token, tuple(args.name))
     with server.bound(access) as listening, ExitStack() as stack:
-        desks = [stack.enter_context(Desk(axis, pace=args.pace)) for axis in axes]
+        numbers = itertools.count(1)
+        desks = [stack.enter_context(Desk(axis, pace=args.pace, numbers=numbers)) for axis in axes]
         host = f"[{access.bind}]" if ":" in access.bind else access.bind
         print(f"{access.scheme}://{host}:{listening.getsockname()[1]}/", flush=True)
         if token is not None and not args.token_file:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -27,9 +27,6 @@ from hil.jobs.job import Job
 from hil.jobs.plan import Plan
 from hil.probe_machine import ProbeMachineConfig
 
-_NUMBERS = itertools.count(1)
-"""Of the jobs of all desks, in the order they were asked for."""
-
 
 class BusyError(LocalError):
     """A job is running already."""
@@ -39,10 +36,19 @@ class Desk:
     """Use as a context manager: inside, the axis's thread runs.
 
     pace: simulated seconds per real one during a job on the bench, 0 for as fast as it goes; a real axis knows no such thing.
+    numbers: of jobs, in the order they are asked for; desks whose jobs are to be put in order share one.
     """
 
-    def __init__(self, axis: DriveAxis, *, pace: float = 1.0, connect: Connect | None = None) -> None:
+    def __init__(
+        self,
+        axis: DriveAxis,
+        *,
+        pace: float = 1.0,
+        connect: Connect | None = None,
+        numbers: Iterator[int] | None = None,
+    ) -> None:
         self.axis = axis
+        self._numbers = itertools.count(1) if numbers is None else numbers
         self.control = Control()
         self.rights = Rights(axis)
         self.control.on_change = self.rights.forget
@@ -121,7 +127,7 @@ class Desk:
         """
         self.control.require(token)
         self.rights.require(locked=job.plan.locked, of_probe=job.plan.of_probe)
-        log = JobLog(next(_NUMBERS), job.kind, job.plan)
+        log = JobLog(next(self._numbers), job.kind, job.plan)
         with ExitStack() as undo:
             for other, its_token in (lent or {}).items():
                 other._lend(its_token, self, log)

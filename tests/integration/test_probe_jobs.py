@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -111,7 +112,8 @@ class AtWork:
 def at_work(tmp_path: Path, until: Until, axes: str = "X", **more: Any) -> Iterator[AtWork]:
     given = {"start_mm": 102.6, "search_mm": 1.0, "probe": QUICK, "block": "turns = 1", "more": SEED, **more}
     config = load_probe_machine(probe_files.lay_out(tmp_path, **given))
-    desks = [Desk(load_drive_axis(tmp_path / f"{name}.toml"), pace=0.0) for name in axes]
+    numbers = itertools.count(1)
+    desks = [Desk(load_drive_axis(tmp_path / f"{name}.toml"), pace=0.0, numbers=numbers) for name in axes]
     try:
         for desk in desks:
             desk.__enter__()
