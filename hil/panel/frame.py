@@ -62,27 +62,22 @@ def _draw_axes(view: View, page: Page) -> None:
         job = view.named(ui.label().classes("hil-name"), "header.job")
 
     def refresh() -> None:
-        live, now = view.desk.live, view.desk.job()
+        live = view.desk.live
         trouble = view.t("header.lost", why=live.trouble) if live.trouble else view.t(f"state.{live.state.name}")
         state.set_text(trouble if live.connected or live.trouble else view.t("header.connecting"))
-        said = (
-            _rest(view)
-            if now is None or not now.running
-            else view.t("header.running", job=view.t(f"job.{_key(now.kind)}"))
-        )
-        job.set_text(view.t("header.stopping") if now is not None and now.stopping else said)
+        job.set_text(_doing(view))
 
     view.every(refresh)
 
 
-def _rest(view: View) -> str:
-    """How the axis came to rest after a stop, if that is the last that happened."""
-    rest, t = view.desk.came_to_rest, view.t
-    return (
-        ""
-        if rest is None
-        else t("stop.rest", milliseconds=t.number(1e3 * rest.after_s, 0), way=t.number(rest.way_mm, 2))
-    )
+def _doing(view: View) -> str:
+    """The job that runs; else how the axis came to rest after a stop, if that is the last that happened."""
+    now, rest, t = view.desk.job(), view.desk.came_to_rest, view.t
+    if now is not None and now.running:
+        return t("header.stopping") if now.stopping else t("header.running", job=t(f"job.{_key(now.kind)}"))
+    if rest is None:
+        return ""
+    return t("stop.rest", milliseconds=t.number(1e3 * rest.after_s, 0), way=t.number(rest.way_mm, 2))
 
 
 def _key(kind: str) -> str:
