@@ -2,6 +2,7 @@
 
 A request is answered only if it was meant for this server (Host) and comes from a page of this server (Origin): a page from elsewhere
 that is open in the same browser can neither send anything here nor, by a name that it lets point to this machine, pretend to be us.
+Nor can it load anything from here, or show the screen inside itself; it can only lead to it, as any link does (Sec-Fetch-Site).
 Beyond loopback every browser is asked for the access token first.
 """
 
@@ -25,6 +26,9 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 ACCESS = "hil-access"
 LOGIN = "/access"
 _LONGEST_FORM = 4096
+_UNFRAMED = ((b"content-security-policy", b"frame-ancestors 'none'"), (b"x-frame-options", b"DENY"))
+_FOREIGN = ("cross-site", "same-site")
+"""Of Sec-Fetch-Site: asked for by a page of another site, or of another server on the same machine."""
 
 
 class Guard:
@@ -43,6 +47,13 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
+
+        async def unframed(message: Message) -> None:
+            await send(_with_headers(message, *_UNFRAMED))
+
+        await self._let_in(scope, receive, unframed)
+
+    async def _let_in(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         if not self._meant_for_us(headers.get("host", "")):
             await _refuse(scope, send, 421, "this server does not go by that name")
@@ -57,7 +68,10 @@ class Guard:
         return _host_name(host) in self._hosts
 
     def _from_our_page(self, scope: Scope, headers: dict[str, str]) -> bool:
-        """Reading needs no Origin (a browser sends none with a plain visit); anything else needs ours."""
+        """Reading needs no Origin (a browser sends none with a plain visit); anything else needs ours. What a foreign page asks for is
+        not from ours, except that it may lead here."""
+        if headers.get("sec-fetch-site") in _FOREIGN and not _leads_here(scope, headers):
+            return False
         origin = headers.get("origin")
         if origin is None:
             return scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
@@ -93,10 +107,8 @@ class Guard:
         numbered = {**scope, "headers": [*others, (b"cookie", pair.encode("latin-1"))]}
 
         async def with_cookie(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                flags = f"{COOKIE}={cookie}{self._cookie_flags}"
-                message["headers"] = [*message.get("headers", []), (b"set-cookie", flags.encode("latin-1"))]
-            await send(message)
+            flags = f"{COOKIE}={cookie}{self._cookie_flags}"
+            await send(_with_headers(message, (b"set-cookie", flags.encode("latin-1"))))
 
         await self.app(numbered, receive, with_cookie)
 
@@ -107,6 +119,19 @@ def cookies(headers: dict[str, str]) -> dict[str, str]:
         return {name: morsel.value for name, morsel in SimpleCookie(headers.get("cookie", "")).items()}
     except CookieError:
         return {}
+
+
+def _leads_here(scope: Scope, headers: dict[str, str]) -> bool:
+    """A page that takes the place of the one that led to it; a frame is no "document"."""
+    how = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
+    return how == ("navigate", "document") and scope["type"] == "http" and scope["method"] == "GET"
+
+
+def _with_headers(message: Message, *headers: tuple[bytes, bytes]) -> Message:
+    """The start of an answer with these as well; anything else as it is."""
+    if message["type"] != "http.response.start":
+        return message
+    return {**message, "headers": [*message.get("headers", []), *headers]}
 
 
 def _host_name(host: str) -> str:

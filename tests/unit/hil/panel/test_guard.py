@@ -104,3 +104,43 @@ def test_beyond_loopback_nobody_without_the_token() -> None:
     assert {"HttpOnly", "Secure", "SameSite=Strict"} <= {part.strip() for part in headers["set-cookie"].split(";")}
     assert ask(app, cookie=headers["set-cookie"].partition(";")[0])[2] == b"inside"
     assert ask(app, cookie=f"{ACCESS}=wrong; {COOKIE}=x")[0] == 401
+
+
+LED = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+@pytest.mark.parametrize(
+    ("kind", "method", "how"),
+    [
+        ("http", "GET", LED | {"sec-fetch-dest": "iframe"}),
+        ("http", "GET", {"sec-fetch-mode": "no-cors", "sec-fetch-dest": "script"}),
+        ("http", "GET", {}),
+        ("http", "POST", LED),
+        ("websocket", "GET", LED),
+    ],
+)
+def test_a_foreign_page_loads_nothing_from_here(kind: str, method: str, how: dict[str, str], site: str) -> None:
+    ours = {"origin": "http://127.0.0.1:8080"}  # as from our page in all else
+    assert ask(guard(Inside()), kind, method, **ours, **how)[0] in (200, 101)
+    assert ask(guard(Inside()), kind, method, **ours, **how, **{"sec-fetch-site": site})[0] == 403
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "same-origin", "none"])
+def test_a_foreign_page_may_lead_here(site: str) -> None:
+    assert ask(guard(Inside()), **LED, **{"sec-fetch-site": site})[0] == 200
+
+
+def test_no_answer_can_be_shown_inside_another_page() -> None:
+    answers = [
+        ask(guard(Inside())),
+        ask(guard(Inside()), cookie=f"{COOKIE}=x"),
+        ask(guard(Inside()), host="evil.example"),
+        ask(guard(Inside()), origin="http://evil.example"),
+        ask(guard(Inside(), TOKEN)),
+        ask(guard(Inside(), TOKEN), method="POST", path=LOGIN, body=f"token={TOKEN}".encode(), origin=OURS),
+    ]
+    assert [status for status, _, _ in answers] == [200, 200, 421, 403, 401, 303]
+    for _, headers, _ in answers:
+        assert headers["content-security-policy"] == "frame-ancestors 'none'"
+        assert headers["x-frame-options"] == "DENY"
