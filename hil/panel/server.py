@@ -139,5 +139,6 @@ def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig 
     app.mount(STATIC, StaticFiles(directory=str(files("hil.panel") / "static")), name="static")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/panel.css">', shared=True)
     ui.add_head_html(f'<script src="{STATIC}/panel.js"></script>', shared=True)
-    ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=5.0)
+    # a browser that was cut off for less than this goes on where it was; after it, its page is loaded anew
+    ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=30.0)
     return app
