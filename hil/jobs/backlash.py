@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,9 +82,10 @@ def measure(
     settings = backlash_settings(axis, how, drive)
     check_drive(drive, how)
     kept = _next_file(axis.store.directory)
-    result = measure_backlash(drive, how, settings, write=write, keep=_keeper(kept), listener=listener, tell=tell)
-    if result.written is not None:
-        _remember(axis, result.found.values, result.written)
+    remember = partial(_remember, axis)
+    result = measure_backlash(
+        drive, how, settings, write=write, remember=remember, keep=_keeper(kept), listener=listener, tell=tell
+    )
     return MeasuredBacklash(how, settings, result, kept)
 
 
@@ -154,20 +156,25 @@ def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Jo
         settings = backlash_settings(axis, how, place.drive)
         before = {setting.name: setting.read() for setting in settings.settings()}
         amount = settings.amount_of(lost_motion_um)
-        settings.amount.write(amount)
         _remember(axis, before, amount)
+        settings.amount.write(amount)
         return compensating(axis, how, place.drive)
 
     return Job(WRITE, _parameter_plan(axis, how), work)
 
 
 def restore_job(axis: DriveAxis, how: BacklashConfig) -> Job:
-    """For the desk: put back what an interrupted measurement left changed, else what stood there before we wrote; a Compensating."""
+    """For the desk: put back what an interrupted measurement left changed, else what stood there before we wrote; a Compensating.
+
+    Which of the two is decided here, as the plan says it: what needs no builder never undoes what a builder wrote.
+    """
     interrupted = unrestored(axis)
 
     def work(place: Workplace) -> Compensating:
         settings = backlash_settings(axis, how, place.drive)
         if restore(settings) is None:
+            if interrupted:
+                raise StateError("nothing to restore: what an interrupted measurement left changed is put back already")
             _write_original(axis, settings)
         return compensating(axis, how, place.drive)
 
@@ -220,7 +227,8 @@ def _write_original(axis: DriveAxis, settings: BacklashSettings) -> None:
 
 
 def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:
-    """Keep what stood there before the first amount of ours, and the last amount of ours."""
+    """Keep what stood there before the first amount of ours, and the last amount of ours. To be called before that is written: a
+    power cut in between must not cost the original."""
     earlier = _written(axis)
     kept = before if earlier is None else earlier["before"]
     form = {"before": kept, "amount": amount}

@@ -9,7 +9,7 @@ the parameters as they were, on every way out; the new amount only where it was 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,6 +33,8 @@ _SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to go on beyond the break-a
 
 Keep = Callable[[int, ReversalTrace], None]
 """keep(run, trace): hears every reversal, also one that was broken off."""
+Remember = Callable[[dict[str, float], float], None]
+"""remember(before, amount): hears the parameters as they were, and the amount that is about to be written."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def measure_backlash(
     settings: BacklashSettings,
     *,
     write: bool = False,
+    remember: Remember = lambda _before, _amount: None,
     keep: Keep = lambda _run, _trace: None,
     listener: Listener = silent,
     tell: Tell = lambda _text: None,
@@ -96,16 +99,17 @@ def measure_backlash(
     result = TorqueBacklash(tuple(reversals), how.method, found)
     if not write or result.lost_motion_um is None:
         return result
-    return TorqueBacklash(result.reversals, how.method, found, _write(settings, result.lost_motion_um))
+    amount = settings.amount_of(result.lost_motion_um)
+    remember(found.values, amount)
+    _write(settings, amount)
+    return replace(result, written=amount)
 
 
-def _write(settings: BacklashSettings, lost_motion_um: float) -> float:
-    amount = settings.amount_of(lost_motion_um)
+def _write(settings: BacklashSettings, amount: float) -> None:
     settings.amount.write(amount)
     kept = settings.amount.read()
     if abs(kept - amount) > 0.5 * settings.amount.resolution:
         raise ProtocolError(f"{settings.amount.name} was written {amount:g}, it reads back {kept:g}")
-    return amount
 
 
 @dataclass
