@@ -90,6 +90,8 @@ def run(args: argparse.Namespace) -> int:
     with server.bound(access) as listening, ExitStack() as stack:
         numbers = itertools.count(1)
         desks = [stack.enter_context(Desk(axis, pace=args.pace, numbers=numbers)) for axis in axes]
+        for desk in desks:
+            stack.callback(desk.stop)  # all of them before any is waited for, whatever ends the server
         host = f"[{access.bind}]" if ":" in access.bind else access.bind
         print(f"{access.scheme}://{host}:{listening.getsockname()[1]}/", flush=True)
         if token is not None and not args.token_file:

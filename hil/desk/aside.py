@@ -15,6 +15,7 @@ from typing import Any
 from drivers.errors import LocalError
 
 PROGRAM = (sys.executable, "-m", "hil.jobs.aside")
+CLOSING_S = 5.0
 
 
 class ComputingError(LocalError):
@@ -83,9 +84,12 @@ class Aside:
                 self._process.terminate()
 
     def close(self) -> None:
-        """End it, and wait until it has ended."""
+        """End it, and wait until it has ended; where it does not for `CLOSING_S`, by force."""
         self.cancel()
-        if self._thread is not None:
+        if self._thread is not None and self._process is not None:
+            self._thread.join(CLOSING_S)
+            if self._thread.is_alive():
+                self._process.kill()
             self._thread.join()
 
     def _wait(self, process: subprocess.Popen[str], request: str, started_s: float) -> None:

@@ -52,6 +52,7 @@ class AxisThread:
         self._pacing = Pacing(self.stop)
         self._lock = threading.Lock()
         self._asked: Asked | None = None
+        self._borrowed: tuple[AxisThread, ...] = ()  # of the job that runs
         self._lent = threading.Event()
         self._let_go = threading.Event()
         self._closing = threading.Event()
@@ -62,8 +63,9 @@ class AxisThread:
         self._thread.start()
 
     def press_stop(self) -> None:
-        """Stop at the next moment the thread waits, and see how the axis comes to rest."""
-        self.standstill.pressed(self._pacing.now_ns())
+        """Stop at the next moment the thread waits, and see how its axis, and those lent to its job, come to rest."""
+        for thread in (self, *self._borrowed):
+            thread.standstill.pressed(self._pacing.now_ns())
         self.stop.press()
 
     def close(self) -> None:
@@ -112,20 +114,21 @@ class AxisThread:
             except Exception as error:  # noqa: BLE001  whatever it is, the axis gets another chance and people are told
                 self._lose(error)
         self._cancel(Phase.STOPPED)
-        self.board.publish(Live(trouble="closed"))
+        self.board.forget("closed")
 
     def _stay_away(self) -> None:
         """While another thread has the axis."""
-        self.board.publish(Live())
+        self.board.forget()
         while self._lent.is_set() and not self._closing.is_set():
             self._let_go.set()  # whoever comes next may ask before it was seen that the one before is through
             self._closing.wait(1.0 / RATE_HZ)
-        self.board.publish(Live())
+        self.board.forget()
 
     def _lose(self, error: Exception) -> None:
         """There is no axis any more; a job that was asked for meanwhile will not be run."""
-        self.board.publish(Live(trouble=one_line(error)))
+        self.board.forget(one_line(error))
         self._cancel(Phase.FAILED, one_line(error))
+        self.stop.rearm()  # the error may have come while a stop was carried out
         self._closing.wait(RETRY_S)
 
     def _take(self) -> Asked | None:
@@ -185,9 +188,13 @@ class AxisThread:
                 other.wait_let_go()
             return asked.job.work(self._place(asked, None, None))
 
+        self._borrowed = asked.lent
+        self.board.forget()  # unless the job lets it be watched
         try:
             self._carry_out(work, asked.log)
         finally:
+            self._borrowed = ()
+            self.board.forget()
             for other in asked.lent:
                 other.take_back()
 
@@ -208,7 +215,8 @@ class AxisThread:
     def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
         """A job's work, however it ends. No more is asked of a job than that it ends: the axis was put back before."""
         self._pacing.set_factor(self._pace)
-        self.standstill.forget()
+        for thread in (self, *self._borrowed):
+            thread.standstill.forget()
         try:
             log.end(Phase.DONE, work())
         except StoppedByOperator:
@@ -221,11 +229,13 @@ class AxisThread:
 
     def _hold(self, drive: ServoDrive) -> None:
         """The stop was pressed with no job running; one that was just asked for is not begun."""
-        self._cancel(Phase.STOPPED)
-        with suppress(BridgeError):  # the next look tells what is wrong
-            if drive.sample().state is DriveState.ENABLED:
-                drive.quick_stop()
-        self.stop.rearm()
+        try:
+            self._cancel(Phase.STOPPED)
+            with suppress(BridgeError):  # the next look tells what is wrong
+                if drive.sample().state is DriveState.ENABLED:
+                    drive.quick_stop()
+        finally:
+            self.stop.rearm()
 
     # -- in the thread: looking ----------------------------------------------------------------------------------------
     def _watch(self, drive: ServoDrive, session: AxisSession | None) -> None:

@@ -232,6 +232,7 @@ class Desk:
 
     def close(self) -> None:
         """Stop whatever runs, let go of the axis. Raises StateError where it does not end in time."""
+        self.stop()
         try:
             self._aside.close()
         finally:

@@ -112,6 +112,11 @@ class Board:
                 self._number += 1
                 self._trace.append(_trace_point(self._number, live))
 
+    def forget(self, trouble: str = "") -> None:
+        """There is no axis here for now, and what was read of it is not shown as if there were."""
+        self._reading = None
+        self.publish(Live(trouble=trouble))
+
     def heard(self, readings: Sequence[Reading], position_of: Callable[[Reading], float | None]) -> None:
         """The instrument has sent something. position_of: a good reading in the load's frame, None without a datum."""
         if not readings:

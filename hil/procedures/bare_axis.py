@@ -7,12 +7,13 @@ leaving, an axis that was found disabled is disabled again.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
 from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
-from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, MotionTimeoutError, StateError
+from drivers.errors import DriveFaultError, FollowingErrorError, LimitError, MotionTimeoutError, StateError
+from hil.procedures.way_out import completed
 
 SLICE_S = 0.05
 """How often the drive is looked at on long ways."""
@@ -36,18 +37,11 @@ class BareAxis:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is not None:
-            with suppress(
-                BridgeError
-            ):  # the link is gone, or the drive is in a fault: there is nothing left to tell it
-                self.drive.quick_stop()
-        if self._was_enabled:
-            return
-        try:
-            self.drive.disable()
-        except BridgeError:
-            if kind is None:
-                raise
+        with ExitStack() as stack:
+            if not self._was_enabled:
+                stack.callback(completed, self.drive.disable, raising=kind is None)
+            if kind is not None:
+                completed(self.drive.quick_stop)
 
     # -- motion ------------------------------------------------------------------------------------------------------
     def get_ready(self, *, home: bool) -> None:

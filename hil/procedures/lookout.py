@@ -8,12 +8,11 @@ What is commanded is the business of others.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import (
-    BridgeError,
     DriveFaultError,
     LinkLostError,
     MeasurementLostError,
@@ -21,6 +20,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
+from hil.procedures.way_out import completed
 
 SLICE_S = 0.05
 """How often drive and instrument are looked at while the axis moves."""
@@ -92,10 +92,10 @@ class Lookout:
 
     def stop(self) -> None:
         """Quick stop of this axis and those beside it; the error under way matters more than one of stopping, which is not raised."""
-        for axis in (self, *self.beside):
-            axis._on_stop()
-            with suppress(BridgeError):  # the link is gone or the drive is in a fault: there is nothing left to tell it
-                axis.drive.quick_stop()
+        with ExitStack() as stack:  # each of them whatever becomes of the others
+            for axis in (*self.beside, self):
+                axis._on_stop()
+                stack.callback(completed, axis.drive.quick_stop)
 
     # -- looking -----------------------------------------------------------------------------------------------------
     def look(self) -> tuple[DriveSample, Sequence[Reading]]:

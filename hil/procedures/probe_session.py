@@ -7,6 +7,7 @@ before anyone hears of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Protocol
 
 from drivers.drive import Capability, DriveSample, ServoDrive
@@ -14,6 +15,7 @@ from drivers.errors import CapabilityError, SafetyError, StateError
 from drivers.touch_probe import Edge, TouchProbe
 from hil.probe_machine import ProbeMachineConfig
 from hil.procedures.watched_drives import WatchedDrives
+from hil.procedures.way_out import completed
 
 SPINDLE = "spindle"
 ARRIVED_WITHIN = {"x": 0.01, "y": 0.01, SPINDLE: 0.05}
@@ -108,7 +110,7 @@ class ProbeSession(WatchedDrives):
         """Disarm the inputs that were armed."""
         while self._latches:
             _, latch = self._latches.popitem()
-            self.quietly(lambda latch=latch: latch.disarm(self.config.probe.input), raising=raising)  # type: ignore[misc]
+            completed(partial(latch.disarm, self.config.probe.input), raising=raising)
 
     # -- the probe's signal --------------------------------------------------------------------------------------------
     def touching(self) -> bool:

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
-from drivers.errors import BridgeError, FollowingErrorError, LimitError, LocalError, StateError
+from drivers.errors import FollowingErrorError, LimitError, LocalError, StateError
 from drivers.instrument import DistanceInstrument, Reading
 from drivers.set_points import SetPointSettings, SetPointStream
 from hil.axis import MeasurementConfig
@@ -26,6 +26,7 @@ from hil.procedures.conditions import Conditions, NoConditions
 from hil.procedures.lookout import SLICE_S, Lookout
 from hil.procedures.one_correction import refuse_while_drive_corrects
 from hil.procedures.steering import Steering
+from hil.procedures.way_out import completed
 
 ARRIVED_WITHIN_MM = 0.1
 """Motor encoder against command at the end of a motion: above any position window, below any distance worth measuring over."""
@@ -108,7 +109,7 @@ class AxisSession:
             stack.callback(self.drive.close)
             stack.callback(self.instrument.close)
             if not self._was_enabled:
-                stack.callback(self._disable_if_reachable, raising=exc_type is None)
+                stack.callback(completed, self.drive.disable, raising=exc_type is None)
             if exc_type is not None:
                 stack.callback(self.lookout.stop)
             self._entered = self.drive.corrected_outside = False
@@ -134,21 +135,15 @@ class AxisSession:
         try:
             yield
         except BaseException as error:
-            self.lookout.stop_for(error)
-            if not self._was_enabled:
-                self._disable_if_reachable(raising=False)
+            with ExitStack() as stack:
+                if not self._was_enabled:
+                    stack.callback(completed, self.drive.disable)
+                self.lookout.stop_for(error)
             raise
         finally:
             self.compensation = None
         if not self._was_enabled:
-            self.drive.disable()
-
-    def _disable_if_reachable(self, *, raising: bool) -> None:
-        try:
-            self.drive.disable()
-        except BridgeError:
-            if raising:
-                raise
+            completed(self.drive.disable, raising=True)
 
     # -- one correction --------------------------------------------------------------------------------------------------
     @property

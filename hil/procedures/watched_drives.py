@@ -7,14 +7,13 @@ What else has to be looked at while one of them moves is the business of whoever
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import Self
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import (
-    BridgeError,
     DriveFaultError,
     FollowingErrorError,
     LimitError,
@@ -23,6 +22,7 @@ from drivers.errors import (
     MotionTimeoutError,
     StateError,
 )
+from hil.procedures.way_out import completed
 
 POLL_S = 0.005
 STALE_S = 0.5
@@ -63,20 +63,11 @@ class WatchedDrives:
             for name, drive in self.drives.items():
                 stack.callback(drive.close)
                 if not self._was_enabled[name]:
-                    stack.callback(self.quietly, drive.disable, raising=exc_type is None)
+                    stack.callback(completed, drive.disable, raising=exc_type is None)
             stack.callback(self.put_back, raising=exc_type is None)
             if exc_type is not None:
                 stack.callback(self.stop)
             self._stopped_for = None
-
-    @staticmethod
-    def quietly(undo: Callable[[], None], *, raising: bool) -> None:
-        """Undo something on the way out; an error of that matters only where none is under way."""
-        try:
-            undo()
-        except BridgeError:
-            if raising:
-                raise
 
     def check(self) -> None:
         """Called once everything is open and nothing has been enabled; raises for what the machine cannot do."""
@@ -86,9 +77,9 @@ class WatchedDrives:
 
     def stop(self) -> None:
         """Quick stop of every drive that can be reached."""
-        for drive in self.drives.values():
-            with suppress(BridgeError):  # the error under way matters more
-                drive.quick_stop()
+        with ExitStack() as stack:  # each of them whatever becomes of the others
+            for drive in reversed(self.drives.values()):
+                stack.callback(completed, drive.quick_stop)
 
     @contextmanager
     def stopping_on_error(self) -> Iterator[None]:

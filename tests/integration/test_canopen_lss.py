@@ -158,7 +158,8 @@ def test_the_canopen_packages_master_finds_our_slave() -> None:
         network.connect(interface="virtual", channel=channel)
         network.lss.RESPONSE_TIMEOUT = 0.02
         try:
-            found, parts = network.lss.fast_scan()
+            # it takes an answer that is 20 ms late for none, and a busy host may be: such a scan finds nothing
+            found, parts = next(filter(lambda scan: scan[0], (network.lss.fast_scan() for _ in range(10))))
             assert found
             assert tuple(parts) == identity.parts
             network.lss.configure_node_id(0x21)

@@ -11,7 +11,7 @@ from support.backlash_axis import BenchBehind, lay_out, look_behind
 
 from drivers.clock import NS_PER_S, Waiting
 from drivers.drive import DriveState
-from drivers.errors import LinkLostError
+from drivers.errors import LinkLostError, StateError
 from hil.axis import DriveAxis, load_drive_axis
 from hil.desk import axis_thread
 from hil.desk.connection import Connection, to_axis
@@ -182,6 +182,70 @@ def test_a_stop_before_a_job_has_begun_cancels_it(at_work: Watched) -> None:
         at_work.desk.run(at_work.token, at_work.job(long_way))
         at_work.desk.stop()
         assert at_work.ended().phase is Phase.STOPPED
+
+
+@pytest.mark.parametrize("face", ["virtual", "canopen", "modbus-tcp"])
+@pytest.mark.parametrize("error", [None, StateError("something is wrong")], ids=["done", "failed"])
+def test_a_stop_while_the_axis_is_put_back_does_not_leave_it_under_power(
+    face: str, error: Exception | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, until: Until
+) -> None:
+    """Pressed in a job's last moment: it would break off what takes the power off."""
+    with watched(tmp_path, monkeypatch, until, face) as at_work:
+
+        def work(place: Workplace) -> None:
+            place.drive.enable()
+            place.drive.start_move(END_MM, SPEED_MM_S)
+            place.drive.clock.sleep_s(0.2)
+            at_work.desk.stop()
+            if error is not None:
+                raise error
+
+        at_work.run(work)
+        until(lambda: at_work.desk.live.state is DriveState.SWITCH_ON_DISABLED, "without power")
+
+
+def test_an_error_while_a_stop_is_carried_out_does_not_deafen_the_next_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, until: Until
+) -> None:
+    monkeypatch.setattr(axis_thread, "RETRY_S", 0.0)
+    axis, connecting, tries = axis_of(tmp_path), threading.Event(), []
+
+    @contextmanager
+    def fails_when_stopped(waiting: Waiting) -> Iterator[Connection]:
+        tries.append(waiting)
+        if len(tries) == 1:
+            try:
+                connecting.set()
+                waiting.real(3600.0)
+            finally:
+                raise LinkLostError("nor could it be let go")
+        with to_axis(axis)(waiting) as connection:
+            yield connection
+
+    with Desk(axis, pace=0.0, connect=fails_when_stopped) as desk:
+        assert connecting.wait(60.0)
+        desk.stop()
+        until(lambda: desk.live.connected, "connected after all")
+        desk.run(
+            desk.control.take("test"), Job("test", Plan("X", "bench"), lambda place: place.drive.clock.sleep_s(1e9))
+        )
+        desk.stop()
+        until(lambda: not desk.job().running, "stopped")  # type: ignore[union-attr]
+        assert desk.job().phase is Phase.STOPPED  # type: ignore[union-attr]
+
+
+def test_what_was_seen_is_not_shown_while_a_job_has_the_axis_to_itself(at_work: Watched) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def work(_place: Workplace) -> None:
+        begun.set()
+        assert go_on.wait(60.0)
+
+    at_work.desk.run(at_work.token, Job("test", Plan("X", "bench"), work, connects=True))
+    assert begun.wait(60.0)
+    assert (at_work.desk.live.connected, at_work.desk.live.position_load_mm) == (False, None)
+    go_on.set()
+    at_work.until(lambda: at_work.desk.live.connected, "seen again")
 
 
 def test_closing_stops_the_job_and_lets_the_axis_go(at_work: Watched) -> None:
