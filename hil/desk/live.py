@@ -54,7 +54,8 @@ class Live:
 
 @dataclass(frozen=True)
 class TracePoint:
-    """One point of the live plots. number: counts up without a gap, so that a reader can ask for what is new"""
+    """One point of the live plots. number: counts up without a gap, so that a reader can ask for what is new; instrument_load_mm: None
+    while the instrument has no datum, for one curve is in one frame"""
 
     number: int
     time_s: float
@@ -62,7 +63,7 @@ class TracePoint:
     following_error_um: float | None
     velocity_mm_s: float | None
     torque_percent: float | None
-    instrument_mm: float | None
+    instrument_load_mm: float | None
 
 
 def of_sample(before: Live, sample: DriveSample, destination_load_mm: float | None) -> Live:
@@ -98,17 +99,17 @@ class Board:
     _live: Live = field(default_factory=Live)
     _trace: deque[TracePoint] = field(default_factory=lambda: deque(maxlen=_KEPT))
     _number: int = 0
-    _traced_s: float = 0.0
+    _due_s: float = 0.0  # when the next point of the plots is due
     _reading: Reading | None = None
 
     # -- for the axis's thread -----------------------------------------------------------------------------------------
     def publish(self, live: Live) -> None:
-        """The picture from now on; a point of the plots every 1/RATE_HZ s of real time."""
+        """The picture from now on; a point of the plots RATE_HZ times a second of real time, however uneven the looks come."""
         now_s = self.monotonic_s()
         with self._lock:
             self._live = live
-            if live.connected and now_s - self._traced_s >= 0.9 / RATE_HZ:
-                self._traced_s = now_s
+            if live.connected and now_s >= self._due_s:
+                self._due_s = max(self._due_s + 1.0 / RATE_HZ, now_s - 1.0 / RATE_HZ)
                 self._number += 1
                 self._trace.append(_trace_point(self._number, live))
 
@@ -129,7 +130,7 @@ class Board:
                 self._live,
                 instrument_status=last.status,
                 instrument_mm=last.position_mm if in_load_mm is None else in_load_mm,
-                on_datum=in_load_mm is not None,
+                on_datum=self._live.on_datum if last.position_mm is None else in_load_mm is not None,
             )
 
     def instrument_age_s(self, now_ns: int) -> float | None:
@@ -158,5 +159,5 @@ def _trace_point(number: int, live: Live) -> TracePoint:
         live.following_error_um,
         live.velocity_mm_s,
         live.torque_percent,
-        live.instrument_mm,
+        live.instrument_mm if live.on_datum else None,
     )

@@ -118,11 +118,22 @@ def test_the_trace_is_bounded_and_asked_for_by_number() -> None:
     assert board.live.remaining_mm == 1.0
 
 
-def test_looks_in_quick_succession_make_one_point() -> None:
-    board = Board(lambda: 1.0)
-    for _ in range(100):
+def test_looks_in_quick_succession_make_points_at_the_rate() -> None:
+    now = [1000.0]
+    board = Board(lambda: now[0])
+    for _ in range(1000):
+        now[0] += 0.01
         board.publish(Live(connected=True))
-    assert len(board.trace()) == 1
+    assert len(board.trace()) == pytest.approx(200, abs=2)
+
+
+def test_looks_that_come_unevenly_are_all_points() -> None:
+    """Early by turns and late by turns, as a busy host makes them."""
+    board = Board(lambda: now_s)
+    for look in range(200):
+        now_s = 1000.0 + 0.05 * look + (0.02 if look % 2 else 0.0)
+        board.publish(Live(connected=True))
+    assert len(board.trace()) >= 198
 
 
 def test_what_is_not_told_is_not_made_up() -> None:
