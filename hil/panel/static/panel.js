@@ -1,26 +1,51 @@
 // What the pages need beside their elements: the stop, and plots that grow point by point.
 "use strict";
 
-// -- stop: a finger, a mouse, Esc or the space bar; straight to the server, whatever else the page is doing ---------------------
+// -- stop: a finger, a mouse, a key or an aid to seeing; straight to the server, whatever else the page is doing -----------------
+const HIL_ANSWER_MS = 1000;
+let hilPresses = 0;
+let hilLost = 0; // the latest press that was told as lost; 0 when none is
+
+// A stop without an answer in time is told, but not taken back: when its answer does come, the page is as it was.
 async function hilStop() {
+  const press = ++hilPresses;
   const mark = document.querySelector("[data-name='stop']");
-  if (mark) mark.classList.add("pressed");
+  mark?.classList.add("pressed");
+  const late = setTimeout(() => hilTell(press, false), HIL_ANSWER_MS);
   try {
     const answer = await fetch("/stop", { method: "POST", keepalive: true });
-    if (!answer.ok) throw new Error(String(answer.status));
+    hilTell(press, answer.ok);
   } catch (_error) {
-    const lost = document.querySelector("[data-name='stop-lost']");
-    if (lost) lost.hidden = false;
+    hilTell(press, false);
   }
-  if (mark) setTimeout(() => mark.classList.remove("pressed"), 400);
+  clearTimeout(late);
+  setTimeout(() => mark?.classList.remove("pressed"), 400);
 }
 
+// The answer to an earlier press says nothing of a later one.
+function hilTell(press, arrived) {
+  if (!arrived) hilLost = Math.max(hilLost, press);
+  else if (press >= hilLost) hilLost = 0;
+  const lost = document.querySelector("[data-name='stop-lost']");
+  if (lost) lost.hidden = hilLost === 0;
+}
+
+let hilPointed = false;
 document.addEventListener("pointerdown", (event) => {
-  if (event.target.closest("[data-name='stop']")) hilStop();
+  hilPointed = event.target.closest("[data-name='stop']") !== null;
+  if (hilPointed) hilStop();
 }, true);
 
+// Enter on the button, or what reads the screen aloud: a click that no finger and no mouse began.
+document.addEventListener("click", (event) => {
+  if (event.target.closest("[data-name='stop']") && (event.detail === 0 || !hilPointed)) hilStop();
+}, true);
+
+// Where a space can be typed it is no stop: not in a field of numbers, nor in one that is only chosen from.
+const HIL_TEXT = "input:is(:not([type]), [type='text'], [type='password'], [type='search']):not([readonly])";
+
 document.addEventListener("keydown", (event) => {
-  const typing = event.target.closest("input, textarea, [contenteditable='true']");
+  const typing = event.target.closest(`${HIL_TEXT}, textarea, [contenteditable='true']`);
   if (event.key === "Escape" || (event.key === " " && !typing)) {
     hilStop();
     if (event.key === " ") event.preventDefault();
