@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from nicegui import ui
 
@@ -15,6 +16,7 @@ from hil.panel.drawings import Curve, Drawing, Options, curves
 from hil.panel.latest import Latest
 from hil.panel.pages.circle import draw_circle
 from hil.panel.plots import JobPlot
+from hil.panel.reading import Reading
 from hil.panel.tables import Table
 from hil.panel.view import View
 from hil.panel.where import draw_where
@@ -50,6 +52,7 @@ def draw(view: View) -> None:
 def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
     """Start, go on with what was broken off, store."""
     t, desk, how = view.t, view.desk, lost_motion.lost_motion_config(axis)
+    broken_off = Reading(view, partial(resumable, axis))
     figures = {name: t.number(value, 1) for name, value in (("stroke", how.stroke_mm), ("at", how.at_mm))}
     plan = t("lost_motion.plan", runs=how.runs, places=how.places, moves=how.proof_moves, **figures)
     view.named(ui.label(plan).classes("hil-name"), "lost_motion.plan")
@@ -69,7 +72,7 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
 
     def refresh() -> None:
         start_button.set_enabled(view.can_start)
-        resume_button.set_enabled(view.can_start and resumable(axis))
+        resume_button.set_enabled(view.can_start and broken_off.value is True)
         store_button.set_enabled(view.can_start and view.is_builder and lost_motion_screen(desk).storable)
 
     return refresh

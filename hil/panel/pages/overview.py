@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from nicegui import ui
 
+from hil.desk.desk import Desk
 from hil.desk.left_over import LeftOver, left_over
 from hil.desk.live import Live
 from hil.panel.plots import LivePlot
+from hil.panel.reading import Reading
 from hil.panel.view import View
-
-LOOK_S = 2.0
-"""Between two looks into the axis's folder."""
 
 
 def draw(view: View) -> None:
@@ -30,7 +31,10 @@ def draw(view: View) -> None:
             torque = view.value("overview.torque", "%", small=True)
             velocity = view.value("overview.velocity", "mm/s", small=True)
         with view.card("overview.instrument"):
-            measured = view.value("overview.measured", "mm")
+            with ui.element("div") as in_load_frame:
+                measured = view.value("overview.measured", "mm")
+            with ui.element("div") as in_its_own:
+                measured_raw = view.value("overview.measured_raw", "mm")
             signal = view.value("overview.signal", small=True)
             age = view.value("overview.age", "s", small=True)
         with view.card("overview.correction"):
@@ -45,7 +49,7 @@ def draw(view: View) -> None:
             LivePlot(view, "overview.following_error", "µm", lambda point: point.following_error_um),
             LivePlot(view, "overview.torque", "%", lambda point: point.torque_percent),
             LivePlot(view, "overview.velocity", "mm/s", lambda point: point.velocity_mm_s),
-            LivePlot(view, "overview.measured", "mm", lambda point: point.instrument_mm),
+            LivePlot(view, "overview.measured", "mm", lambda point: point.instrument_load_mm),
         ]
 
     def refresh() -> None:
@@ -56,7 +60,10 @@ def draw(view: View) -> None:
         error.set_text(t.number(live.following_error_um, 1))
         torque.set_text(t.number(live.torque_percent, 1))
         velocity.set_text(t.number(live.velocity_mm_s, 2))
-        measured.set_text(t.number(live.instrument_mm, 4))
+        for figure in (measured, measured_raw):
+            figure.set_text(t.number(live.instrument_mm, 4))
+        in_load_frame.set_visibility(live.on_datum)
+        in_its_own.set_visibility(not live.on_datum)
         status = live.instrument_status
         signal.set_text("–" if status is None else t(f"signal.{status.name}"))
         age.set_text(t.number(live.instrument_age_s, 2))
@@ -72,11 +79,11 @@ def draw(view: View) -> None:
 def _draw_left_over(view: View) -> None:
     """What an interruption left behind, each with the way to where it is put in order."""
     notes = view.named(ui.column().classes("gap-1"), "overview.left_over")
+    kept: Reading[tuple[LeftOver, ...]] = Reading(view, partial(_left_over, view.desk))
     shown: list[tuple[LeftOver, ...]] = [()]
 
     def refresh() -> None:
-        job = view.desk.job()
-        found = () if job is not None and job.running else left_over(view.desk.axis)
+        found = kept.value or ()
         if found == shown[0]:
             return
         shown[0] = found
@@ -86,7 +93,13 @@ def _draw_left_over(view: View) -> None:
                 text = view.t(f"overview.left.{one.kind}", place=one.place)
                 ui.link(text, f"/axis/{view.desk.name}/{one.page}").classes("hil-note")
 
-    view.every(refresh, LOOK_S)
+    view.every(refresh)
+
+
+def _left_over(desk: Desk) -> tuple[LeftOver, ...]:
+    """Nothing while a job runs, which may be going on with it."""
+    job = desk.job()
+    return () if job is not None and job.running else left_over(desk.axis)
 
 
 async def _reset_fault(view: View) -> None:
