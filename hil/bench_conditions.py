@@ -11,6 +11,8 @@ from sim_backends.plant.axis import FeedAxis
 class BenchConditions:
     """Sets and reads the simulated axis's surroundings; levels are those of the axis file."""
 
+    by_hand = False
+
     def __init__(self, axis: FeedAxis, levels: Mapping[str, Sequence[float]]) -> None:
         known = {"load_kg", "pos_y_mm"}
         if unknown := set(levels) - known:

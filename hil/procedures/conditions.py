@@ -16,7 +16,12 @@ SET_UP = frozenset({"abbe_offset_mm", "setup"})
 
 
 class Conditions(Protocol):
-    """Columns beside the axis's own: which can be set to which levels, and what they read now."""
+    """Columns beside the axis's own: which can be set to which levels, and what they read now.
+
+    by_hand: somebody reaches into the machine for it, so that it has to be without power meanwhile
+    """
+
+    by_hand: bool
 
     @property
     def levels(self) -> Mapping[str, Sequence[float]]:
@@ -31,6 +36,8 @@ class Conditions(Protocol):
 
 class NoConditions:
     """Nothing known and nothing to vary."""
+
+    by_hand = False
 
     @property
     def levels(self) -> Mapping[str, Sequence[float]]:
@@ -48,6 +55,8 @@ class AskedConditions:
 
     levels: those of the axis file; a change of the set-up (`SET_UP`) can be asked for beside them
     """
+
+    by_hand = True
 
     def __init__(self, levels: Mapping[str, Sequence[float]], ask: Callable[[str, float], None]) -> None:
         self._levels = {name: tuple(values) for name, values in levels.items()}

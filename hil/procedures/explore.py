@@ -8,6 +8,7 @@ noise floor. The whole plan comes from a seed, so that a resumed campaign goes o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -100,8 +101,7 @@ def explore(
     for number, run in enumerate(runs, start=1):
         stage = f"{name}-{number}"
         if not campaign.has_rows(stage):
-            for condition, level in run.conditions:
-                session.conditions.set(condition, level)
+            _bring_about(session, run)
             if any(condition in SET_UP for condition, _ in run.conditions):
                 session.take_datum()
             if run.strokes_s:
@@ -110,3 +110,13 @@ def explore(
                 rest(session, run.rest_s, listener, stage=f"{stage} resting")
         parts.append(measure(session, campaign, stage, run.steps, listener))
     return concatenate(parts)
+
+
+def _bring_about(session: AxisSession, run: Run) -> None:
+    """The run's conditions; nobody reaches into a machine under power for them."""
+    conditions = session.conditions
+    now = conditions.read()
+    other = any(now.get(name) != level for name, level in run.conditions)
+    with session.without_power() if conditions.by_hand and other else nullcontext():
+        for name, level in run.conditions:
+            conditions.set(name, level)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from hil.axis import MeasurementConfig
 from hil.diagnosis.planned_run import Means, PlannedRun, Point
 from hil.journal import Campaign
-from hil.procedures.conditions import SET_UP, AskedConditions
+from hil.procedures.conditions import SET_UP
 from hil.procedures.events import Listener, silent
 from hil.procedures.explore import Run, explore
 from hil.procedures.measure import Step
@@ -34,7 +34,7 @@ def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
     With a person at hand the optics can be set up anew; new sensors cannot be read while the axis is connected.
     """
     how, conditions = session.how, session.conditions
-    asked = isinstance(conditions, AskedConditions)
+    asked = conditions.by_hand
     levels = {name: tuple(float(v) for v in values) for name, values in conditions.levels.items() if name not in SET_UP}
     return replace(
         means_of_measurement(how),

@@ -222,6 +222,16 @@ class AxisSession:
         came = MotionHistory(here).moved_to(reference - self.how.overrun_mm).moved_to(reference)
         self.steering.stands(came, reference)
 
+    @contextmanager
+    def without_power(self) -> Iterator[None]:
+        """While somebody reaches into the machine. Afterwards the axis is enabled again and comes to the reference position, so that
+        the direction it came from is known; the instrument's zero is kept."""
+        self.drive.disable()
+        self.steering.lose()
+        yield
+        self.drive.enable()
+        self.come_to_reference()
+
     def move_uncorrected(self, position_load_mm: float, velocity_mm_s: float) -> None:
         """Move the motor to a position as it is, watched; the history for corrections is unknown afterwards."""
         self.steering.lose()
