@@ -163,7 +163,9 @@ def _asked(axis: AxisConfig) -> Conditions | None:
         raise InputError("[conditions] are asked for on a terminal, and there is none", path=axis.path)
 
     def ask(name: str, value: float) -> None:
-        input(f"please make {name} = {value:g}, then press Enter ")
+        input(
+            f"the axis is without power; please make {name} = {value:g}, then press Enter: it is enabled again and moves "
+        )
 
     return AskedConditions(levels, ask)
 

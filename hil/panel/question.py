@@ -37,6 +37,7 @@ def draw_question(view: View) -> None:
         shown[:] = [pending]
         question = pending.question
         words.set_text(t(f"ask.{question.kind}", **{name: t.said(text) for name, text in question.figures.items()}))
-        wait.set_text(t("ask.wait", minutes=t.number(question.within_s / S_PER_MIN, 0)))
+        minutes = t.number(question.within_s / S_PER_MIN, 0)
+        wait.set_text(f"{t(f'ask.power.{question.kind}')} {t('ask.wait', minutes=minutes)}")
 
     view.every(refresh)
