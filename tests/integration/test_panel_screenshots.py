@@ -32,7 +32,10 @@ FRAME = (
 LISTED = {
     "overview": (
         *(f"overview.{name}" for name in ("state", "position", "remaining", "following_error", "torque", "velocity")),
-        *(f"overview.{name}" for name in ("measured", "signal", "age", "correction_now", "in_force", "environment")),
+        *(
+            f"overview.{name}"
+            for name in ("measured_raw", "signal", "age", "correction_now", "in_force", "environment")
+        ),
         *(f"overview.{name}" for name in ("power_off", "reset_fault", "not_safety")),
         *(f"plot.overview.{name}" for name in ("position", "following_error", "torque", "velocity", "measured")),
     ),
