@@ -1,5 +1,6 @@
 """Calibration, loop, diagnosis and reports as an axis's desk runs them, on the bench and without a browser."""
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,12 +19,13 @@ from hil.desk.roles import LockedError
 from hil.jobs import aside, calibrate
 from hil.jobs.calibrate import CALIBRATE
 from hil.jobs.close_loop import loop_job
-from hil.jobs.job import Job
+from hil.jobs.job import Job, Workplace
 from hil.jobs.loop_plan import Looped, feeds_of, passes_at
 from hil.jobs.plan import Move
 from hil.jobs.report import Wanted
 from hil.jobs.stored_loop import STAGES, StoredLoop, stored_loop
 from hil.procedures.close_loop import Turning
+from hil.procedures.events import Event, Point
 from hil.procedures.explore import Exploration
 from hil.records import read_csv
 
@@ -65,6 +67,22 @@ def run(desk: Desk, token: str, job: Job) -> Progress:
     return now(desk, job.kind)
 
 
+def stopped_after(points: int, job: Job, desk: Desk) -> Job:
+    """The same job; the stop is pressed in the axis's own thread, when this many points are measured."""
+
+    def work(place: Workplace) -> object:
+        numbers = itertools.count(1)
+
+        def listen(event: Event) -> None:
+            place.listener(event)
+            if isinstance(event.found, Point) and next(numbers) == points:
+                desk.stop()
+
+        return job.work(replace(place, listener=listen))
+
+    return replace(job, work=work)
+
+
 def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, desk: Desk) -> None:
     token = desk.control.take("test")
     with pytest.raises(LockedError):
@@ -75,14 +93,11 @@ def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, 
     assert "reading password" in refused.error
 
     desk.become_builder(token, KEY, READING)
-    desk.run(token, calibrate.calibration_job(axis))
-    waits(lambda: desk.graph(CALIBRATE).points >= 5, "some points are measured")
-    desk.stop()
-    waits(lambda: not now(desk, CALIBRATE).running, "the stop is carried out")
-    assert now(desk, CALIBRATE).phase is Phase.STOPPED
+    stopped = run(desk, token, stopped_after(5, calibrate.calibration_job(axis), desk))
+    assert stopped.phase is Phase.STOPPED
     assert calibration_screen(axis).unfinished == {CALIBRATE: ("calibrate-001", 1)}
     begun = read_csv(axis.store.directory / "calibrate-001" / "measure.csv")
-    assert 5 <= len(begun) < 20
+    assert len(begun) == 5
 
     resumed = run(desk, token, calibrate.calibration_job(axis, resume=True))
     assert resumed.phase is Phase.DONE, resumed.error
