@@ -1,6 +1,7 @@
 """The stop and the pace below the desk's clocks, what is kept of the live signals, and what an interruption left behind."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from support.bench_axis import lay_out
 
 from drivers.clock import NS_PER_S, WallClock
 from drivers.drive import DriveSample, DriveState
+from drivers.instrument import Reading, ReadingStatus
 from hil.axis import load_axis
 from hil.desk.left_over import LeftOver, left_over
 from hil.desk.live import Board, Live, of_sample
@@ -134,6 +136,18 @@ def test_looks_that_come_unevenly_are_all_points() -> None:
         now_s = 1000.0 + 0.05 * look + (0.02 if look % 2 else 0.0)
         board.publish(Live(connected=True))
     assert len(board.trace()) >= 198
+
+
+def test_the_curve_of_the_instrument_is_in_the_loads_frame_alone() -> None:
+    now = [0.0]
+    board = Board(lambda: now[0])
+    good, lost = Reading(0, ReadingStatus.GOOD, 0.003, 1), Reading(0, ReadingStatus.BEAM_LOST, None, 2)
+    for reading, in_load_mm in ((good, None), (good, 20.003), (lost, None), (good, 20.003), (good, None)):
+        now[0] += 0.05
+        board.heard([reading], {reading: in_load_mm}.get)
+        board.publish(replace(board.live, connected=True))
+        assert board.live.on_datum is (in_load_mm is not None or reading is lost)  # a lost beam is no other frame
+    assert [one.instrument_load_mm for one in board.trace()] == [None, 20.003, None, 20.003, None]
 
 
 def test_what_is_not_told_is_not_made_up() -> None:

@@ -14,7 +14,7 @@ from nicegui.element import Element
 from nicegui.page import page
 from support.bench_axis import lay_out
 
-from hil.axis import load_axis
+from hil.axis import DriveAxis, load_axis
 from hil.desk.desk import Desk
 from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Plan
@@ -112,7 +112,12 @@ def test_the_folder_is_read_beside_the_loop_and_after_a_job(
 ) -> None:
     threads: list[int] = []
     read = getattr(of, reads)
-    monkeypatch.setattr(of, reads, lambda axis: (threads.append(threading.get_ident()), read(axis))[1])
+
+    def seen(axis: DriveAxis) -> object:
+        threads.append(threading.get_ident())
+        return read(axis)
+
+    monkeypatch.setattr(of, reads, seen)
 
     async def look(drawn: Drawn) -> list[int]:
         counts = []
