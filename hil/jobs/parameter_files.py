@@ -27,8 +27,7 @@ def keep_set(axis: DriveAxis, name: str, data: bytes) -> Path:
     name = Path(name).name
     if not _NAME.fullmatch(name) or Path(name).suffix.lower().removeprefix(".") not in FORMATS:
         raise InputError(f"{name!r}: expected the name of a set, ending in {', '.join(f'.{one}' for one in FORMATS)}")
-    if len(data) > LARGEST_BYTES:
-        raise InputError(f"{name} has {len(data)} bytes, expected at most {LARGEST_BYTES}")
+    require_size(name, len(data))
     path, new = _brought(axis) / name, _brought(axis) / f".new-{name}"
     if path.exists():
         if read_bytes(path) != data:
@@ -42,6 +41,12 @@ def keep_set(axis: DriveAxis, name: str, data: bytes) -> Path:
     finally:
         new.unlink(missing_ok=True)
     return path
+
+
+def require_size(name: str, size_bytes: int) -> None:
+    """Before anything is read of it. Raises InputError for a file that is too large for a set."""
+    if size_bytes > LARGEST_BYTES:
+        raise InputError(f"{Path(name).name} has {size_bytes} bytes, expected at most {LARGEST_BYTES}")
 
 
 def _folder(axis: DriveAxis) -> Path:

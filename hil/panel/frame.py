@@ -107,7 +107,8 @@ def _draw_control(view: View) -> None:
         over.set_visibility(holder is not None and not mine and holder.lost)
         builder.set_visibility(mine and view.desk.rights.role is Role.OPERATOR)
         operator.set_visibility(view.is_builder)
-        view.desk.control.sign_of_life(view.token)
+        if view.client.has_socket_connection:  # its page outlives it for a while, and is no sign of life
+            view.desk.control.sign_of_life(view.token)
 
     view.every(refresh)
 
@@ -127,20 +128,20 @@ async def _take_over(view: View) -> None:
 
 async def _ask_passwords(view: View) -> None:
     """The builder's role: the password of his key, and that of the tables where they are to be changed."""
-    with view.client.content, ui.dialog() as dialog, ui.card().classes("hil-card"):
-        ui.label(view.t("role.why"))
-        key = ui.input(view.t("role.key_password"), password=True).props("autocomplete=off autofocus")
-        reading = ui.input(view.t("role.reading_password"), password=True).props("autocomplete=off")
-        view.named(key, "role.key_password")
-        view.named(reading, "role.reading_password")
-        with ui.row():
-            view.named(ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "role.yes")
-            ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
-    if await dialog:
-        given = str(key.value or ""), str(reading.value or "")
-        token = view.token
-        await view.attempt(lambda: view.aside(lambda: view.desk.become_builder(token, *given)))
-    dialog.delete()  # and with it what was typed
+    with view.dialog() as dialog:
+        with dialog, ui.card().classes("hil-card"):
+            ui.label(view.t("role.why"))
+            key = ui.input(view.t("role.key_password"), password=True).props("autocomplete=off autofocus")
+            reading = ui.input(view.t("role.reading_password"), password=True).props("autocomplete=off")
+            view.named(key, "role.key_password")
+            view.named(reading, "role.reading_password")
+            with ui.row():
+                view.named(ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "role.yes")
+                ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+        if await dialog:
+            given = str(key.value or ""), str(reading.value or "")
+            token = view.token
+            await view.attempt(lambda: view.aside(lambda: view.desk.become_builder(token, *given)))
 
 
 # -- looks and navigation ----------------------------------------------------------------------------------------------

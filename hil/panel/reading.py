@@ -7,7 +7,6 @@ from typing import Generic, TypeVar
 
 from nicegui import run, ui
 
-from drivers.errors import BridgeError
 from hil.panel.view import View
 
 Found = TypeVar("Found")
@@ -34,7 +33,7 @@ class Reading(Generic[Found]):
         if now == self._of:
             return
         self._of = now
-        try:
-            self.value = await run.io_bound(self._read)
-        except (BridgeError, OSError) as error:
-            self._view.show_error(error)
+        await self._view.attempt(self._read_aside)
+
+    async def _read_aside(self) -> None:
+        self.value = await run.io_bound(self._read)

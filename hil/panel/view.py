@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
 from nicegui import Client, run, ui
 from nicegui.element import Element
 
-from drivers.errors import BridgeError
+from drivers.errors import BridgeError, InputError
 from hil.desk.axis_thread import one_line
 from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
@@ -103,18 +105,29 @@ class View:
         count = f" ({job.done}/{job.total})" if job.total else ""
         return f"{self.t.said(job.stage)}: {self.t.said(job.message)}{count}"
 
+    def number_of(self, field: ui.number) -> float:
+        """What stands in a field. Raises InputError, in the page's language, for one that was cleared."""
+        if field.value is None:
+            raise InputError(self.t("field.empty", field=field.label))
+        return float(field.value)
+
     def messages(self, name: str) -> Messages:
         """A note with what went wrong, not there while there is nothing to say."""
         return Messages(self, self.named(ui.label().classes("hil-note bad"), name))
 
     # -- doing ---------------------------------------------------------------------------------------------------------
     async def attempt(self, action: Callable[[], object]) -> bool:
-        """Do it; an error is shown, in one line. False for an error. An action may be a coroutine function."""
+        """Do it; an error is shown, in one line, and logged if it is none that was foreseen. False for an error. An action may be a
+        coroutine function."""
         try:
             done = action()
             if hasattr(done, "__await__"):
                 await done
         except (BridgeError, OSError) as error:
+            self.show_error(error)
+            return False
+        except Exception as error:
+            logging.getLogger(__name__).exception("axis %s: what was asked for on the screen failed", self.desk.name)
             self.show_error(error)
             return False
         return True
@@ -146,16 +159,26 @@ class View:
 
     async def ask(self, lines: Iterable[str]) -> bool:
         """A question with yes and no."""
-        with self.client.content, ui.dialog() as dialog, ui.card().classes("hil-card"):
-            for line in lines:
-                self.named(ui.label(line), "question.line")
-            with ui.row():
-                self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), "question.yes")
-                no = ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
-                self.named(no, "question.no")
-        answer = bool(await dialog)
-        dialog.delete()
-        return answer
+        with self.dialog() as dialog:
+            with dialog, ui.card().classes("hil-card"):
+                for line in lines:
+                    self.named(ui.label(line), "question.line")
+                with ui.row():
+                    self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), "question.yes")
+                    no = ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+                    self.named(no, "question.no")
+            return bool(await dialog)
+
+    @contextmanager
+    def dialog(self) -> Iterator[ui.dialog]:
+        """An empty one, to be filled and awaited; afterwards it is gone, and with it what was typed, however it ended."""
+        with self.client.content:
+            dialog = ui.dialog()
+        try:
+            yield dialog
+        finally:
+            if not dialog.is_deleted:  # as it is when its page was closed meanwhile
+                dialog.delete()
 
     def question(self, plan: Plan) -> list[str]:
         """A plan in words."""

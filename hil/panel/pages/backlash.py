@@ -89,7 +89,8 @@ def _draw_buttons(view: View) -> Refresh:
         view.named(runs, "backlash.runs")
 
     async def start() -> None:
-        wanted = backlash.backlash_config(desk.axis, velocity_mm_s=float(speed.value), runs=int(runs.value))
+        velocity_mm_s, times = view.number_of(speed), int(view.number_of(runs))
+        wanted = backlash.backlash_config(desk.axis, velocity_mm_s=velocity_mm_s, runs=times)
         await view.ask_and_run(backlash.measuring_job(desk.axis, wanted))
 
     async def write() -> None:

@@ -76,7 +76,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     t, desk = view.t, view.desk
 
     async def verify() -> None:
-        job = calibrate.verification_job(axis, corrected=bool(corrected.value), seed=int(seed.value or 1))
+        job = calibrate.verification_job(axis, corrected=bool(corrected.value), seed=int(view.number_of(seed)))
         await view.ask_and_run(job)
 
     with ui.row().classes("items-center"):
@@ -117,16 +117,18 @@ async def _resume(view: View, axis: AxisConfig, kept: Kept, kind: str) -> None:
 
 async def _ask_password(view: View) -> None:
     """The reading password of the tables; it is forgotten with the dialog."""
-    with view.client.content, ui.dialog() as dialog, ui.card().classes("hil-card"):
-        given = ui.input(view.t("calibrate.password"), password=True).props("autocomplete=off autofocus")
-        view.named(given, "calibrate.password")
-        with ui.row():
-            view.named(ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "calibrate.password.yes")
-            ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
-    if await dialog:
-        password, token = str(given.value or ""), view.token
-        await view.attempt(lambda: view.aside(lambda: view.desk.read_tables(token, password)))
-    dialog.delete()
+    with view.dialog() as dialog:
+        with dialog, ui.card().classes("hil-card"):
+            given = ui.input(view.t("calibrate.password"), password=True).props("autocomplete=off autofocus")
+            view.named(given, "calibrate.password")
+            with ui.row():
+                view.named(
+                    ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "calibrate.password.yes"
+                )
+                ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+        if await dialog:
+            password, token = str(given.value or ""), view.token
+            await view.attempt(lambda: view.aside(lambda: view.desk.read_tables(token, password)))
 
 
 def _draw_where(view: View) -> Refresh:

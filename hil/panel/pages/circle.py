@@ -53,7 +53,7 @@ def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Ref
         if not isinstance(second.axis, AxisConfig):
             return
         axes, sense = (axis, second.axis), -1 if clockwise.value else 1
-        wanted = Circle(circle.middle_of(axes), float(radius.value), float(feed.value) / S_PER_MIN, sense)
+        wanted = Circle(circle.middle_of(axes), view.number_of(radius), view.number_of(feed) / S_PER_MIN, sense)
         stores = [view.desk.rights.store, second.rights.store]
         await view.ask_and_run(circle.circle_job(axes, wanted, stores), lent=[second])
 

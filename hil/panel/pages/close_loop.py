@@ -72,7 +72,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
         from hil.jobs.close_loop import loop_job  # noqa: PLC0415  (the diagnosis is slow to load)
         from hil.procedures.close_loop import Turning  # noqa: PLC0415
 
-        how = Exploration(int(runs.value), int(rows.value), float(warm.value))
+        how = Exploration(int(view.number_of(runs)), int(view.number_of(rows)), view.number_of(warm))
         asked = str(feeds.value or "").strip()
         in_motion = passes_at(axis, feeds_of(asked)) if asked else None
         unfinished = None if kept.value is None else kept.value.unfinished

@@ -11,7 +11,7 @@ from nicegui import events, ui
 from hil.desk.parameters import ParameterRow, parameters_screen
 from hil.jobs import parameters
 from hil.jobs.job import Job
-from hil.jobs.parameter_files import LARGEST_BYTES, keep_set, set_files
+from hil.jobs.parameter_files import LARGEST_BYTES, keep_set, require_size, set_files
 from hil.panel.reading import Reading
 from hil.panel.tables import Table
 from hil.panel.view import View
@@ -85,11 +85,10 @@ def _draw_choice(view: View, at_hand: Reading[AtHand]) -> ui.select:
         brought: list[str] = []
 
         async def bring(event: events.UploadEventArguments) -> None:
-            data = await event.file.read()
-
-            def keep() -> None:
+            async def keep() -> None:
                 view.desk.control.require(view.token)
-                brought[:] = [str(keep_set(axis, event.file.name, data))]
+                require_size(event.file.name, event.file.size())
+                brought[:] = [str(keep_set(axis, event.file.name, await event.file.read()))]
 
             await view.attempt(keep)
             at_hand.again()
