@@ -111,17 +111,7 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
         "animation": False,
         "legend": _legend(ink),
         "polar": {"center": ["50%", "54%"], "radius": "78%"},
-        "angleAxis": {
-            "type": "value",
-            "min": 0,
-            "max": 360,
-            "interval": 45,
-            "startAngle": 0,
-            "clockwise": False,
-            "axisLabel": {"color": ink, "fontSize": 14, ":formatter": "value => value + '°'"},
-            "axisLine": {"lineStyle": {"color": grid}},
-            "splitLine": {"lineStyle": {"color": grid}},
-        },
+        "angleAxis": angle_axis(ink, grid),
         "radiusAxis": {
             "type": "value",
             "min": -(RINGS + _INSIDE) * ring,
@@ -139,6 +129,21 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
 def inks(view: View) -> tuple[str, str]:
     """The colours of writing and of the lines behind it."""
     return ("#f2f2ee", "#39424a") if view.browser.dark else ("#14181c", "#c3c8cc")
+
+
+def angle_axis(ink: str, grid: str) -> Options:
+    """Degrees, counter-clockwise from the right."""
+    return {
+        "type": "value",
+        "min": 0,
+        "max": 360,
+        "interval": 45,
+        "startAngle": 0,
+        "clockwise": False,
+        "axisLabel": {"color": ink, "fontSize": 14, ":formatter": "value => value + '°'"},
+        "axisLine": {"lineStyle": {"color": grid}},
+        "splitLine": {"lineStyle": {"color": grid}},
+    }
 
 
 def _legend(ink: str) -> Options:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.desk.probe import BallPlaces
-from hil.panel.drawings import Options, inks
+from hil.panel.drawings import Options, angle_axis, inks
 from hil.panel.plots import COLOURS
 from hil.panel.view import View
 
@@ -58,17 +58,7 @@ def around_the_spindle(view: View, shown: BallPlaces, names: Mapping[str, str]) 
         "animation": False,
         "legend": {"show": True, "top": 0, "left": 0, "textStyle": {"color": ink, "fontSize": 14}, "itemGap": 16},
         "polar": {"center": ["50%", "54%"], "radius": "76%"},
-        "angleAxis": {
-            "type": "value",
-            "min": 0,
-            "max": 360,
-            "interval": 45,
-            "startAngle": 0,
-            "clockwise": False,
-            "axisLabel": {"color": ink, "fontSize": 14, ":formatter": "value => value + '°'"},
-            "axisLine": {"lineStyle": {"color": grid}},
-            "splitLine": {"lineStyle": {"color": grid}},
-        },
+        "angleAxis": angle_axis(ink, grid),
         "radiusAxis": {
             "type": "value",
             "min": 0,
