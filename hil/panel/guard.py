@@ -96,7 +96,8 @@ class Guard:
         await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
 
     async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
-        """Further in; a browser without a number gets one."""
+        """Further in; a browser without a number gets one. Led here by a foreign page it has not shown the one it may have: it is let in
+        as a stranger, and keeps its own for the next page."""
         if COOKIE in cookies(headers) or scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -110,7 +111,7 @@ class Guard:
             flags = f"{COOKIE}={cookie}{self._cookie_flags}"
             await send(_with_headers(message, (b"set-cookie", flags.encode("latin-1"))))
 
-        await self.app(numbered, receive, with_cookie)
+        await self.app(numbered, receive, send if headers.get("sec-fetch-site") in _FOREIGN else with_cookie)
 
 
 def cookies(headers: dict[str, str]) -> dict[str, str]:

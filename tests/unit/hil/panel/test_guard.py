@@ -128,7 +128,11 @@ def test_a_foreign_page_loads_nothing_from_here(kind: str, method: str, how: dic
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site", "same-origin", "none"])
 def test_a_foreign_page_may_lead_here(site: str) -> None:
-    assert ask(guard(Inside()), **LED, **{"sec-fetch-site": site})[0] == 200
+    inside = Inside()
+    status, headers, _ = ask(guard(inside), **LED, **{"sec-fetch-site": site})
+    assert status == 200
+    assert inside.cookies.startswith(COOKIE)
+    assert ("set-cookie" in headers) == (site in ("same-origin", "none"))  # a number it has is not taken from it
 
 
 def test_no_answer_can_be_shown_inside_another_page() -> None:

@@ -80,7 +80,8 @@ async def pressed(*buttons: Element) -> None:
         for button in buttons:
             for listener in button._event_listeners.values():
                 cast(Any, listener.handler)(None)
-            while len(asyncio.all_tasks()) > 1:
-                await asyncio.sleep(0)
+            async with asyncio.timeout(60.0):
+                while len(asyncio.all_tasks()) > 1:
+                    await asyncio.sleep(0)
     finally:
         core.loop = None
