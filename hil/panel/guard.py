@@ -96,8 +96,10 @@ class Guard:
         await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
 
     async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
-        """Further in; a browser without a number gets one. Led here by a foreign page it has not shown the one it may have: it comes in
-        as a stranger, and keeps its own for the next page."""
+        """Further in; a browser without a number gets one.
+
+        Led here by a foreign page it has not shown the one it may have: it comes in as a stranger, and keeps its own for the next page.
+        """
         if COOKIE in cookies(headers) or scope["type"] != "http":
             await self.app(scope, receive, send)
             return
