@@ -98,7 +98,7 @@ class Guard:
     async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
         """Further in; a browser without a number gets one.
 
-        Led here by a foreign page it has not shown the one it may have: it comes in as a stranger, and keeps its own for the next page.
+        Led here by a foreign page it has not shown the one it may have: it comes in as a stranger, and its own is kept.
         """
         if COOKIE in cookies(headers) or scope["type"] != "http":
             await self.app(scope, receive, send)
