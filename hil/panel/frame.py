@@ -128,20 +128,11 @@ async def _take_over(view: View) -> None:
 
 async def _ask_passwords(view: View) -> None:
     """The builder's role: the password of his key, and that of the tables where they are to be changed."""
-    with view.dialog() as dialog:
-        with dialog, ui.card().classes("hil-card"):
-            ui.label(view.t("role.why"))
-            key = ui.input(view.t("role.key_password"), password=True).props("autocomplete=off autofocus")
-            reading = ui.input(view.t("role.reading_password"), password=True).props("autocomplete=off")
-            view.named(key, "role.key_password")
-            view.named(reading, "role.reading_password")
-            with ui.row():
-                view.named(ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "role.yes")
-                ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
-        if await dialog:
-            given = str(key.value or ""), str(reading.value or "")
-            token = view.token
-            await view.attempt(lambda: view.aside(lambda: view.desk.become_builder(token, *given)))
+    fields = ("role.key_password", "role.reading_password")
+    given = await view.ask_passwords(*fields, yes="role.yes", why="role.why")
+    if given is not None:
+        token = view.token
+        await view.attempt(lambda: view.aside(lambda: view.desk.become_builder(token, *given)))
 
 
 # -- looks and navigation ----------------------------------------------------------------------------------------------

@@ -169,6 +169,21 @@ class View:
                     self.named(no, "question.no")
             return bool(await dialog)
 
+    async def ask_passwords(self, *fields: str, yes: str, why: str = "") -> tuple[str, ...] | None:
+        """What was typed into fields with these keys; None for a no. why: key of a line above them; yes: name of the button."""
+        with self.dialog() as dialog:
+            with dialog, ui.card().classes("hil-card"):
+                if why:
+                    ui.label(self.t(why))
+                given = [ui.input(self.t(key), password=True).props("autocomplete=off") for key in fields]
+                given[0].props("autofocus")
+                for field, key in zip(given, fields, strict=True):
+                    self.named(field, key)
+                with ui.row():
+                    self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), yes)
+                    ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+            return tuple(str(field.value or "") for field in given) if await dialog else None
+
     @contextmanager
     def dialog(self) -> Iterator[ui.dialog]:
         """An empty one, to be filled and awaited; afterwards it is gone, and with it what was typed, however it ended."""

@@ -117,18 +117,10 @@ async def _resume(view: View, axis: AxisConfig, kept: Kept, kind: str) -> None:
 
 async def _ask_password(view: View) -> None:
     """The reading password of the tables; it is forgotten with the dialog."""
-    with view.dialog() as dialog:
-        with dialog, ui.card().classes("hil-card"):
-            given = ui.input(view.t("calibrate.password"), password=True).props("autocomplete=off autofocus")
-            view.named(given, "calibrate.password")
-            with ui.row():
-                view.named(
-                    ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "calibrate.password.yes"
-                )
-                ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
-        if await dialog:
-            password, token = str(given.value or ""), view.token
-            await view.attempt(lambda: view.aside(lambda: view.desk.read_tables(token, password)))
+    given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes")
+    if given is not None:
+        token = view.token
+        await view.attempt(lambda: view.aside(lambda: view.desk.read_tables(token, *given)))
 
 
 def _draw_where(view: View) -> Refresh:

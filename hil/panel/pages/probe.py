@@ -110,19 +110,11 @@ def _draw_settings(at: AtProbe) -> tuple[ui.select, Refresh]:
 async def _ask_passwords(at: AtProbe) -> None:
     """Of the probe's sealed run-out: the reading password, and that of its builder's key for whoever is to measure."""
     view = at.view
-    with view.dialog() as dialog:
-        with dialog, ui.card().classes("hil-card"):
-            ui.label(view.t("probe.open_why"))
-            reading = ui.input(view.t("probe.reading_password"), password=True).props("autocomplete=off autofocus")
-            key = ui.input(view.t("probe.key_password"), password=True).props("autocomplete=off")
-            view.named(reading, "probe.reading_password")
-            view.named(key, "probe.key_password")
-            with ui.row():
-                view.named(ui.button(view.t("button.yes"), on_click=lambda: dialog.submit(True)), "probe.open.yes")
-                ui.button(view.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
-        if await dialog:
-            given, token = (str(reading.value or ""), str(key.value or "")), view.token
-            await view.attempt(lambda: view.aside(lambda: view.desk.open_probe(token, at.config, *given)))
+    fields = ("probe.reading_password", "probe.key_password")
+    given = await view.ask_passwords(*fields, yes="probe.open.yes", why="probe.open_why")
+    if given is not None:
+        token = view.token
+        await view.attempt(lambda: view.aside(lambda: view.desk.open_probe(token, at.config, *given)))
 
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------
