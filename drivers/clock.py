@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from typing import Protocol
 
 NS_PER_S = 1_000_000_000
+IO_SLICE_S = 0.005
+"""Longest time that I/O may block without `Clock.check_interrupt`, s: a quarter of the 20 ms allowed from a stop to its frame."""
 
 
 class Clock(ABC):
@@ -27,6 +29,13 @@ class Clock(ABC):
     def sleep_s(self, duration_s: float) -> None:
         """Sleep for a duration in seconds, counted from now."""
         self.sleep_until_ns(self.now_ns() + round(duration_s * NS_PER_S))
+
+    @abstractmethod
+    def check_interrupt(self) -> None:
+        """Raise whatever ends the present wait (the operator's stop). Called at least every `IO_SLICE_S` while input or output blocks.
+
+        A clock that nobody can interrupt does nothing here.
+        """
 
     def deadline(self, duration_s: float) -> Deadline:
         """A deadline `duration_s` seconds from now."""
@@ -47,7 +56,12 @@ class WallClock(Clock):
     """Real time."""
 
     def __init__(self, waiting: Waiting | None = None) -> None:
+        self._waiting = waiting
         self._wait = time.sleep if waiting is None else waiting.real
+
+    def check_interrupt(self) -> None:
+        if self._waiting is not None:
+            self._waiting.real(0.0)
 
     def now_ns(self) -> int:
         return time.monotonic_ns()

@@ -2,15 +2,15 @@
 
 Backends (CANopen, Modbus, the in-process virtual drive) implement the underscored methods; the public ones check limits and
 states first, so that no backend can move an axis outside its limits or enable it unsafely. All calls are synchronous and
-short: a motion is *started*, and whoever started it watches samples (see `hil.procedures.lookout`). Positions are load mm as
+short: a motion is *started*, and whoever started it watches samples (see `hil.machine.supervisor`). Positions are load mm as
 the motor encoder sees them (`scaling` converts); what the table really did only an instrument can tell.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Self
 
@@ -21,6 +21,10 @@ from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 from drivers.touch_probe import TouchProbe
+from drivers.undo import undo_all
+
+_LONGEST_LOOK_S = 0.1
+"""Looks at a velocity run further apart than this, s, do not make the next one as late: a script may have slept."""
 
 
 class DriveState(Enum):
@@ -83,6 +87,7 @@ class DriveSample:
     """One reading of the drive. What a backend cannot tell is None, never a made-up zero.
 
     time_ns is the clock's time when the values were received; `age_ns` is what a user checks before trusting them.
+    limited: the drive says that a limit of its own is active (CiA-402: internal limit), such as a software limit of the position.
     """
 
     time_ns: int
@@ -94,22 +99,41 @@ class DriveSample:
     following_error_mm: float | None = None
     homed: bool | None = None
     fault_code: int | None = None
+    limited: bool | None = None
 
     def age_ns(self, now_ns: int) -> int:
         return now_ns - self.time_ns
+
+
+@dataclass(frozen=True)
+class DriveZero:
+    """What the zero of a drive's positions rests on, as far as the drive can tell; what it cannot tell is None.
+
+    method: of its next homing, the number of 6098h (negative ones are the maker's); home_position_mm: what the home position is
+    called (607Ch), load mm; identity: who it is, plain values by name
+    """
+
+    method: int | None = None
+    home_position_mm: float | None = None
+    identity: Mapping[str, int | str] = field(default_factory=dict)
 
 
 class ServoDrive(ABC):
     """One axis's drive. notes: what `open` found worth telling an engineer, one sentence each.
 
     corrected_outside: whoever commands it adds a correction of its own at present; its own table is then not switched on.
-    on_look: hears each sample that whoever watches the axis has looked at. destination_load_mm: where the last profile move leads.
+    on_look: hears each sample that whoever watches the axis has looked at. before_homing: asked before any homing, which it refuses by
+    raising. destination_load_mm: where the last profile move leads.
+    falls_without_power: gravity can move the axis and no brake holds it; its power is taken off only once it was seen at rest.
     """
 
     notes: Sequence[str] = ()
     corrected_outside = False
+    falls_without_power = False
     on_look: Callable[[DriveSample], None] | None = None
+    before_homing: Callable[[], None] | None = None
     destination_load_mm: float | None = None
+    _watched_ns = 0  # when a velocity run was looked at last
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
         self.name = name
@@ -149,12 +173,30 @@ class ServoDrive(ABC):
     def sample(self) -> DriveSample:
         """A fresh sample, asked for now."""
 
+    def complaints(self) -> tuple[str, ...]:
+        """What the drive said by itself beside its samples: a warning, its last emergency. Nothing is asked for it.
+
+        A backend whose drive has a word for such things overrides this.
+        """
+        return ()
+
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
         """What the drive itself says of its units, asked now: each way in which it may be meant, the likeliest first.
 
         Raises as reading a parameter does. A backend whose drive has a word for them overrides this.
         """
         return ()
+
+    def zero(self) -> DriveZero:
+        """What the zero rests on, read now. Raises as reading a parameter does. A backend that can tell overrides this."""
+        return DriveZero()
+
+    def says_homed(self) -> bool | None:
+        """Whether the drive has a zero from an earlier homing and has kept it; None where it cannot tell. Moves nothing.
+
+        For an axis that is not enabled: a backend may change the mode of operation to ask.
+        """
+        return self.sample().homed
 
     # -- states ----------------------------------------------------------------------------------------------------
     def enable(self) -> None:
@@ -178,7 +220,16 @@ class ServoDrive(ABC):
 
     @abstractmethod
     def quick_stop(self) -> None:
-        """Decelerate as fast as the drive is set up to. Must work, as far as the wire allows, from any state."""
+        """Decelerate as fast as the drive is set up to: `send_stop`, then see it confirmed. Works, as far as the wire allows, from
+        any state. Raises what the wire raises when no confirmation came; the stop was sent all the same.
+        """
+
+    @abstractmethod
+    def send_stop(self) -> None:
+        """The quick stop by the fastest frames that the wire has, without waiting for an answer. Never raises.
+
+        For any thread and for a signal handler: it takes no lock for which another thread could make it wait.
+        """
 
     @abstractmethod
     def reset_fault(self) -> None:
@@ -186,9 +237,11 @@ class ServoDrive(ABC):
 
     # -- motion ----------------------------------------------------------------------------------------------------
     def start_homing(self) -> None:
-        """Start the drive's own homing; `sample().homed` tells when it is done."""
+        """Start the drive's own homing; `sample().homed` tells when it is done. Raises what `before_homing` raises, before motion."""
         self.require(Capability.HOMING)
         self._require_enabled("home")
+        if self.before_homing is not None:
+            self.before_homing()
         self._start_homing()
 
     @abstractmethod
@@ -225,6 +278,7 @@ class ServoDrive(ABC):
         if velocity_mm_s:
             self.limits.check_velocity(abs(velocity_mm_s))
         sample = self._require_enabled("run")
+        self._watched_ns = self.clock.now_ns()
         if velocity_mm_s and not self.limits.can_stop_inside(sample.position_load_mm, velocity_mm_s):
             raise self._leaves_travel("not started", sample.position_load_mm, velocity_mm_s)
         self._start_velocity(velocity_mm_s)
@@ -255,10 +309,19 @@ class ServoDrive(ABC):
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value} of several axes")
 
     def _watch_travel(self, position_load_mm: float, velocity_mm_s: float | None) -> None:
-        """For a backend whose sample finds a velocity run under way: stop it while it can still stop within the travel."""
-        if velocity_mm_s and not self.limits.can_stop_inside(position_load_mm, velocity_mm_s):
-            self.quick_stop()
-            raise self._leaves_travel("stopped", position_load_mm, velocity_mm_s)
+        """For a backend whose sample finds a velocity run under way: stop it while it can still stop within the travel.
+
+        The next look may come as late as this one did, so the axis has to be able to stop from where it will be then.
+        """
+        now_ns, before_ns = self.clock.now_ns(), self._watched_ns
+        self._watched_ns = now_ns
+        if not velocity_mm_s:
+            return
+        ahead_mm = velocity_mm_s * min((now_ns - before_ns) / NS_PER_S, _LONGEST_LOOK_S)
+        if not self.limits.can_stop_inside(position_load_mm + ahead_mm, velocity_mm_s):
+            error = self._leaves_travel("stopped", position_load_mm, velocity_mm_s)
+            undo_all([("not seen to stop", self.quick_stop)], during=error)
+            raise error
 
     def _leaves_travel(self, what: str, position_load_mm: float, velocity_mm_s: float) -> LimitError:
         return LimitError(

@@ -12,10 +12,14 @@
     │   ├── InputError            a file or an argument is wrong; carries place, value and what was expected
     │   ├── CapabilityError       this drive or instrument cannot do what was asked
     │   └── StateError            a call that does not fit the present state (moving while not enabled)
+    ├── UndoError             several steps failed while things were put back; its line names each
     └── SafetyError           motion was refused or stopped
         ├── LimitError            a target or speed outside the axis file's limits
+        ├── CorrectionBoundError  a correction larger or steeper than the axis file allows
         ├── MotionTimeoutError    a motion did not end in its time
         ├── FollowingErrorError   the axis is not where it was told to be
+        ├── OverspeedError        the axis ran faster than it was told to
+        ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest, and is held instead of being disabled
         └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
 
 Callers catch the branch they can do something about; `hil.cli` turns each into one line on stderr.
@@ -95,6 +99,14 @@ class StateError(LocalError):
     """The call does not fit the present state."""
 
 
+class UndoError(BridgeError):
+    """Several steps failed while things were put back; `errors` are those of the steps, the most dangerous first."""
+
+    def __init__(self, message: str, errors: tuple[BridgeError, ...]) -> None:
+        super().__init__(message)
+        self.errors = errors
+
+
 class SafetyError(BridgeError):
     """Motion was refused or stopped."""
 
@@ -103,12 +115,24 @@ class LimitError(SafetyError):
     """A target or a speed lies outside the axis file's limits."""
 
 
+class CorrectionBoundError(SafetyError):
+    """A correction is larger, or changes more per mm, than the axis file allows; it is not used."""
+
+
 class MotionTimeoutError(SafetyError):
     """A motion did not end in its time."""
 
 
 class FollowingErrorError(SafetyError):
     """The axis is not where it was told to be."""
+
+
+class OverspeedError(SafetyError):
+    """The axis ran faster than it was told to."""
+
+
+class HeldUnderPowerError(SafetyError):
+    """An axis that gravity can move was not shown at rest; without a brake it is held by its drive, and stays under power."""
 
 
 class MeasurementLostError(SafetyError):

@@ -67,6 +67,8 @@ class DistanceInstrument(ABC):
     """A laser interferometer, length gauge or scale that reads the load's position."""
 
     name: str
+    numbers_samples = False
+    """`Reading.sequence` is the instrument's own and goes on from one connection to the next for as long as it has power."""
     answers_when_asked = False
     """Each look brings one reading at most, asked for by the look before: it wants to be looked at often."""
 

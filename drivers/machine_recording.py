@@ -13,7 +13,7 @@ from typing import Self, TextIO
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.correction_table import CorrectionTable
-from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 
@@ -129,11 +129,21 @@ class RecordedDrive(ServoDrive):
         self._recorder.sampled(sample)
         return sample
 
+    def zero(self) -> DriveZero:
+        """The drive's own; what is asked of it is not recorded."""
+        return self._drive.zero()
+
+    def says_homed(self) -> bool | None:
+        return self._drive.says_homed()
+
     def _enable(self) -> None:
         self._drive.enable()
 
     def disable(self) -> None:
         self._drive.disable()
+
+    def send_stop(self) -> None:
+        self._drive.send_stop()
 
     def quick_stop(self) -> None:
         self._drive.quick_stop()
@@ -157,6 +167,7 @@ class RecordedInstrument(DistanceInstrument):
     def __init__(self, instrument: DistanceInstrument, recorder: MachineRecorder) -> None:
         self.name = instrument.name
         self.answers_when_asked = instrument.answers_when_asked
+        self.numbers_samples = instrument.numbers_samples
         self._instrument = instrument
         self._recorder = recorder
 

@@ -115,6 +115,9 @@ class ReplayDrive(ServoDrive):
     def disable(self) -> None:
         self._enabled = False
 
+    def send_stop(self) -> None:
+        self._enabled = False
+
     def quick_stop(self) -> None:
         self._enabled = False
 

@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Self
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import (
-    BridgeError,
     CapabilityError,
     DriveFaultError,
     FollowingErrorError,
@@ -26,6 +24,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
+from drivers.undo import undo_all
 
 
 class PacedStream(SetPointStream):
@@ -41,7 +40,8 @@ class PacedStream(SetPointStream):
         self._found = 0, math.nan
         self._begun = False
         self._last_mm = self._before_mm = 0.0
-        self._running = False
+        self.running = False
+        """Entered, and neither left nor stopped."""
 
     @property
     def reached_ns(self) -> int:
@@ -57,25 +57,36 @@ class PacedStream(SetPointStream):
 
     def __enter__(self) -> Self:
         self._last_mm = self._begin().position_load_mm
-        self._begun, self._running = False, True
+        self._begun, self.running = False, True
         return self
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if exc_type is not None and self._running:
-            self.stop()
-        self._running = False
-        if exc_type is None:
+        if exc is not None:
+            stop_all([self], exc)
+        else:
+            self.end()
+
+    def end(self) -> None:
+        """Clean leaving. An axis that was stopped stays so; one that cannot be put back is stopped."""
+        running, self.running = self.running, False
+        if not running:
+            return
+        try:
             self._end()
+        except BaseException as error:
+            self.running = True
+            stop_all([self], error)
+            raise
 
     def cycle(self, position_load_mm: float) -> float:
         try:
             self.check(position_load_mm)
             self.give(position_load_mm)
             return self.settle()
-        except BaseException:
-            self.stop()
+        except BaseException as error:
+            stop_all([self], error)
             raise
 
     def give(self, position_load_mm: float) -> None:
@@ -94,7 +105,7 @@ class PacedStream(SetPointStream):
 
     def check(self, position_load_mm: float) -> None:
         """Before a set-point is given: the stream runs, and the step is allowed."""
-        if not self._running:
+        if not self.running:
             raise StateError("the stream is not running")
         limits, period_s = self.drive.limits, self.settings.period_s
         limits.check_target(position_load_mm)
@@ -132,12 +143,6 @@ class PacedStream(SetPointStream):
                 f"drive {name}: {off_mm:.3f} mm from its set-point, allowed are {self.settings.following_error_mm:g} mm"
             )
 
-    def stop(self) -> None:
-        """Quick-stop the axis; the stream is over."""
-        self._running = False
-        with suppress(BridgeError):  # the error under way matters more
-            self.drive.quick_stop()
-
     @abstractmethod
     def _begin(self) -> DriveSample:
         """Bring the enabled drive into its streaming mode without moving it; where it stands. Raises StateError unless enabled."""
@@ -148,6 +153,15 @@ class PacedStream(SetPointStream):
     @abstractmethod
     def _end(self) -> None:
         """Hold the axis where it is, in the mode for profile moves."""
+
+
+def stop_all(streams: Sequence[PacedStream], error: BaseException) -> None:
+    """Quick-stop the axes whose streams run: the stop leaves to all before any is waited for. What fails is added to the error."""
+    running = [stream for stream in streams if stream.running]
+    for stream in running:
+        stream.running = False
+        stream.drive.send_stop()
+    undo_all([("", stream.drive.quick_stop) for stream in running], during=error)
 
 
 class PacedGroup(SetPointGroup):
@@ -161,23 +175,27 @@ class PacedGroup(SetPointGroup):
             if not isinstance(stream, PacedStream):
                 raise CapabilityError(f"drive {drive.name} cannot stream together with {drives[0].name}")
             self._streams.append(stream)
-        self._stack = ExitStack()
 
     @property
     def missed_cycles(self) -> int:
         return max(stream.missed_cycles for stream in self._streams)
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:
+        try:
             for stream in self._streams:
-                stack.enter_context(stream)
-            self._stack = stack.pop_all()
+                stream.__enter__()
+        except BaseException as error:
+            stop_all(self._streams, error)
+            raise
         return self
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._stack.__exit__(exc_type, exc, traceback)
+        if exc is not None:
+            stop_all(self._streams, exc)
+        else:
+            undo_all([("", stream.end) for stream in self._streams])
 
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
         if len(positions_load_mm) != len(self._streams):
@@ -189,7 +207,6 @@ class PacedGroup(SetPointGroup):
             for stream, position in pairs:
                 stream.give(position)
             return [stream.settle() for stream in self._streams]
-        except BaseException:
-            for stream in self._streams:
-                stream.stop()
+        except BaseException as error:
+            stop_all(self._streams, error)
             raise

@@ -19,13 +19,25 @@ from drivers.parameters import ParameterInfo, ParameterValue
 
 T = TypeVar("T")
 Steps = Generator[object, None, T]
-"""Work on one drive. What it yields is its line's own business; `Line.run` carries it out and returns what the work returned."""
+"""Work on one drive. It yields `Pause`s, which every line knows, or what its own line carries out; `Line.run` returns its result."""
 
 Tell = Callable[[int], None]
 """tell(n): n more accesses are through."""
 
 RawForm = int | str
 """A raw value as a person reads it: a whole number where the type is one, else the bytes as hexadecimal digits."""
+
+
+def _never() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Pause:
+    """A step of work that lets time pass, while the line serves its other drives: `duration_s` at most, less once `done()`."""
+
+    duration_s: float
+    done: Callable[[], bool] = _never
 
 
 def deaf(_count: int) -> None:

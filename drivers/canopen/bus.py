@@ -1,22 +1,29 @@
 """One CAN bus as this project uses it: frames out, frames in, and a wait that is bounded.
 
-What may go in: opening a python-can bus and dispatching its frames by identifier. There is no receiver thread: whoever waits
-pumps the bus, so an exception in a handler surfaces in the call that was waiting (python-can's Notifier loses it with its
-thread), several axes share one bus without locks between them, and a run in simulated time is repeatable.
+There is no receiver thread: whoever waits pumps the bus, so an exception in a handler surfaces in the call that was waiting
+(python-can's Notifier loses it with its thread), several axes share one bus without locks between them, and a run in simulated time is
+repeatable. Sending takes none of this module's locks, so that a stop can be sent from any thread while another one receives.
 """
 
 from __future__ import annotations
 
 import logging
+import os
+import socket
+import struct
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
 import can
 
-from drivers.clock import NS_PER_S, Clock
+from drivers.canopen.sync import CLAIM_S, SYNC, YIELD_S, Sync
+from drivers.clock import IO_SLICE_S, NS_PER_S, Clock
 from drivers.errors import LinkLostError, StateError
 
+POLL_S = 0.05
+"""How long `poll` dispatches at most, s. It takes some 30 µs for a frame, so this empties a socket's default receive buffer (some 280
+frames) five times over; frames without end come no faster than one in 47 µs (1 Mbit/s, no data)."""
 FrameHandler = Callable[[int, bytes], None]
 """handler(time_ns, data): a frame of the subscribed identifier, with the clock's time when it was taken from the bus."""
 
@@ -24,6 +31,14 @@ FrameHandler = Callable[[int, bytes], None]
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 _GONE = (can.CanError, OSError, ValueError)  # ValueError: python-can asks a socket that is closed for its number
+
+SEND_S = 0.25
+"""Longest that an interface may hold up a frame while its transmit buffer is full, s: a serial adapter whose other end, a process or a
+USB stack on a loaded host, does not read for a moment is not gone yet; more than 10 ms was seen."""
+STOP_SEND_S = 0.01
+"""The same for the frame of a stop, s: half of the 20 ms from a stop to its frame."""
+
+_SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
 
 class CanLink:
@@ -43,6 +58,9 @@ class CanLink:
         self._closed = False
         self._heartbeats: dict[int, tuple[float, Any]] = {}
         self._open_bus: Callable[[], can.BusABC] | None = None
+        self._checked_ns = 0  # when the operator was last asked
+        self.sync = Sync(clock)
+        self.subscribe(SYNC, self.sync.heard)
 
     @classmethod
     def open(
@@ -64,9 +82,11 @@ class CanLink:
 
         def open_bus() -> can.BusABC:
             try:
-                return can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
+                bus = can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
             except _GONE as error:
                 raise LinkLostError(f"CAN {interface} {channel} cannot be opened: {error}") from error
+            bound_sending(bus)
+            return bus
 
         link = cls(open_bus(), clock)
         link._open_bus = open_bus
@@ -82,6 +102,7 @@ class CanLink:
             raise StateError("this CAN link was given its bus and cannot open another")
         self.close()
         self.bus = self._open_bus()
+        self.sync.reset()
         self._closed = False
 
     def close(self) -> None:
@@ -127,14 +148,17 @@ class CanLink:
         self._any = tuple(watcher for watcher in self._any if watcher != handler)
 
     # -- frames ----------------------------------------------------------------------------------------------------
-    def send(self, cob_id: int, data: bytes) -> None:
-        """Send one frame with an 11-bit identifier. Raises LinkLostError when the bus does not take it."""
-        self.send_message(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+    def send(self, cob_id: int, data: bytes, timeout_s: float = SEND_S) -> None:
+        """Send one frame with an 11-bit identifier, as `send_message`."""
+        self.send_message(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), timeout_s)
 
-    def send_message(self, message: can.Message) -> None:
-        """Send a message that the caller keeps for the next cycle; python-can's buses have done with it when they return."""
+    def send_message(self, message: can.Message, timeout_s: float = SEND_S) -> None:
+        """Send a message that the caller keeps for the next cycle; python-can's buses have done with it when they return.
+
+        For any thread. Raises LinkLostError when the bus does not take it within `timeout_s`.
+        """
         try:
-            self.bus.send(message)
+            self.bus.send(message, timeout_s)
         except _GONE as error:
             raise LinkLostError(f"CAN frame {message.arbitration_id:03X}h cannot be sent: {error}") from error
 
@@ -171,27 +195,60 @@ class CanLink:
             task.on_error = lambda _error: False
         return task
 
+    def listen(self) -> None:
+        """Before the first SYNC of this link: hear whether somebody else sends it."""
+        if self.sync.unheard_s:
+            self.wait(lambda: self.sync.taken, self.sync.unheard_s)
+
+    def claim_sync(self, stream: object) -> None:
+        """A stream of this link becomes the owner of SYNC. One that only looks yields to the SYNC sent here; a stream does not.
+
+        Raises StateError when another stream sends SYNC, on this link or on another one, LinkLostError.
+        """
+        self.listen()
+        self.poll()
+        if not self.sync.streaming and self.sync.taken:
+            self.send(SYNC, b"")
+            self.wait(lambda: False, YIELD_S)
+            self.sync.reset()
+            if self.wait(lambda: self.sync.foreign_runs, CLAIM_S):
+                raise StateError("another program streams on this bus: it sends SYNC and did not yield to ours")
+        self.sync.take(stream)
+
     def poll(self) -> None:
-        """Dispatch everything that has arrived, without waiting."""
+        """Dispatch what has arrived, without waiting; where more comes than can be dispatched, for `POLL_S` at most."""
         with self._lock:
-            while self._receive(0.0):
-                pass
+            over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
+            while self._receive(0.0) and not over.expired:
+                if heard.expired:
+                    self.clock.check_interrupt()
+                    heard = self.clock.deadline(IO_SLICE_S)
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds."""
+        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds.
+
+        Every wait for a frame is this one. The operator's stop ends it within `IO_SLICE_S`: see `Clock.check_interrupt`.
+        """
         with self._lock:
             if done():
                 return True
-            left_s, now_ns = timeout_s, self.clock.now_ns
+            now_ns = self.clock.now_ns
             start_ns = now_ns()
+            waited_s = 0.0  # a bus that waited for a slice has spent it, even where the clock is not the bus's own
+            left_s = timeout_s
             while left_s > 0:
-                # a bus that waited all the time that was left has spent it, even where the clock is not the bus's own
-                if not self._receive(left_s):
-                    return done()
+                slice_s = min(left_s, IO_SLICE_S)
+                received = self._receive(slice_s)
+                if not received:
+                    waited_s += slice_s
                 if done():
                     return True
-                left_s = timeout_s - (now_ns() - start_ns) / NS_PER_S
-            return False
+                at_ns = now_ns()
+                if not received or at_ns - self._checked_ns >= _SLICE_NS:
+                    self._checked_ns = at_ns
+                    self.clock.check_interrupt()
+                left_s = timeout_s - max(waited_s, (at_ns - start_ns) / NS_PER_S)
+            return done()
 
     def _receive(self, timeout_s: float) -> bool:
         """Take and dispatch one frame; False when none came in time."""
@@ -211,3 +268,22 @@ class CanLink:
         for handler in self._handlers.get(cob_id, ()):
             handler(now_ns, data)
         return True
+
+
+def bound_sending(bus: can.BusABC) -> None:
+    """A bus behind a TCP connection (socketcand) ignores the time-out of `send`: its socket is given one, so that a server that no
+    longer reads makes sending fail instead of waiting for ever. Other interfaces keep the time-out themselves, or do not wait.
+    """
+    try:
+        number = os.dup(bus.fileno())
+    except (OSError, NotImplementedError, ValueError):
+        return  # nothing that the operating system could time
+    try:
+        own = socket.socket(fileno=number)
+    except OSError:  # a serial port
+        os.close(number)
+        return
+    with own:
+        if own.family in (socket.AF_INET, socket.AF_INET6) and own.type == socket.SOCK_STREAM:
+            limit = struct.pack("@ll", 0, round(SEND_S * 1e6))
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)

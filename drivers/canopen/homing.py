@@ -1,6 +1,12 @@
 """Homing by a CANopen drive's own methods: begun with its settings, and looked after until it is attained or has failed.
 
 What may go in: the objects and status bits of the homing mode. Who waits for it, and how often it is tried, is the drive's business.
+
+In homing mode bit 12 of the statusword says "homing attained", of the last homing too: a drive keeps it until a new one begins (bit 4
+of the controlword rises), and then shows bits 13, 12 and 10 low: in progress (IEC 61800-7-201, homing mode, definition of bits 10, 12
+and 13). A statusword that is some milliseconds old may still show the homing before. So bit 12 counts once all three were seen low
+after bit 4 rose. Methods that do not move (35, 37) may be over before anybody looks: bit 12 without that counts after it was shown for
+`ATTAINED_S` without a break by an axis that does not move. Bit 13, homing error, is believed by the same rule, at rest.
 """
 
 from __future__ import annotations
@@ -13,12 +19,22 @@ from drivers.canopen.motion import RUN, ProfileMotion
 from drivers.canopen.objects import Entry
 from drivers.canopen.power import PowerStage
 from drivers.canopen.settings import HomingSettings
+from drivers.clock import NS_PER_S
 from drivers.errors import DriveFaultError
 from drivers.scaling import AxisScaling
 
+ATTAINED_S = 0.25
+"""So long an end must be shown by an axis at rest if no homing was seen in progress, s: far more than a drive takes to begin a homing
+and to show it (a control cycle, one to ten ms), and than an axis takes to be seen moving."""
+SAME_PLACE = 2
+"""Counts by which an axis at rest may be seen elsewhere: it stands between two counts of its encoder."""
+
 
 class Homing:
-    """Of one open drive. homed: since it was opened, None while that is unknown; under_way: begun, and not heard the end of."""
+    """Of one open drive. homed: since it was opened, or as it says itself, None while that is unknown.
+
+    under_way: begun, and not heard the end of.
+    """
 
     def __init__(self, drive_name: str, power: PowerStage, motion: ProfileMotion) -> None:
         self.homed: bool | None = None
@@ -26,6 +42,8 @@ class Homing:
         self._name = drive_name
         self._power = power
         self._motion = motion
+        self._was_low = False  # seen in progress since bit 4 rose
+        self._shown: tuple[int, int] | None = None  # an end without a break: since when, and where the axis stood
 
     def start(self, homing: HomingSettings, scaling: AxisScaling) -> None:
         """Write the settings, change the mode, begin."""
@@ -40,23 +58,52 @@ class Homing:
                 self._motion.set(entry, value)
         self._motion.set_mode(Mode.HOMING)
         self.homed, self.under_way = False, False
+        self._was_low, self._shown = False, None
         self._power.write(RUN)
         self._power.write(RUN | Control.HOMING_START)
         self.under_way = True
 
-    def look(self, status: int) -> None:
-        """At a statusword; does nothing unless it is under way. Raises DriveFaultError once when it failed."""
+    def believe(self, status: int) -> None:
+        """A statusword of a disabled drive in homing mode: one that shows an earlier homing as attained is homed.
+
+        One that does not may have forgotten it with the change of mode, so that tells nothing.
+        """
+        if decode_homing(status) is HomingStatus.COMPLETED:
+            self.homed = True
+
+    def look(self, time_ns: int, status: int, position_counts: int, *, slow: bool) -> None:
+        """At a sample; does nothing unless it is under way. slow: what the drive shows of its velocity is that of an axis at rest.
+
+        Raises DriveFaultError once when it failed.
+        """
         if not self.under_way:
             return
         homing = decode_homing(status)
+        if homing is HomingStatus.IN_PROGRESS:
+            self._was_low, self._shown = True, None
+            return
+        ended = homing is HomingStatus.COMPLETED or (homing is not None and homing.failed and slow)
+        if not ended:
+            self._shown = None
+            return
+        if not (self._was_low or self._stays(time_ns, position_counts, slow)):
+            return
         if homing is HomingStatus.COMPLETED:
             self.homed, self.under_way = True, False
-        elif homing is not None and homing.failed:
+        elif homing is not None:
             self.under_way = False
             self._power.write(RUN)
             raise DriveFaultError(
                 f"drive {self._name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
             )
+
+    def _stays(self, time_ns: int, position_counts: int, slow: bool) -> bool:
+        """No homing was seen in progress: whether its end has been shown for long enough by an axis that does not move."""
+        since_ns, place = self._shown or (time_ns, position_counts)
+        if not slow or abs(position_counts - place) > SAME_PLACE:
+            since_ns, place = time_ns, position_counts
+        self._shown = since_ns, place
+        return time_ns - since_ns >= ATTAINED_S * NS_PER_S
 
 
 def _counts(value: float | None, convert: Callable[[float], int]) -> int | None:

@@ -6,7 +6,9 @@ the drive's business (`drive`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
+from functools import partial
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
@@ -18,6 +20,7 @@ from drivers.canopen.sdo import SdoClient
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveState
 from drivers.errors import CapabilityError, DriveFaultError, LimitError, ProtocolError, StateError
+from drivers.undo import undo_all
 
 POLL_S = 0.001
 RUN = Command.ENABLE_OPERATION.word
@@ -34,6 +37,62 @@ def mode_of(shown: int) -> Mode:
 
 TARGETS = (objects.TARGET_POSITION, objects.TARGET_VELOCITY, objects.TARGET_TORQUE)
 """Set-points, which are never put back."""
+
+
+LOOK_S = 0.01
+"""Between two looks at an axis that is coming to rest, s."""
+STILL_LOOKS = 20
+"""So many looks in a row must agree that it stands without bit 10; with `LOOK_S` they span 0.19 s, in which a drive that shows bit 10
+has shown it."""
+STILL_MM = 0.005
+"""Positions of an axis at rest lie within this, mm: over 0.19 s it is 0.026 mm/s, below any speed an axis is homed or moved with."""
+STILL_MM_S = 0.5
+"""606Ch of an axis at rest stays below this, mm/s: what an encoder of 0.5 µm shows as noise, differentiated over 1 ms."""
+
+
+class Standstill:
+    """Whether an axis stands, judged from looks in a row, each given as (ns, counts, counts/s or None, bit 10 of the statusword).
+
+    Three ways lead to a yes: bit 10, with 606Ch and the positions of two looks that agree; 606Ch below its threshold over several
+    looks, with positions that agree; positions alone that stay within a window over several looks. A velocity in other units, or a
+    bit 10 that a drive forgets or shows late, is thus not relied on by itself.
+    """
+
+    def __init__(self, counts_per_mm: float) -> None:
+        self._window = max(2.0, STILL_MM * counts_per_mm)  # two counts: an encoder at rest between two of them
+        self._speed = STILL_MM_S * counts_per_mm
+        self._looks: deque[tuple[int, int, int | None]] = deque(maxlen=STILL_LOOKS)
+
+    @staticmethod
+    def is_slow(velocity_mm_s: float) -> bool:
+        """A velocity that an axis at rest may show."""
+        return abs(velocity_mm_s) <= STILL_MM_S
+
+    def look(self, time_ns: int, position: int, velocity: int | None, reached: bool) -> bool:
+        looks = self._looks
+        looks.append((time_ns, position, velocity))
+        last = list(looks)[-2:]
+        if (
+            reached
+            and len(last) == 2
+            and all(v is None or abs(v) <= self._speed for _, _, v in last)
+            and self._agree(last)
+        ):
+            return True
+        if len(looks) < STILL_LOOKS:
+            return False
+        all_slow = all(seen is not None and abs(seen) <= self._speed for _, _, seen in looks)
+        return _spread(looks) <= self._window or (all_slow and self._agree(looks))
+
+    def _agree(self, looks: Iterable[tuple[int, int, int | None]]) -> bool:
+        """The positions do not contradict a speed below the threshold."""
+        times = [time_ns for time_ns, _, _ in looks]
+        return _spread(looks) <= self._window + self._speed * (times[-1] - times[0]) / NS_PER_S
+
+
+def _spread(looks: Iterable[tuple[int, int, int | None]]) -> int:
+    positions = [position for _, position, _ in looks]
+    return max(positions) - min(positions)
 
 
 class ProfileMotion:
@@ -104,20 +163,29 @@ class ProfileMotion:
 
     def put_back(self) -> None:
         """Mode, speeds and ramps as they were found, on a disabled axis. Targets are not put back: they would be motion orders."""
-        while self._found:
-            entry, value = self._found.popitem()
-            if self._written.pop(entry, None) != value:
-                self._sdo.write(entry, value)
-            if entry is objects.MODE:
-                self.mode = mode_of(value)
+        found = reversed(list(self._found.items()))
+        undo_all([(f"{entry} not put back", partial(self._put_back, entry, value)) for entry, value in found])
+
+    def _put_back(self, entry: Entry, value: int) -> None:
+        if self._written.pop(entry, None) != value:
+            self._sdo.write(entry, value)
+        del self._found[entry]
+        if entry is objects.MODE:
+            self.mode = mode_of(value)
 
     # -- profile position ------------------------------------------------------------------------------------------------
     def move(self, target: int, velocity: int, acceleration: int, *, after_the_present: bool = False) -> None:
         """Hand over an absolute set-point, counts and counts/s(²); returns once the drive has acknowledged it.
 
         It replaces the move under way, or follows it where `after_the_present` (the drive holds one such set-point; StateError
-        when it holds one already).
+        when it holds one already, before anything is written).
         """
+        if (
+            after_the_present
+            and self.mode is Mode.PROFILE_POSITION
+            and not self._await_status(_not_acknowledged, POLL_S)
+        ):
+            raise StateError(f"{self._sdo.name}: it holds a following set-point already")
         self.set_mode(Mode.PROFILE_POSITION)
         self.set(objects.PROFILE_VELOCITY, velocity)
         self.set(objects.PROFILE_ACCELERATION, acceleration)
@@ -155,9 +223,7 @@ class ProfileMotion:
         if self._power.controlword != RUN:
             self._power.write(RUN)
             self.halted = False
-        if not self._await_status(_not_acknowledged, timeout_s if wait_until_free else POLL_S):
-            if not wait_until_free:
-                raise StateError(f"{name}: it holds a following set-point already")
+        if wait_until_free and not self._await_status(_not_acknowledged, timeout_s):
             raise ProtocolError(f"{name}: set-point acknowledge (bit 12) stays set, no set-point can be given")
         self._power.write(RUN | Control.NEW_SETPOINT | flags)
         taken = self._await_status(_acknowledged, timeout_s)

@@ -15,7 +15,6 @@ from drivers.clock import NS_PER_S
 from drivers.errors import LinkLostError
 
 NMT = 0x000
-SYNC = 0x080
 EMERGENCY = 0x080
 HEARTBEAT = 0x700
 LOG_LENGTH = 256

@@ -10,7 +10,11 @@ import struct
 from dataclasses import dataclass
 from enum import Enum
 
+from drivers.canopen.sdo_transfer import LARGEST_ANNOUNCED
 from drivers.errors import InputError, ProtocolError
+
+LONGEST_TEXT = 4096
+"""Bytes of a VISIBLE_STRING that are read at most; the standard's texts have some tens."""
 
 
 class DataType(Enum):
@@ -65,6 +69,25 @@ class Entry:
     def mapping(self) -> int:
         """The value that maps this entry into a PDO: index, subindex, length in bits."""
         return self.index << 16 | self.subindex << 8 | self.bits
+
+    @property
+    def most_bytes(self) -> int:
+        """Bytes read at most: of a number eight, the longest type's, as some devices answer with more bytes than the object has."""
+        return 8 if self.type.is_number else LONGEST_TEXT if self.type is DataType.STRING else LARGEST_ANNOUNCED
+
+    def same(self, shown: bytes, meant: bytes) -> bool:
+        """Whether a device that shows `shown` holds `meant`, by the type.
+
+        A number: its own bytes are the same; bytes behind them do not count. A text: devices whose texts have a fixed length fill them
+        with zeros or spaces, so these do not count behind it, nor do zeros behind what was meant; anything else does. Other bytes: the
+        same, as many.
+        """
+        if self.type.is_number:
+            return len(meant) == self.type.size and shown[: len(meant)] == meant
+        if self.type is DataType.STRING:
+            text = meant.rstrip(b"\0")
+            return shown.startswith(text) and not shown[len(text) :].strip(b"\0 ")
+        return shown == meant
 
     def pack(self, value: float | bool | bytes | str) -> bytes:
         """Value -> bytes on the wire. Raises InputError when it does not fit the type."""

@@ -118,7 +118,7 @@ class CanOpenParameters:
         """The present value. Raises AbortError, NoAnswerError, ProtocolError."""
         entry, clock = found.entry, self._drive.clock
         start_ns = clock.now_ns()
-        value = entry.unpack(self._sdo.read_bytes(entry.index, entry.subindex))
+        value = entry.unpack(self._sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
         return Access(value, (clock.now_ns() - start_ns) * 1e-9)
 
     def check(self, found: EdsEntry, value: Value) -> None:
@@ -139,9 +139,9 @@ class CanOpenParameters:
         self.check(found, value)
         entry = found.entry
         data = entry.pack(value)
-        self._sdo.write_bytes(entry.index, entry.subindex, data)
-        kept = self._sdo.read_bytes(entry.index, entry.subindex)
-        if kept[: len(data)] != data or (not entry.type.is_number and kept != data):
+        self._sdo.write_bytes(entry.index, entry.subindex, data, same=entry.same)
+        kept = self._sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)
+        if not entry.same(kept, data):
             raise ProtocolError(
                 f"drive {self._drive.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"
             )

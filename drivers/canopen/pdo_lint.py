@@ -130,7 +130,7 @@ def _warning(code: str, text: str) -> Finding:
 def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[Finding]:
     """What concerns a node's PDOs together."""
     findings = []
-    received = [(spec, entry) for spec in specs if not spec.transmit for entry in spec.entries]
+    received = [(spec, entry) for spec in specs if not (spec.transmit or spec.only_stops) for entry in spec.entries]
     sent = {entry for spec in specs if spec.transmit for entry in spec.entries}
     commanded = {entry for _, entry in received}
     where: dict[Entry, PdoSpec] = {}
@@ -196,6 +196,13 @@ def _pdo(node_id: int, spec: PdoSpec, known: Dictionary | None) -> list[Finding]
             findings.append(_error("cob-id", f"node {node_id}: {spec} takes a COB-ID that belongs to {owner}"))
     if LAST_SYNCHRONOUS < spec.kind < (252 if spec.transmit else 254) or not 0 <= spec.kind <= 255:
         findings.append(_error("kind", f"node {node_id}: {spec} has transmission type {spec.kind}, which is reserved"))
+    if spec.only_stops and (spec.transmit or spec.entries != (objects.CONTROLWORD,) or spec.kind <= LAST_SYNCHRONOUS):
+        findings.append(
+            _error(
+                "stop-pdo",
+                f"node {node_id}: {spec} is to stop at once: it must map {objects.CONTROLWORD} alone, on event",
+            )
+        )
     if known is not None:
         findings += [
             _error("mapping", f"node {node_id}: {spec}: {entry} {problem}")

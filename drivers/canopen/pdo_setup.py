@@ -1,12 +1,14 @@
 """Putting a drive's PDOs in order, and back as they were: survey, lint, write, verify, restore.
 
-What may go in: the sequence over one node. What a PDO is stands in `pdo`, what is wrong with a set of them in `pdo_lint`.
+The order of writes is that of CiA-301 (disable, clear, map, set, enable), and everything is read back. What a PDO is stands in `pdo`,
+what is wrong with a set of them in `pdo_lint`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 
 from drivers.canopen import objects
 from drivers.canopen.objects import DataType, Entry
@@ -16,13 +18,13 @@ from drivers.canopen.pdo import (
     OBJECT_MISSING,
     PdoImage,
     PdoSpec,
-    configure,
-    read_image,
-    write_image,
+    same,
+    wanted_image,
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
-from drivers.errors import AbortError, InputError, TransportError
+from drivers.errors import AbortError, InputError, ProtocolError
+from drivers.undo import undo_all
 
 SURVEYED = 4  # of each direction: the predefined connection set
 NAMED: dict[tuple[int, int], Entry] = {
@@ -121,16 +123,78 @@ class PdoSetup:
                 self._sdo.write(Entry(image.communication, 1, DataType.U32, "COB-ID"), image.cob_id | EXISTS_NOT)
             for spec in self.wanted:
                 before = next((image for image in self._before if image.communication == spec.communication), None)
-                self._changed.append(read_image(self._sdo, spec) if before is None else before)
-                configure(self._sdo, spec)
-        except BaseException:
-            with suppress(TransportError, AbortError):  # the error under way matters more
-                self.restore()
+                before = read_image(self._sdo, spec) if before is None else before
+                if not same(before, wanted_image(spec)):
+                    self._changed.append(before)
+                    configure(self._sdo, spec)
+        except BaseException as error:
+            undo_all([("", self.restore)], during=error)
             raise
         return findings
 
     def restore(self) -> None:
-        """Put back every PDO that was changed, the last first."""
-        while self._changed:
-            write_image(self._sdo, self._changed[-1])
-            self._changed.pop()
+        """Put back every PDO that was changed, the last first; one that fails does not keep the others."""
+        changed, self._changed = self._changed[::-1], []
+
+        def put_back(image: PdoImage) -> None:
+            try:
+                write_image(self._sdo, image)
+            except BaseException:
+                self._changed.insert(0, image)  # it may be tried again
+                raise
+
+        undo_all([(f"PDO {image.communication:04X}h not put back", partial(put_back, image)) for image in changed])
+
+
+# -- one PDO of a drive ------------------------------------------------------------------------------------------------
+def _communication(index: int, subindex: int) -> Entry:
+    return Entry(index, subindex, DataType.U8 if subindex == 2 else DataType.U32, "PDO communication parameter")
+
+
+def _mapping(index: int, subindex: int) -> Entry:
+    return Entry(index, subindex, DataType.U32 if subindex else DataType.U8, "PDO mapping parameter")
+
+
+def read_image(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
+    """What the drive has now where the spec would go."""
+    count = sdo.read(_mapping(spec.mapping, 0))
+    if count > 64:
+        raise ProtocolError(f"{sdo.name}: {spec.mapping:04X}h:00 says {count} mapped objects")
+    return PdoImage(
+        spec.communication,
+        spec.mapping,
+        sdo.read(_communication(spec.communication, 1)),
+        sdo.read(_communication(spec.communication, 2)),
+        tuple(sdo.read(_mapping(spec.mapping, subindex)) for subindex in range(1, count + 1)),
+    )
+
+
+def write_image(sdo: SdoClient, image: PdoImage) -> None:
+    """Disable, clear, map, set, enable (CiA-301, 7.5.2.36). Raises AbortError where the drive refuses a step."""
+    sdo.write(_communication(image.communication, 1), image.cob_id | EXISTS_NOT)
+    sdo.write(_mapping(image.mapping, 0), 0)
+    for subindex, mapped in enumerate(image.mapped, start=1):
+        sdo.write(_mapping(image.mapping, subindex), mapped)
+    sdo.write(_mapping(image.mapping, 0), len(image.mapped))
+    sdo.write(_communication(image.communication, 2), image.kind)
+    if not image.cob_id & EXISTS_NOT:
+        sdo.write(_communication(image.communication, 1), image.cob_id)
+
+
+def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
+    """Bring a PDO into force and verify it by reading back; returns what stood there before.
+
+    Raises AbortError naming the PDO when a step is refused, ProtocolError when the drive kept something else.
+    """
+    before = read_image(sdo, spec)
+    wanted = wanted_image(spec)
+    if same(before, wanted):
+        return before
+    try:
+        write_image(sdo, wanted)
+    except AbortError as error:
+        raise AbortError(f"{spec} cannot be configured: {error}", error.code) from error
+    after = read_image(sdo, spec)
+    if not same(after, wanted):
+        raise ProtocolError(f"{sdo.name}: {spec} reads back {after}, written was {wanted}")
+    return before

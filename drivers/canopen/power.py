@@ -14,9 +14,12 @@ from drivers.canopen.objects import CONTROLWORD, ERROR_CODE, STATUSWORD
 from drivers.canopen.sdo import SdoClient
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveState
-from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError
+from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError, StateError
 
 POLL_S = 0.002
+AGAIN_S = 0.5
+"""How long a drive may take to disable that stayed enabled after a quick stop or an earlier try, s: fifty slow control cycles."""
+ENABLING = Command.ENABLE_OPERATION.word
 
 
 @dataclass(frozen=True)
@@ -30,13 +33,20 @@ class PowerTimes:
 
 
 class PowerStage:
-    """Controlword and statusword of one drive, over SDO: every step is confirmed."""
+    """Controlword and statusword of one drive, over SDO: every step is confirmed.
+
+    stopped: a stop was sent since the axis was enabled last. From then on no command leaves here that enables, as in the state
+    quick stop active "enable operation" is what lets the axis go on (transition 16). Any thread may set it.
+    disobeyed: since it was enabled last, it answered and stayed enabled after a quick stop, or longer than it may take to disable.
+    """
 
     def __init__(self, sdo: SdoClient, clock: Clock, times: PowerTimes) -> None:
         self._sdo = sdo
         self._clock = clock
         self.times = times
         self.controlword = 0  # as last written by us
+        self.stopped = False
+        self.disobeyed = False
 
     @property
     def _name(self) -> str:
@@ -50,7 +60,9 @@ class PowerStage:
         return decode_state(self.statusword())
 
     def write(self, controlword: int) -> None:
-        """Write 6040h and remember it."""
+        """Write 6040h and remember it. Raises StateError for a command that enables, once a stop was sent."""
+        if self.stopped and controlword & ENABLING == ENABLING:
+            raise StateError(f"{self._name} was told to stop; it takes orders again once it is enabled anew")
         self._sdo.write(CONTROLWORD, controlword)
         self.controlword = controlword
 
@@ -65,7 +77,8 @@ class PowerStage:
     def enable(self, before_power: Callable[[], None]) -> None:
         """Walk to ENABLED; `before_power()` is called right before the command that closes the loop.
 
-        Raises DriveFaultError in a fault, MotionTimeoutError naming the state it is stuck in and why that may be.
+        Raises DriveFaultError in a fault, MotionTimeoutError naming the state it is stuck in and why that may be, StateError when it
+        is told to stop meanwhile.
         """
 
         def step(state: DriveState) -> Command | None:
@@ -83,12 +96,18 @@ class PowerStage:
         self._await(lambda state: state is DriveState.ENABLED, self.times.enable_s, "enabled out of quick stop")
 
     def disable(self) -> None:
-        """Walk down to SWITCH_ON_DISABLED; a fault counts as disabled."""
+        """Walk down to SWITCH_ON_DISABLED; a fault counts as disabled. A drive that `disobeyed` is waited for `AGAIN_S`."""
         resting = (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT, DriveState.NOT_READY)
         if self.state() in resting:
             self.write(Command.DISABLE_VOLTAGE.word)
-            return
-        self._walk(DriveState.SWITCH_ON_DISABLED, DISABLE_STEPS.get, self.times.disable_s, "disabled", also=resting)
+        else:
+            allowed_s = min(AGAIN_S, self.times.disable_s) if self.disobeyed else self.times.disable_s
+            try:
+                self._walk(DriveState.SWITCH_ON_DISABLED, DISABLE_STEPS.get, allowed_s, "disabled", also=resting)
+            except MotionTimeoutError:
+                self.disobeyed = True
+                raise
+        self.disobeyed = False
 
     def reset_fault(self) -> None:
         """The rising edge of bit 7, then a controlword that enables nothing. Raises DriveFaultError when the fault stays."""
@@ -131,7 +150,7 @@ class PowerStage:
                 )
             if deadline.expired:
                 raise MotionTimeoutError(
-                    f"{self._name}: not {what} within {timeout_s:g} s, it stays in {state.value}{self._why(state, status)}"
+                    f"{self._name}: not {what} within {timeout_s:g} s, it stays in {state.value}{self.why(state, status)}"
                 )
             if state is not commanded:
                 command = step(state)
@@ -149,7 +168,7 @@ class PowerStage:
             self._clock.sleep_s(POLL_S)
         return state
 
-    def _why(self, state: DriveState, status: int) -> str:
+    def why(self, state: DriveState, status: int) -> str:
         """What usually keeps a drive in a state, from what it shows."""
         reasons = []
         if not status & Status.REMOTE:

@@ -16,9 +16,8 @@ from drivers.canopen.node import NmtCommand, NodeMonitor
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import ON_COMMAND, SAVE, why_not_written
 from drivers.canopen.pdo import OBJECT_MISSING
-from drivers.canopen.sdo import Running, SdoClient
+from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
-from drivers.canopen.sdo_transfer import Conversation, download, upload
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
 from drivers.drive import DriveState
@@ -35,6 +34,7 @@ from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 from drivers.raw_parameters import (
     Access,
     DriveIdentity,
+    Pause,
     RawForm,
     RawParameter,
     RawParameters,
@@ -145,11 +145,7 @@ class CanOpenRawParameters(RawParameters):
         return None
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
-        """Some devices answer a number with more bytes than it has, or a text with zeros behind it."""
-        data_type = self._entry(entry).type
-        if data_type.is_number:
-            return len(meant) == data_type.size and shown[: data_type.size] == meant
-        return shown.rstrip(b"\0") == meant.rstrip(b"\0") if data_type is DataType.STRING else shown == meant
+        return self._entry(entry).same(shown, meant)
 
     def rank(self, address: str) -> int:
         """Units, then limits, then the rest."""
@@ -170,33 +166,14 @@ class CanOpenRawParameters(RawParameters):
 
     # -- transfers -------------------------------------------------------------------------------------------------------
     def _upload(self, entry: Entry) -> Steps[bytes]:
-        """As `SdoClient.read_bytes`: a read that was not answered is repeated once."""
-        lost: NoAnswerError | None = None
-        for _ in range(2):
-            talk = Conversation(entry.index, entry.subindex)
-            running: Running[bytes] = Running(self._sdo, talk, upload(talk))
-            yield running
-            if isinstance(running.error, NoAnswerError):
-                lost = running.error
-                continue
-            if running.error is not None:
-                raise running.error
-            if running.result is None:
-                raise ProtocolError(f"drive {self.name}: {entry} was answered without data")
-            return running.result
-        raise lost or NoAnswerError(f"drive {self.name}: {entry} was not read")
+        return self._sdo.reading(entry.index, entry.subindex, entry.most_bytes)
 
     def _download(
         self, entry: Entry, data: bytes, *, timeout_s: float | None = None, reads_back: bool = True
     ) -> Steps[None]:
-        """As `SdoClient.write_bytes`: one that was not answered is resolved, never repeated."""
-        talk = Conversation(entry.index, entry.subindex)
-        running: Running[None] = Running(self._sdo, talk, download(talk, data), timeout_s)
-        yield running
-        if isinstance(running.error, NoAnswerError):
-            self._sdo.resolve(talk, data, running.error, reads_back)
-        elif running.error is not None:
-            raise running.error
+        return self._sdo.writing(
+            entry.index, entry.subindex, data, timeout_s=timeout_s, reads_back=reads_back, same=entry.same
+        )
 
     def _optional(self, entry: Entry) -> Steps[int | str | None]:
         """A value, None where the node does not have the object."""
@@ -300,14 +277,14 @@ class CanOpenRawParameters(RawParameters):
         yield from self._download(objects.RESTORE_ALL, b"load", timeout_s=STORE_S, reads_back=False)
 
     def restart(self) -> Steps[None]:
-        """NMT reset node; returns when its boot-up was heard. Other nodes' work waits meanwhile."""
+        """NMT reset node; returns when its boot-up was heard."""
         before = self._monitor.boot_ups
         self._monitor.command(NmtCommand.RESET_NODE)
-        if not self.line.link.wait(lambda: self._monitor.boot_ups > before, START_S):
+        yield Pause(START_S, lambda: self._monitor.boot_ups > before)
+        if self._monitor.boot_ups == before:
             raise NoAnswerError(
                 f"drive {self.name}: no boot-up of node {self.node_id} within {START_S:g} s of its reset"
             )
-        yield from ()
 
     @property
     def restarts(self) -> int:

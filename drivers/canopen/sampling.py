@@ -1,19 +1,21 @@
 """Fresh values of one drive: SYNC out, the synchronous TPDOs that answer it in.
 
-What may go in: which values are sampled, and asking for them. While a stream owns SYNC the same values are read by SDO.
+What may go in: which values are sampled, and asking for them. While somebody else owns SYNC (a stream on this link, another program)
+the same values are read by SDO, and the TPDOs are taken out of SYNC.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink, FrameHandler
-from drivers.canopen.node import SYNC, NodeMonitor
-from drivers.canopen.objects import Entry
-from drivers.canopen.pdo import OBJECT_MISSING, SYNC_EVERY, PdoSpec
+from drivers.canopen.node import NodeMonitor
+from drivers.canopen.objects import DataType, Entry
+from drivers.canopen.pdo import EXISTS_NOT, OBJECT_MISSING, SYNC_EVERY, PdoSpec, wanted_image
 from drivers.canopen.sdo import SdoClient
-from drivers.errors import AbortError, NoAnswerError, ProtocolError
+from drivers.canopen.sync import SYNC
+from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError, TransportError
 
 
 def exists(sdo: SdoClient, entry: Entry) -> bool:
@@ -48,13 +50,16 @@ class Sampler:
         self._link = link
         self._sdo = sdo
         self._monitor = monitor
-        self.specs = specs
+        self.specs: Sequence[PdoSpec] = specs
         self._timeout_s = timeout_s
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
         self.missed = 0  # SYNCs that were not answered in time
-        self.by_sdo = False  # a stream owns SYNC
+        self.by_sdo = False  # a stream has replaced the TPDOs
+        self.node_id = sdo.node_id
+        self._in_sync = True  # the TPDOs answer SYNC
         self._awaited: set[int] = set()
+        self._spoilt: ProtocolError | None = None  # a TPDO that came with too few bytes since it was asked for
         self._receivers: dict[int, FrameHandler] = {}
 
     @property
@@ -68,7 +73,8 @@ class Sampler:
         return self.values[objects.POSITION_ACTUAL]
 
     def subscribe(self) -> None:
-        """Listen to the TPDOs."""
+        """Listen to the TPDOs, which answer SYNC from now on or are told not to (`settle`)."""
+        self._link.sync.followers.append(self)
         for spec in self.specs:
             receiver = self._receivers[spec.cob_id] = self._receiver(spec)
             self._link.subscribe(spec.cob_id, receiver)
@@ -78,39 +84,115 @@ class Sampler:
         for cob_id, receiver in self._receivers.items():
             self._link.unsubscribe(cob_id, receiver)
         self._receivers = {}
+        if self in self._link.sync.followers:
+            self._link.sync.followers.remove(self)
+
+    def mapped(self) -> None:
+        """The TPDOs were mapped anew: they answer SYNC."""
+        self._in_sync = True
+
+    def settle(self) -> bool:
+        """Have the TPDOs answer SYNC, or not, as its owner needs; whether SYNC is ours to send. Raises as an SDO write does."""
+        ours = not (self.by_sdo or self._link.sync.taken)
+        if not self.by_sdo and ours is not self._in_sync:
+            for spec in self.specs:
+                self._sdo.write(_cob_id(spec), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
+            self._in_sync = ours
+        return ours
+
+    def leave_sync(self) -> bool:
+        """For a stream that begins on this link: whether the TPDOs keep off its SYNC."""
+        try:
+            self.settle()
+        except BridgeError:
+            return False  # they stay, and count in the load
+        return self.by_sdo or not self._in_sync
 
     def refresh(self) -> None:
         """Ask for all values now. Raises NoAnswerError when two SYNCs go unanswered, LinkLostError when the node is lost."""
         self._link.poll()
         self._monitor.check()
-        if self.by_sdo:
-            for spec in self.specs:
-                for entry in spec.entries:
-                    self.values[entry] = self._sdo.read(entry)
-            self.heard_ns = self._link.clock.now_ns()
-            return
         for _ in range(2):
-            self._awaited = {spec.cob_id for spec in self.specs}
-            self._link.send(SYNC, b"")
-            if self._link.wait(self._complete, self._timeout_s):
+            if not self._settled():
+                self._read()
                 return
-            self.missed += 1
+            if self._answered(send=True):
+                return
             self._monitor.check()
         raise NoAnswerError(
             f"{self._sdo.name}: node {self._sdo.node_id} does not answer SYNC within {self._timeout_s:g} s"
         )
 
+    def heard_by_sync(self) -> bool:
+        """One look by SYNC, sent here or by its owner, whatever the heartbeat says; False where the TPDOs do not come.
+
+        Raises LinkLostError.
+        """
+        self._link.poll()
+        try:
+            ours = self._settled()
+        except (TransportError, ProtocolError):  # SDO is dead: the TPDOs stay as they are
+            ours = not self._link.sync.foreign_runs
+        if self.by_sdo or not self._in_sync:
+            return False
+        try:
+            return self._answered(send=ours)
+        except ProtocolError:
+            return False
+
+    def refresh_somehow(self) -> None:
+        """For the way out, where the node's heartbeat may be missing and one of the two channels dead: by SYNC, else by SDO.
+
+        Raises NoAnswerError, LinkLostError when neither is answered, AbortError, ProtocolError.
+        """
+        if not self.heard_by_sync():
+            self._read()
+
+    def _answered(self, *, send: bool) -> bool:
+        """One SYNC, sent here or by its owner, and all TPDOs that answer it."""
+        self._awaited, self._spoilt = {spec.cob_id for spec in self.specs}, None
+        if send:
+            self._link.send(SYNC, b"")
+        answered = self._link.wait(self._complete, self._timeout_s)
+        if self._spoilt is not None:
+            raise self._spoilt
+        if answered:
+            return True
+        self.missed += 1
+        return False
+
+    def _settled(self) -> bool:
+        """As `settle`; a drive that does not let its TPDOs be switched off keeps answering whoever sends SYNC."""
+        try:
+            return self.settle()
+        except AbortError:
+            return not (self.by_sdo or self._link.sync.taken)
+
+    def _read(self) -> None:
+        for spec in self.specs:
+            for entry in spec.entries:
+                self.values[entry] = self._sdo.read(entry)
+        self.heard_ns = self._link.clock.now_ns()
+
     def _complete(self) -> bool:
-        return not self._awaited
+        return not self._awaited or self._spoilt is not None
 
     def _receiver(self, spec: PdoSpec) -> Callable[[int, bytes], None]:
         entries, codec, cob_id = spec.entries, spec.codec, spec.cob_id
 
         def receive(time_ns: int, data: bytes) -> None:
             if len(data) < codec.size:
-                raise ProtocolError(f"{self._sdo.name}: {spec} came with {len(data)} bytes, {codec.size} are mapped")
+                text = f"{self._sdo.name}: {spec} came with {len(data)} bytes, {codec.size} are mapped"
+                self._spoilt = ProtocolError(
+                    text
+                )  # raised for who asked for it, not for whoever waits for something else
+                return
             self.values.update(zip(entries, codec.unpack_from(data), strict=True))
             self._awaited.discard(cob_id)
             self.heard_ns = time_ns
 
         return receive
+
+
+def _cob_id(spec: PdoSpec) -> Entry:
+    return Entry(spec.communication, 1, DataType.U32, "COB-ID")

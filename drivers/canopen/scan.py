@@ -8,21 +8,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import decode_state
 from drivers.canopen.node import HEARTBEAT, NmtState
-from drivers.canopen.objects import Entry
 from drivers.canopen.sdo import SdoClient, read_together
+from drivers.canopen.side_by_side import CanLine
 from drivers.drive import DriveState
-from drivers.errors import AbortError, NoAnswerError, ProtocolError
+from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError
+from drivers.raw_parameters import Steps
 
 ALL_NODES = range(1, 128)
 AT_ONCE = 8
 """Requests sent in a row: a CAN interface's queue holds ten frames by default."""
 
 _DRIVE_PROFILE = 402
+_QUIET_S = 0.0
+"""A scan only reads: an answer that comes late is that of a read of the same object, or names another one and does not count."""
+_NAME_BYTES = 256  # of a device's name, at most
+_IDENTITY = {
+    "vendor_id": objects.VENDOR_ID,
+    "product_code": objects.PRODUCT_CODE,
+    "revision": objects.REVISION,
+    "serial": objects.SERIAL_NUMBER,
+    "device_name": objects.DEVICE_NAME,
+}
+_DRIVE = {
+    "statusword": objects.STATUSWORD,
+    "position_counts": objects.POSITION_ACTUAL,
+    "fault_code": objects.ERROR_CODE,
+}
 _FUNCTIONS = {
     0x080: "EMCY",
     0x180: "TPDO1",
@@ -132,55 +149,46 @@ def scan(
 
 def _ask(link: CanLink, node_ids: Sequence[int], timeout_s: float) -> dict[int, FoundNode]:
     """Those of a few nodes that answer."""
-    clients = [SdoClient(link, node_id, f"node {node_id}", timeout_s=timeout_s) for node_id in node_ids]
+    clients = [
+        SdoClient(link, node_id, f"node {node_id}", timeout_s=timeout_s, quiet_s=_QUIET_S) for node_id in node_ids
+    ]
     try:
         answers = read_together([(client, objects.DEVICE_TYPE) for client in clients], timeout_s)
-        return {
-            client.node_id: _details(client, answer if isinstance(answer, int) else None)
+        there = [
+            (client, answer if isinstance(answer, int) else None)
             for client, answer in zip(clients, answers, strict=True)
             if not isinstance(answer, NoAnswerError)
-        }
+        ]
+        found = CanLine(link).run([_details(client, device_type) for client, device_type in there])
     finally:
         for client in clients:
             client.close()
+    nodes: dict[int, FoundNode] = {}
+    for node in found:
+        if isinstance(node, BridgeError):
+            raise node
+        nodes[node.node_id] = node
+    return nodes
 
 
-def _details(client: SdoClient, device_type: int | None) -> FoundNode:
-    node = FoundNode(
-        client.node_id,
-        answers_sdo=True,
-        device_type=device_type,
-        vendor_id=_number(client, objects.VENDOR_ID),
-        product_code=_number(client, objects.PRODUCT_CODE),
-        revision=_number(client, objects.REVISION),
-        serial=_number(client, objects.SERIAL_NUMBER),
-        device_name=_text(client, objects.DEVICE_NAME),
-    )
-    if node.profile != _DRIVE_PROFILE:
-        return node
-    statusword = _number(client, objects.STATUSWORD)
-    return replace(
-        node,
-        statusword=statusword,
-        state=None if statusword is None else decode_state(statusword),
-        position_counts=_number(client, objects.POSITION_ACTUAL),
-        fault_code=_number(client, objects.ERROR_CODE) or None,
-    )
-
-
-def _number(client: SdoClient, entry: Entry) -> int | None:
-    """An object's value; None where the node refuses it, does not answer, or answers something else."""
-    try:
-        return client.read(entry)
-    except (AbortError, NoAnswerError, ProtocolError):
-        return None
-
-
-def _text(client: SdoClient, entry: Entry) -> str | None:
-    try:
-        return client.read_text(entry)
-    except (AbortError, NoAnswerError, ProtocolError):
-        return None
+def _details(client: SdoClient, device_type: int | None) -> Steps[FoundNode]:
+    """The rest; a node that falls silent is asked no further. Raises LinkLostError."""
+    wanted = dict(_IDENTITY)
+    if device_type is not None and device_type & 0xFFFF == _DRIVE_PROFILE:
+        wanted |= _DRIVE
+    told: dict[str, Any] = {}
+    for name, entry in wanted.items():
+        try:
+            most = min(entry.most_bytes, _NAME_BYTES)
+            told[name] = entry.unpack((yield from client.reading(entry.index, entry.subindex, most)))
+        except (AbortError, ProtocolError):
+            continue
+        except NoAnswerError:
+            break
+    statusword = told.get("statusword")
+    state = None if statusword is None else decode_state(statusword)
+    told["fault_code"] = told.get("fault_code") or None
+    return FoundNode(client.node_id, answers_sdo=True, device_type=device_type, state=state, **told)
 
 
 def _nmt_state(data: bytes) -> NmtState | None:

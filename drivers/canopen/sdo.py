@@ -3,33 +3,57 @@
 What may go in: one `SdoClient` per node over a `CanLink`, and `read_together`, which asks several nodes at once; `side_by_side` keeps
 the channels of several nodes busy with work of their own.
 An answer counts only when it names the index that was asked for; after a time-out the channel is left quiet before it is used
-again; and a write whose answer was lost is resolved by reading back, never by sending it a second time.
+again; and a write whose answer was lost is resolved by reading back all of it, never by sending it a second time.
+Every transfer has two deadlines that other traffic on the channel does not extend: `timeout_s` from the last answer that moved it on,
+and `longest_s` of what it has carried from its beginning. On the way out all of them share a third one: `WayOut`.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
-from drivers.canopen.bus import CanLink
+from drivers.canopen.bus import STOP_SEND_S, CanLink
 from drivers.canopen.objects import Entry
 from drivers.canopen.sdo_transfer import (
+    ABORT_GENERAL,
     ABORT_TIMEOUT,
+    LARGEST_ANNOUNCED,
     Conversation,
     Transfer,
     abort_frame,
     block_download,
     block_upload,
     download,
+    longest_s,
     upload,
 )
-from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError, StateError
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import (
+    AbortError,
+    BridgeError,
+    LinkLostError,
+    NoAnswerError,
+    ProtocolError,
+    RemoteError,
+    StateError,
+)
+from drivers.raw_parameters import Pause, Steps
 
 T = TypeVar("T")
+Same = Callable[[bytes, bytes], bool]
+"""same(shown, meant): whether bytes that were read back are the value that was written."""
 SDO_REQUEST = 0x600
 SDO_RESPONSE = 0x580
+QUIET_TIMES = 10  # for how many of its quiet times a channel is waited for to fall silent
+WAY_OUT_S = 5.0
+"""How long a drive that leaves requests unanswered is waited for in all while its axis is brought to rest, disabled and put back, s.
+Ten answers of 0.5 s; with the request that showed the silence, 1.7 s, and an axis that brakes, the way out ends within 10 s."""
+AT_LEAST_S = 1.0
+"""What is left of it, s, where the first unanswered request comes late, after a long ramp: two answers, or sixty quick ones."""
 
 
 @dataclass
@@ -44,6 +68,19 @@ class SdoCounters:
     writes_read_back: int = 0  # by comparing the object after a time-out
 
 
+class Awaited(Protocol):
+    """What is waited for on a link: it is finished by a frame, or expires at `until_ns`."""
+
+    @property
+    def finished(self) -> bool: ...
+
+    @property
+    def until_ns(self) -> int: ...
+
+    def expire(self) -> None:
+        """Its time is over: be finished."""
+
+
 class Running(Generic[T]):
     """One transfer on its way over one channel. timeout_s: how long it may be silent; None: as long as the client says."""
 
@@ -54,16 +91,32 @@ class Running(Generic[T]):
         self.talk = talk
         self.timeout_s = timeout_s or client.timeout_s
         self._transfer = transfer
+        self._began_ns = self._moved_ns = self._steps = 0
         self.finished = False
         self.result: T | None = None
         self.error: BridgeError | None = None
 
     def start(self) -> None:
+        self._began_ns = self._moved_ns = self.client.link.clock.now_ns()
         self._step(None)
 
-    def on_frame(self, data: bytes) -> None:
-        if not self.finished:
-            self._step(data)
+    def on_frame(self, time_ns: int, data: bytes) -> None:
+        if self.finished:
+            return
+        self._step(data)
+        if self.talk.steps != self._steps:
+            self._steps, self._moved_ns = self.talk.steps, time_ns
+
+    @property
+    def until_ns(self) -> int:
+        """When it is over for want of an answer that moves it on, or because it takes too long for what it has carried."""
+        longest_ns = round(longest_s(self.timeout_s, self.talk.carried) * NS_PER_S)
+        own_ns = min(self._moved_ns + round(self.timeout_s * NS_PER_S), self._began_ns + longest_ns)
+        limit_ns = self.client.way_out.limit_ns
+        return own_ns if limit_ns is None else min(own_ns, limit_ns)
+
+    def expire(self) -> None:
+        self.client.end()
 
     def _step(self, data: bytes | None) -> None:
         try:
@@ -83,20 +136,88 @@ class Running(Generic[T]):
         for frame in self.talk.farewell:
             self.client.transmit(frame)
 
+    def fail(self, error: BridgeError) -> None:
+        """It ends with this error."""
+        self.error, self.finished = error, True
+
     def abandon(self) -> None:
         """Time is up: tell the server, and let the transfer go."""
         self._transfer.close()
-        self.finished = True
-        self.error = NoAnswerError(f"{self.client.name}: SDO {self.talk.place()} was not answered in time")
+        how = "was not answered in time"
+        if self.talk.steps:
+            lasted_s = (self.client.link.clock.now_ns() - self._began_ns) / NS_PER_S
+            how += f": {self.talk.carried} bytes in {lasted_s:.3f} s"
+        self.fail(NoAnswerError(f"{self.client.name}: SDO {self.talk.place()} {how}"))
         with contextlib.suppress(LinkLostError):  # whoever waited has been told about a dead bus already
             self.client.transmit(abort_frame(self.talk.index, self.talk.subindex, ABORT_TIMEOUT))
+
+    def outcome(self) -> T | None:
+        """What it brought. Raises its error."""
+        if self.error is not None:
+            raise self.error
+        return self.result
+
+
+class WayOut:
+    """How long one drive is waited for on its way out, in all: `WAY_OUT_S` from its first stop on, however many steps are tried.
+
+    The limit is in force from the first request that is not answered, and only inside `with`: a drive that answers has all the
+    time it needs. Over, a request fails at once, without a frame. It ends when the drive answers a request outside, or the last one
+    inside and no error was raised.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._depth = 0
+        self._began_ns: int | None = None
+        self._until_ns: int | None = None
+        self._answered = True  # the last request was
+
+    def begin(self) -> None:
+        """Time runs from now on, unless it runs already. For any thread and a signal handler."""
+        if self._began_ns is None:
+            self._began_ns = self._clock.now_ns()
+
+    def end(self) -> None:
+        """The drive is expected to answer."""
+        self._began_ns = self._until_ns = None
+
+    def __enter__(self) -> Self:
+        self.begin()
+        self._depth += 1
+        return self
+
+    def __exit__(self, exc_type: type[BaseException] | None, *_: object) -> None:
+        self._depth -= 1
+        if not self._depth and self._answered and exc_type is None:
+            self.end()
+
+    def account(self, answered: bool) -> None:
+        """A request was answered, or was not in its time."""
+        self._answered = answered
+        if answered:
+            if not self._depth:
+                self.end()
+        elif self._depth and self._until_ns is None and self._began_ns is not None:
+            whole_ns, least_ns = round(WAY_OUT_S * NS_PER_S), round(AT_LEAST_S * NS_PER_S)
+            self._until_ns = max(self._began_ns + whole_ns, self._clock.now_ns() + least_ns)
+
+    @property
+    def limit_ns(self) -> int | None:
+        """When nothing is waited for any longer; None: there is no limit."""
+        return self._until_ns if self._depth else None
+
+    @property
+    def over(self) -> bool:
+        limit_ns = self.limit_ns
+        return limit_ns is not None and self._clock.now_ns() >= limit_ns
 
 
 class SdoClient:
     """The default SDO channel of one node.
 
-    timeout_s: how long one answer may take. quiet_s: how long the channel must have been silent after a time-out before it is
-    used again; an answer that comes in that time is late, not lost.
+    timeout_s: how long one answer may take; a transfer of n bytes ends within `longest_s(timeout_s, n)`. quiet_s: how long the channel
+    must have been silent after a time-out before it is used again; an answer that comes in that time is late, not lost.
     """
 
     def __init__(self, link: CanLink, node_id: int, name: str, *, timeout_s: float = 0.5, quiet_s: float = 0.2) -> None:
@@ -106,10 +227,11 @@ class SdoClient:
         self.timeout_s = timeout_s
         self.quiet_s = quiet_s
         self.counters = SdoCounters()
-        self._running: Running[bytes] | Running[None] | None = None
-        self._frames = 0
+        self.way_out = WayOut(link.clock)
+        self._running: Running[Any] | None = None
+        self._abandoned: Conversation | None = None  # until the channel was quiet behind it
+        self._late_ns: list[int] = []  # when frames came that may belong to it
         self._late: Callable[[bytes], None] | None = None
-        self._must_be_quiet = False
         link.subscribe(SDO_RESPONSE + node_id, self._on_frame)
 
     def close(self) -> None:
@@ -125,10 +247,25 @@ class SdoClient:
     def transmit(self, frame: bytes) -> None:
         self.link.send(SDO_REQUEST + self.node_id, frame)
 
+    def send_at_once(self, entry: Entry, value: int) -> None:
+        """Write a number of up to four bytes and wait for nothing. For a stop: from any thread, and from a signal handler.
+
+        A transfer under way on this channel is aborted first, as a server in the middle of one may take the frame for a part of it;
+        whoever waits for that transfer gets a StateError. Raises LinkLostError.
+        """
+        running = self._running
+        if running is not None and not running.finished:
+            running.error = StateError(f"{self.name}: SDO {running.talk.place()} was broken off by a stop")
+            running.finished = True
+            abort = abort_frame(running.talk.index, running.talk.subindex, ABORT_GENERAL)
+            self.link.send(SDO_REQUEST + self.node_id, abort, STOP_SEND_S)
+        (frame,) = next(download(Conversation(entry.index, entry.subindex), entry.pack(value)))
+        self.link.send(SDO_REQUEST + self.node_id, frame, STOP_SEND_S)
+
     # -- values ----------------------------------------------------------------------------------------------------
     def read(self, entry: Entry) -> int:
         """Read an integer object. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
-        value = entry.unpack(self.read_bytes(entry.index, entry.subindex))
+        value = entry.unpack(self.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
         if not isinstance(value, int):
             raise ProtocolError(f"{self.name}: {entry} is no integer: {value!r}")
         return value
@@ -144,19 +281,22 @@ class SdoClient:
 
     def read_text(self, entry: Entry) -> str:
         """Read a string object."""
-        return str(entry.unpack(self.read_bytes(entry.index, entry.subindex)))
+        return str(entry.unpack(self.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)))
 
     def write(self, entry: Entry, value: float) -> None:
         """Write a numeric object; returns once the device has taken it. Raises as `write_bytes`."""
-        self.write_bytes(entry.index, entry.subindex, entry.pack(value))
+        self.write_bytes(entry.index, entry.subindex, entry.pack(value), same=entry.same)
 
     # -- bytes -----------------------------------------------------------------------------------------------------
-    def read_bytes(self, index: int, subindex: int, *, block: bool = False) -> bytes:
-        """Read an object. A read is repeated once after a time-out: asking twice changes nothing."""
+    def read_bytes(self, index: int, subindex: int, *, block: bool = False, most: int = LARGEST_ANNOUNCED) -> bytes:
+        """Read an object of `most` bytes. A read is repeated once after a time-out: asking twice changes nothing.
+
+        Raises AbortError, NoAnswerError, ProtocolError, LinkLostError.
+        """
         try:
-            return self._upload(index, subindex, block)
+            return self._upload(index, subindex, block, most)
         except NoAnswerError:
-            return self._upload(index, subindex, block)
+            return self._upload(index, subindex, block, most)
 
     def write_bytes(
         self,
@@ -167,73 +307,168 @@ class SdoClient:
         block: bool = False,
         timeout_s: float | None = None,
         reads_back: bool = True,
+        same: Same = operator.eq,
     ) -> None:
         """Write an object, and be sure about it. reads_back: the object shows what was written; a command such as 1010h does not.
 
+        same: how what is read back is compared after a lost answer; bytes of no stated type have to be the same ones, as many.
         Raises AbortError when the device refuses, NoAnswerError when it did not answer and reading back shows (or cannot
         show) that the value was not taken.
         """
         talk = Conversation(index, subindex)
         transfer = block_download(talk, data) if block else download(talk, data)
-        running = Running(self, talk, transfer)
+        running = Running(self, talk, transfer, timeout_s)
         try:
-            _run([running], timeout_s or self.timeout_s)
-            _result(running)
+            _run([running])
+            running.outcome()
         except NoAnswerError as lost:
-            self.resolve(talk, data, lost, reads_back)
+            self.resolve(talk, data, lost, reads_back, same)
 
-    def _upload(self, index: int, subindex: int, block: bool) -> bytes:
+    def _upload(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
+        running = self._uploading(index, subindex, block, most)
+        _run([running])
+        return self._brought(running)
+
+    def _uploading(self, index: int, subindex: int, block: bool, most: int) -> Running[bytes]:
         talk = Conversation(index, subindex)
-        running = Running(self, talk, block_upload(talk) if block else upload(talk))
-        _run([running], self.timeout_s)
-        result = _result(running)
+        return Running(self, talk, block_upload(talk, most=most) if block else upload(talk, most))
+
+    def _brought(self, running: Running[bytes]) -> bytes:
+        result = running.outcome()
         if result is None:
-            raise ProtocolError(f"{self.name}: SDO {talk.place()} ended without data")
+            raise ProtocolError(f"{self.name}: SDO {running.talk.place()} ended without data")
         return result
 
-    def resolve(self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool) -> None:
+    # -- bytes, side by side with other nodes' work ------------------------------------------------------------------
+    def reading(self, index: int, subindex: int, most: int = LARGEST_ANNOUNCED) -> Steps[bytes]:
+        """As `read_bytes`, for a `CanLine`."""
+        running = self._uploading(index, subindex, False, most)
+        yield from self._turn(running)
+        if isinstance(running.error, NoAnswerError):
+            running = self._uploading(index, subindex, False, most)
+            yield from self._turn(running)
+        return self._brought(running)
+
+    def writing(
+        self,
+        index: int,
+        subindex: int,
+        data: bytes,
+        *,
+        timeout_s: float | None = None,
+        reads_back: bool = True,
+        same: Same = operator.eq,
+    ) -> Steps[None]:
+        """As `write_bytes`, for a `CanLine`."""
+        talk = Conversation(index, subindex)
+        running = Running(self, talk, download(talk, data), timeout_s)
+        yield from self._turn(running)
+        if not isinstance(running.error, NoAnswerError):
+            running.outcome()
+            return
+        lost = running.error
+        with self._unknown(lost), self._late_answers() as late:
+            yield from self._quiet()
+        if self._settled(talk, data, lost, reads_back, late):
+            return
+        with self._unknown(lost):
+            reading = self._uploading(index, subindex, False, LARGEST_ANNOUNCED)
+            yield from self._turn(reading)
+            present = self._brought(reading)
+        self._compare(present, data, lost, same)
+
+    def _turn(self, running: Running[Any]) -> Steps[None]:
+        yield from self._quiet()
+        yield running
+
+    # -- writes whose answer was lost ----------------------------------------------------------------------------------
+    def resolve(
+        self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, same: Same = operator.eq
+    ) -> None:
         """A write was not answered: was it carried out? Returns when it was; raises AbortError, NoAnswerError."""
+        with self._unknown(lost), self._late_answers() as late:
+            self.quieten()
+        if self._settled(talk, data, lost, reads_back, late):
+            return
+        with self._unknown(lost):
+            present = self._upload(talk.index, talk.subindex, block=False)
+        self._compare(present, data, lost, same)
+
+    @contextlib.contextmanager
+    def _late_answers(self) -> Iterator[list[bytes]]:
         answers: list[bytes] = []
         self._late = answers.append
         try:
-            self.quieten()
+            yield answers
         finally:
             self._late = None
-        for answer in answers:
-            if len(answer) == 8 and answer[1:4] == talk.mux and len(data) <= 4:
+
+    @staticmethod
+    @contextlib.contextmanager
+    def _unknown(lost: NoAnswerError) -> Iterator[None]:
+        try:
+            yield
+        except (RemoteError, NoAnswerError) as error:
+            raise NoAnswerError(f"{lost}; whether it was written is unknown ({error})") from lost
+
+    def _settled(
+        self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, late: Sequence[bytes]
+    ) -> bool:
+        """Whether a late answer says that the write was done; a late refusal is raised. Only an expedited write has one answer."""
+        for answer in late:
+            if len(answer) == 8 and answer[1:4] == talk.mux and 0 < len(data) <= 4:
                 if answer[0] == 0x60:
                     self.counters.writes_confirmed_late += 1
-                    return
+                    return True
                 try:
                     talk.raise_abort(answer)
                 except AbortError as error:
                     raise self.named(error) from lost
         if not reads_back:
             raise NoAnswerError(f"{lost}; whether it was done is unknown") from lost
-        try:
-            present = self._upload(talk.index, talk.subindex, block=False)
-        except (AbortError, NoAnswerError) as error:
-            raise NoAnswerError(f"{lost}; whether it was written is unknown ({error})") from lost
-        if present[: len(data)] != data:
+        return False
+
+    def _compare(self, present: bytes, data: bytes, lost: NoAnswerError, same: Same) -> None:
+        if not same(present, data):
             raise NoAnswerError(f"{lost}; it reads back {present.hex()}, not {data.hex()}: not written") from lost
         self.counters.writes_read_back += 1
 
     # -- the channel -------------------------------------------------------------------------------------------------
     def quieten(self) -> None:
-        """Wait until the channel has been silent for `quiet_s`; ten times that at most."""
-        for _ in range(10):
-            seen = self._frames
-            if not self.link.wait(lambda seen=seen: self._frames != seen, self.quiet_s):  # type: ignore[misc]
-                self._must_be_quiet = False
-                return
-        raise ProtocolError(f"{self.name}: the SDO channel does not fall silent")
+        """Wait until nothing that could belong to an abandoned transfer has come for `quiet_s`.
 
-    def begin(self, running: Running[bytes] | Running[None]) -> None:
+        Raises ProtocolError where that does not come within `QUIET_TIMES` + 2 times `quiet_s`. Returns at once where no transfer was
+        abandoned.
+        """
+        for pause in self._quiet():
+            self.link.wait(pause.done, pause.duration_s)
+
+    def _quiet(self) -> Iterator[Pause]:
+        """The waits of `quieten`, one after the other."""
+        if self._abandoned is None:
+            return
+        heard = self._late_ns
+        heard.clear()
+        while not self.way_out.over:
+            count = len(heard)
+            limit_ns = self.way_out.limit_ns
+            left_s = self.quiet_s if limit_ns is None else (limit_ns - self.link.clock.now_ns()) / NS_PER_S
+            yield Pause(min(self.quiet_s, left_s), lambda count=count: len(heard) > count)  # type: ignore[misc]
+            if len(heard) == count:
+                self._abandoned = None
+                return
+            if heard[-1] - heard[0] > QUIET_TIMES * self.quiet_s * NS_PER_S:
+                raise ProtocolError(f"{self.name}: the SDO channel does not fall silent")
+
+    def begin(self, running: Running[Any]) -> None:
         """Give the channel to a transfer and send its first frame."""
         if self._running is not None:
             raise StateError(f"{self.name}: the SDO channel is already in use")
-        if self._must_be_quiet:
-            self.quieten()
+        self.quieten()
+        if self.way_out.over:
+            raise NoAnswerError(
+                f"{self.name}: SDO {running.talk.place()} was not tried: the drive has ceased to answer"
+            )
         self.link.poll()  # whatever lies in the queue was sent before this request
         self._running = running
         self.counters.transfers += 1
@@ -248,48 +483,47 @@ class SdoClient:
         self.counters.stale_frames += running.talk.skipped
         if isinstance(running.error, AbortError):
             self.counters.aborts += 1
+        self.way_out.account(running.finished)
         if not running.finished:
             self.counters.timeouts += 1
-            self._must_be_quiet = True
+            self._abandoned = running.talk
             running.abandon()
 
-    @property
-    def progress(self) -> int:
-        """Frames heard so far: a transfer that still moves is not timed out."""
-        return self._frames
-
-    def _on_frame(self, _time_ns: int, data: bytes) -> None:
-        self._frames += 1
+    def _on_frame(self, time_ns: int, data: bytes) -> None:
         if self._running is not None and not self._running.finished:
-            self._running.on_frame(data)
-        elif self._late is not None:
+            self._running.on_frame(time_ns, data)
+            return
+        if self._abandoned is not None and self._abandoned.may_answer(data):
+            self._late_ns.append(time_ns)
+        if self._late is not None:
             self._late(data)
         else:
             self.counters.stale_frames += 1
 
 
-def _result(running: Running[T]) -> T | None:
-    if running.error is not None:
-        raise running.error
-    return running.result
+def wait_for_any(link: CanLink, waiting: Sequence[Awaited]) -> None:
+    """Wait until one of them is finished, by a frame or because its time is over."""
+
+    def ended() -> bool:
+        return any(each.finished for each in waiting)
+
+    first_ns = min(each.until_ns for each in waiting)
+    if link.wait(ended, max(0, first_ns - link.clock.now_ns()) / NS_PER_S):
+        return
+    link.poll()  # if the loop was delayed, answers may lie in the receive buffer
+    now_ns = max(first_ns, link.clock.now_ns())  # it was waited for, even where the clock is not the bus's own
+    for each in waiting:
+        if not each.finished and now_ns >= each.until_ns:
+            each.expire()
 
 
-def _run(transfers: Sequence[Running[bytes] | Running[None]], timeout_s: float) -> None:
-    """Run transfers of *different* nodes side by side; each may be silent for `timeout_s` at most."""
-    link = transfers[0].client.link
+def _run(transfers: Sequence[Running[Any]]) -> None:
+    """Run transfers of *different* nodes side by side, each until it is finished or its time is over."""
     try:
         for running in transfers:
             running.client.begin(running)
-        while any(not running.finished for running in transfers):
-            before = [running.client.progress for running in transfers]
-
-            def moved(before: list[int] = before) -> bool:
-                return before != [running.client.progress for running in transfers] or all(
-                    running.finished for running in transfers
-                )
-
-            if not link.wait(moved, timeout_s):
-                break
+        while waiting := [running for running in transfers if not running.finished]:
+            wait_for_any(waiting[0].client.link, waiting)
     finally:
         for running in transfers:
             running.client.end()
@@ -300,13 +534,11 @@ def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float 
 
     The answer of each request stands in its place: the value, or the error that this node gave.
     """
-    transfers: list[Running[bytes] | Running[None]] = []
+    transfers: list[Running[bytes]] = []
     for client, entry in requests:
         talk = Conversation(entry.index, entry.subindex)
-        transfers.append(Running(client, talk, upload(talk)))
-    if not transfers:
-        return []
-    _run(transfers, timeout_s)
+        transfers.append(Running(client, talk, upload(talk, entry.most_bytes), timeout_s))
+    _run(transfers)
     results: list[int | BridgeError] = []
     for running, (client, entry) in zip(transfers, requests, strict=True):
         if running.error is not None:

@@ -3,6 +3,8 @@
 What may go in: expedited, segmented and block transfer, client side. A transfer yields the frames to send next and is resumed with
 the next frame of the server; it returns the object's bytes (upload) or None (download). A frame that answers some other index
 is not taken for an answer: it is skipped and counted, and the transfer goes on waiting.
+Every transfer ends after a number of the server's frames that its size bounds; frames that bring nothing are bounded by time, which
+the caller keeps (`longest_s`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,15 @@ Transfer = Generator[Frames, bytes, T]
 
 SEGMENT = 7
 MAX_BLOCK = 127
+LARGEST_ANNOUNCED = 1 << 20
+"""Bytes that an upload may announce: an EDS kept in the device (1021h) has some 100 kB; firmware is not read."""
+LARGEST_UNANNOUNCED = 1 << 14
+"""Bytes that an upload may bring where its size is not announced: four times a correction table of 1000 points of four bytes."""
+MORE_BLOCKS = 3
+"""How often in a row a block may be sent again of which no segment arrived: CAN itself repeats a frame that was disturbed."""
+SEGMENT_S = 0.05
+"""What each seven bytes may take on average, s: a request and an answer of 135 bits with the worst stuffing at 10 kbit/s, the
+slowest bit rate of CiA-301, last 27 ms; a serial adapter keeps an answer for up to 16 ms; the rest is the server's."""
 
 ABORT_TEXTS: dict[int, str] = {
     0x05030000: "toggle bit not alternated",
@@ -59,7 +70,9 @@ ABORT_TIMEOUT = 0x05040000
 ABORT_COMMAND = 0x05040001
 ABORT_SEQUENCE = 0x05040003
 ABORT_CRC = 0x05040004
+ABORT_MEMORY = 0x05040005
 ABORT_LENGTH = 0x06070010
+ABORT_GENERAL = 0x08000000
 
 ABORT = 0x80
 UPLOAD, DOWNLOAD, BLOCK_DOWNLOAD, BLOCK_UPLOAD = 0x40, 0x60, 0xA0, 0xC0  # answers to initiate requests
@@ -81,19 +94,40 @@ def abort_frame(index: int, subindex: int, code: int) -> bytes:
     return struct.pack("<BHBI", ABORT, index, subindex, code)
 
 
+def longest_s(timeout_s: float, data_bytes: int) -> float:
+    """How long a transfer may have lasted once it has carried `data_bytes`, s; with all of its bytes, how long it may last at all.
+
+    The first answer (the server looks for the object) and the last (it keeps the value) may take `timeout_s` each, every segment
+    `SEGMENT_S` on average.
+    """
+    return 2 * timeout_s + SEGMENT_S * (1 + segments_of(data_bytes))
+
+
+def segments_of(data_bytes: int) -> int:
+    """Segments that so many bytes take, at least one."""
+    return max(1, -(-data_bytes // SEGMENT))
+
+
 def crc16(data: bytes) -> int:
     """CRC of block transfers: x^16 + x^12 + x^5 + 1, start value 0 (CiA-301, 7.2.4.3.16)."""
     return binascii.crc_hqx(data, 0)
 
 
 class Conversation:
-    """What the steps of one transfer share: whom it is about, and how many frames were not for it."""
+    """What the steps of one transfer share: whom it is about, how far it is, and how many frames were not for it.
+
+    steps: answers so far that moved it on; carried: bytes of the object that they brought or confirmed.
+    """
 
     def __init__(self, index: int, subindex: int) -> None:
         self.index = index
         self.subindex = subindex
         self.mux = multiplexer(index, subindex)
+        self.steps = 0
+        self.carried = 0
         self.skipped = 0
+        self._awaited: tuple[int, ...] = ()
+        self._by_blocks = False
         self.farewell: Frames = ()  # to be sent when the generator has ended; nothing answers it
 
     def place(self) -> str:
@@ -105,18 +139,37 @@ class Conversation:
             code = struct.unpack_from("<I", frame, 4)[0]
             raise AbortError(f"{self.place()} refused: {abort_text(code)}", code)
 
+    def moved(self, data_bytes: int) -> None:
+        """An answer moved the transfer on by so many bytes of the object."""
+        self.steps += 1
+        self.carried += data_bytes
+
+    def may_answer(self, frame: bytes) -> bool:
+        """Whether a frame that comes after the transfer was given up can be a late answer to it.
+
+        Segments name no object: behind the first answer every frame of their command can be one, of a block every frame.
+        """
+        if len(frame) != 8:
+            return False
+        if self.steps and (self._by_blocks or frame[0] & 0xE0 in (0x00, 0x20)):
+            return True
+        return frame[1:4] == self.mux and frame[0] & 0xE0 in (*self._awaited, ABORT)
+
     def initiate(self, *frames: bytes, answers: tuple[int, ...]) -> Transfer[bytes]:
         """Send, and return the first answer that names this index and subindex; raise its abort.
 
         answers: the server's command specifiers (upper three bits) that can answer. Another one that the protocol has answers
         some other request for the same object, late or doubled, and is skipped; one that it does not have ends the transfer.
         """
+        self._awaited = answers
+        self._by_blocks = BLOCK_UPLOAD in answers or BLOCK_DOWNLOAD in answers
         answer = yield frames
         while True:
             if len(answer) == 8 and answer[1:4] == self.mux:
                 self.raise_abort(answer)
                 specifier = answer[0] & 0xE0
                 if specifier in answers:
+                    self.moved(0)
                     return answer
                 if specifier not in SERVER_SPECIFIERS:
                     self.fail(f"answered with command {answer[0]:02X}h", ABORT_COMMAND)
@@ -136,6 +189,20 @@ class Conversation:
         self.raise_abort(answer)
         return answer
 
+    def most_to_come(self, answer: bytes, sized: int, most: int) -> tuple[int | None, int]:
+        """(announced size or None, bytes that may come) of an upload by its first answer; `sized`: the bit that announces a size."""
+        if not answer[0] & sized:
+            return None, min(most, LARGEST_UNANNOUNCED)
+        size: int = struct.unpack_from("<I", answer, 4)[0]
+        if size > most:
+            self.fail(f"{size} bytes are announced, {most} are read at most", ABORT_MEMORY)
+        return size, size
+
+    def too_many(self, size: int | None, most: int) -> NoReturn:
+        """Leave: more than `most` bytes have come."""
+        what = f"{size} were announced" if size is not None else f"no size was announced and {most} are read at most"
+        self.fail(f"more than {most} bytes came, {what}", ABORT_LENGTH)
+
     def fail(self, what: str, code: int) -> NoReturn:
         """Leave an abort for the server and raise ProtocolError."""
         self.farewell = (abort_frame(self.index, self.subindex, code),)
@@ -148,17 +215,17 @@ def _expedited_data(answer: bytes) -> bytes:
     return answer[4:8]  # no size indicated: all four bytes, the reader's type cuts them
 
 
-def upload(talk: Conversation) -> Transfer[bytes]:
-    """Read an object, expedited or segmented as the server chooses. Raises AbortError, ProtocolError."""
+def upload(talk: Conversation, most: int = LARGEST_ANNOUNCED) -> Transfer[bytes]:
+    """Read an object of `most` bytes, expedited or segmented as the server chooses. Raises AbortError, ProtocolError."""
     answer = yield from talk.initiate(bytes((0x40,)) + talk.mux + bytes(4), answers=(UPLOAD,))
-    return (yield from _rest_of_upload(talk, answer))
+    return (yield from _rest_of_upload(talk, answer, most))
 
 
-def _rest_of_upload(talk: Conversation, answer: bytes) -> Transfer[bytes]:
+def _rest_of_upload(talk: Conversation, answer: bytes, most: int) -> Transfer[bytes]:
     """An upload from the server's first answer on."""
     if answer[0] & 0x02:
         return _expedited_data(answer)
-    size = struct.unpack_from("<I", answer, 4)[0] if answer[0] & 0x01 else None
+    size, most = talk.most_to_come(answer, 0x01, most)
     data = bytearray()
     toggle = 0
     while True:
@@ -167,10 +234,16 @@ def _rest_of_upload(talk: Conversation, answer: bytes) -> Transfer[bytes]:
             talk.fail(f"segment answered with command {answer[0]:02X}h", ABORT_COMMAND)
         if answer[0] & 0x10 != toggle:
             talk.fail("toggle bit not alternated", ABORT_TOGGLE)
-        data += answer[1 : 8 - (answer[0] >> 1 & 0x07)]
+        part = answer[1 : 8 - (answer[0] >> 1 & 0x07)]
+        data += part
         toggle ^= 0x10
+        if len(data) > most:
+            talk.too_many(size, most)
         if answer[0] & 0x01:
             break
+        if not part:
+            talk.fail("a segment without data that is not the last", ABORT_LENGTH)
+        talk.moved(len(part))
     if size is not None and size != len(data):
         talk.fail(f"{len(data)} bytes came, {size} were announced", ABORT_LENGTH)
     return bytes(data)
@@ -194,10 +267,11 @@ def download(talk: Conversation, data: bytes) -> Transfer[None]:
         if answer[0] & 0x10 != toggle:
             talk.fail("toggle bit not alternated", ABORT_TOGGLE)
         toggle ^= 0x10
+        talk.moved(len(part))
 
 
-def block_upload(talk: Conversation, block_size: int = MAX_BLOCK) -> Transfer[bytes]:
-    """Read an object by block transfer of up to `block_size` segments of seven bytes, with CRC where the server has it.
+def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LARGEST_ANNOUNCED) -> Transfer[bytes]:
+    """Read an object of `most` bytes by blocks of up to `block_size` segments of seven bytes, with CRC where the server has it.
 
     Segments lost within a block are asked for again by acknowledging the last one in sequence. Raises AbortError,
     ProtocolError.
@@ -206,43 +280,66 @@ def block_upload(talk: Conversation, block_size: int = MAX_BLOCK) -> Transfer[by
     request = bytes((0xA4,)) + talk.mux + bytes((block_size, threshold, 0, 0))
     answer = yield from talk.initiate(request, answers=(BLOCK_UPLOAD, UPLOAD))
     if answer[0] & 0xE0 == UPLOAD:
-        return (yield from _rest_of_upload(talk, answer))
+        return (yield from _rest_of_upload(talk, answer, most))
     with_crc = bool(answer[0] & 0x04)
-    size = struct.unpack_from("<I", answer, 4)[0] if answer[0] & 0x02 else None
+    size, most = talk.most_to_come(answer, 0x02, most)
     data = bytearray()
     frames: Frames = (bytes((0xA3, 0, 0, 0, 0, 0, 0, 0)),)
     finished = False
+    in_vain = 0
     while not finished:
-        expected = 1
-        while True:
-            before, answer = answer, (yield frames)
-            frames = ()
-            # the last segment of the block before, delivered twice, would look like a block that lost all others
-            if len(answer) != 8 or (answer == before and expected == 1 < block_size):
-                talk.skipped += 1
-                continue
-            if answer[0] == ABORT and answer[1:4] in (talk.mux, b"\0\0\0"):
-                talk.raise_abort(answer)
-            sequence = answer[0] & 0x7F
-            if sequence == expected:
-                data += answer[1:]
-                expected += 1
-                finished = bool(answer[0] & 0x80)
-            if finished or sequence >= block_size or answer[0] & 0x80:
-                break
-        frames = (bytes((0xA2, expected - 1, block_size, 0, 0, 0, 0, 0)),)
+        room = SEGMENT * segments_of(most) - len(data)
+        came, answer, finished = yield from _block(talk, frames, answer, block_size, room)
+        data += came
+        if len(came) > room:
+            talk.too_many(size, most)
+        in_vain = 0 if came else in_vain + 1
+        if in_vain > MORE_BLOCKS:
+            talk.fail(f"no segment in its place in {in_vain} blocks", ABORT_SEQUENCE)
+        frames = (bytes((0xA2, len(came) // SEGMENT, block_size, 0, 0, 0, 0, 0)),)
     answer = yield from talk.segment(*frames, after=answer)
     if answer[0] & 0xE3 != 0xC1:
         talk.fail(f"end of block upload is command {answer[0]:02X}h", ABORT_COMMAND)
     unused = answer[0] >> 2 & 0x07
     if unused:
         del data[-unused:]
+    if len(data) > most:
+        talk.too_many(size, most)
     if with_crc and struct.unpack_from("<H", answer, 1)[0] != crc16(bytes(data)):
         talk.fail("CRC of the block does not match", ABORT_CRC)
     if size is not None and size != len(data):
         talk.fail(f"{len(data)} bytes came, {size} were announced", ABORT_LENGTH)
     talk.farewell = (bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)),)
     return bytes(data)
+
+
+def _block(
+    talk: Conversation, ask: Frames, before: bytes, block_size: int, room: int
+) -> Transfer[tuple[bytes, bytes, bool]]:
+    """Ask for a block: (its segments up to the first that is missing, the frame that ended it, whether the object's last is there).
+
+    before: the server's frame before. It comes first where it was delivered twice, and would look like a block that lost all others.
+    room: bytes after which a block is left.
+    """
+    data = bytearray()
+    expected, finished = 1, False
+    while True:
+        answer = yield ask
+        ask = ()
+        sequence = answer[0] & 0x7F if len(answer) == 8 else 0
+        if len(answer) == 8 and answer[0] == ABORT and answer[1:4] in (talk.mux, b"\0\0\0"):
+            talk.raise_abort(answer)
+        if sequence == 0 or (answer == before and expected == 1 < block_size):  # no segment has the number 0
+            talk.skipped += 1
+            continue
+        before = answer
+        if sequence == expected:
+            data += answer[1:]
+            expected += 1
+            finished = bool(answer[0] & 0x80)
+            talk.moved(SEGMENT)
+        if finished or sequence >= block_size or answer[0] & 0x80 or len(data) > room:
+            return bytes(data), answer, finished
 
 
 def block_download(talk: Conversation, data: bytes) -> Transfer[None]:
@@ -252,7 +349,7 @@ def block_download(talk: Conversation, data: bytes) -> Transfer[None]:
     with_crc = bool(answer[0] & 0x04)
     block_size = answer[4]
     segments = [data[start : start + SEGMENT] for start in range(0, len(data), SEGMENT)] or [b""]
-    done = 0
+    done = in_vain = 0
     while done < len(segments):
         if not 1 <= block_size <= MAX_BLOCK:
             talk.fail(f"block size {block_size}", 0x05040002)
@@ -266,6 +363,11 @@ def block_download(talk: Conversation, data: bytes) -> Transfer[None]:
             talk.fail(f"block answered with command {answer[0]:02X}h", ABORT_COMMAND)
         if answer[1] > len(block):
             talk.fail(f"{answer[1]} segments acknowledged of {len(block)}", ABORT_SEQUENCE)
+        in_vain = 0 if answer[1] else in_vain + 1
+        if in_vain > MORE_BLOCKS:
+            talk.fail(f"no segment of {in_vain} blocks was acknowledged", ABORT_SEQUENCE)
+        if answer[1]:
+            talk.moved(SEGMENT * answer[1])
         done += answer[1]
         block_size = answer[2]
     unused = SEGMENT - len(segments[-1])

@@ -7,29 +7,37 @@ node's next request the moment its answer has come, so that many nodes are limit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from drivers.canopen.bus import CanLink
-from drivers.canopen.sdo import Running
-from drivers.clock import NS_PER_S
+from drivers.canopen.sdo import Awaited, Running, wait_for_any
+from drivers.clock import NS_PER_S, Clock
 from drivers.errors import BridgeError, LinkLostError, StateError
-from drivers.raw_parameters import Line, Steps
+from drivers.raw_parameters import Line, Pause, Steps
 
 T = TypeVar("T")
 
 
-@dataclass
-class _Turn:
-    """A transfer under way. seen: frames heard when its time was last set; until_ns: when that is over."""
+class _Resting:
+    """Work that waits for something else than an answer."""
 
-    running: Running[Any]
-    seen: int
-    until_ns: int
+    def __init__(self, pause: Pause, clock: Clock) -> None:
+        self._pause = pause
+        self._clock = clock
+        self._over = False
+        self.until_ns = clock.now_ns() + round(pause.duration_s * NS_PER_S)
+
+    @property
+    def finished(self) -> bool:
+        return self._over or self._pause.done()
+
+    def expire(self) -> None:
+        self._clock.sleep_until_ns(self.until_ns)  # nothing is left to wait for unless the clock is not the bus's own
+        self._over = True
 
 
 class CanLine(Line):
-    """A CAN bus. Steps on it yield `Running`s, each of another node's channel than those of the others."""
+    """A CAN bus. Steps on it yield `Pause`s, and `Running`s, each of another node's channel than those of the others."""
 
     def __init__(self, link: CanLink) -> None:
         self.link = link
@@ -37,37 +45,40 @@ class CanLine(Line):
 
     def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
         results: dict[int, T | BridgeError] = {}
-        turns: dict[int, _Turn] = {}
+        turns: dict[int, Awaited] = {}
         try:
             for number in range(len(jobs)):
                 self._advance(number, jobs, turns, results)
             while turns:
-                self._await(turns)
-                for number in [number for number, turn in turns.items() if turn.running.finished]:
-                    turns.pop(number).running.client.end()
+                self._await(list(turns.values()))
+                for number in [number for number, turn in turns.items() if turn.finished]:
+                    self._end(turns.pop(number))
                     self._advance(number, jobs, turns, results)
         finally:
-            for turn in turns.values():  # somebody interrupted us
-                turn.running.client.end()
+            for turn in turns.values():  # an exception ends all of them
+                self._end(turn)
         return [results[number] for number in range(len(jobs))]
 
     def _advance(
-        self, number: int, jobs: Sequence[Steps[T]], turns: dict[int, _Turn], results: dict[int, T | BridgeError]
+        self, number: int, jobs: Sequence[Steps[T]], turns: dict[int, Awaited], results: dict[int, T | BridgeError]
     ) -> None:
-        """Let one job go on until its next transfer is under way, or it has ended."""
+        """Let one job go on until its next transfer or pause is under way, or it has ended."""
         while True:
             try:
-                running = next(jobs[number])
+                step = next(jobs[number])
             except StopIteration as stop:
                 results[number] = stop.value
                 return
             except BridgeError as error:
                 results[number] = error
                 return
-            if not isinstance(running, Running):
-                raise StateError(f"{type(running).__name__} is no work for a CAN bus")
-            if self._begin(running):
-                turns[number] = _Turn(running, running.client.progress, self._deadline_ns(running))
+            if isinstance(step, Pause):
+                turns[number] = _Resting(step, self.link.clock)
+                return
+            if not isinstance(step, Running):
+                raise StateError(f"{type(step).__name__} is no work for a CAN bus")
+            if self._begin(step):
+                turns[number] = step
                 return
 
     def _begin(self, running: Running[Any]) -> bool:
@@ -80,36 +91,22 @@ class CanLine(Line):
             running.client.end()
         return not running.finished
 
+    @staticmethod
+    def _end(turn: Awaited) -> None:
+        if isinstance(turn, Running):
+            turn.client.end()
+
     def _fail(self, running: Running[Any], error: BridgeError) -> None:
         self.lost |= isinstance(error, LinkLostError)
-        running.error, running.finished = error, True
+        running.fail(error)
 
-    def _deadline_ns(self, running: Running[Any]) -> int:
-        return self.link.clock.now_ns() + round(running.timeout_s * NS_PER_S)
-
-    def _await(self, turns: dict[int, _Turn]) -> None:
-        """Wait until a transfer has ended; those that were silent for too long are ended."""
-        waiting = [turn.running for turn in turns.values()]
-
-        def ended() -> bool:
-            return any(running.finished for running in waiting)
-
-        first_ns = min(turn.until_ns for turn in turns.values())
-        left_ns = first_ns - self.link.clock.now_ns()
+    def _await(self, turns: Sequence[Awaited]) -> None:
+        """Wait until one has ended. Where our end of the bus is lost, every transfer ends."""
         try:
-            if left_ns <= 0:
-                self.link.poll()  # somebody kept us, and answers may lie there
-            if self.link.wait(ended, max(0, left_ns) / NS_PER_S):
-                return
+            wait_for_any(self.link, turns)
         except LinkLostError as error:
-            for running in waiting:
-                self._fail(running, error)
-            return
-        now_ns = max(first_ns, self.link.clock.now_ns())  # it was waited for, even where the clock is not the bus's own
-        for turn in turns.values():
-            if now_ns < turn.until_ns:
-                continue
-            if turn.running.client.progress != turn.seen:  # it moves: segments, or somebody was waited for meanwhile
-                turn.seen, turn.until_ns = turn.running.client.progress, self._deadline_ns(turn.running)
-                continue
-            turn.running.client.end()  # tells the server, and leaves a NoAnswerError
+            for turn in turns:
+                if isinstance(turn, Running):
+                    self._fail(turn, error)
+                else:
+                    turn.expire()

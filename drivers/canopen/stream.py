@@ -9,7 +9,8 @@ which keeps its time when Python does not.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -17,7 +18,6 @@ import can
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Mode, decode_state
-from drivers.canopen.node import SYNC
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.stream_axis import (
     RUNNING,
@@ -29,6 +29,7 @@ from drivers.canopen.stream_axis import (
     StreamSettings,
     SyncSource,
 )
+from drivers.canopen.sync import SYNC, SyncFollower
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from drivers.errors import (
@@ -41,6 +42,7 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
+from drivers.undo import undo_all
 
 if TYPE_CHECKING:
     from drivers.canopen.drive import CanOpenDrive  # which offers streams of its own
@@ -49,6 +51,10 @@ __all__ = ["CyclicStream", "Feedback", "StreamCounters", "StreamSettings", "Sync
 
 HEARTBEATS_WATCHED_S = 0.05
 """How often a stream looks whether every drive's heartbeat comes, while its feedback does."""
+FOREIGN_SYNCS = 3
+FOREIGN_SYNC_S = 10.0
+"""More foreign SYNCs than that within that time, s, end the stream. One that only looks sends two at most before it hears the stream's
+and leaves SYNC to it; a third may come from a program that is started meanwhile."""
 _RUN = Command.ENABLE_OPERATION.word
 
 
@@ -56,7 +62,8 @@ class CyclicStream:
     """Use as a context manager around enabled drives on one link; call `cycle` once per period with a value for each drive.
 
     On leaving, the axes are held where they are, put back into profile position and stay enabled; after an error they are
-    quick-stopped.
+    quick-stopped. An axis that cannot be put back, or does not confirm its stop, is disabled. While it runs no other drive on the link
+    answers SYNC.
     """
 
     def __init__(self, drives: Sequence[CanOpenDrive], settings: StreamSettings) -> None:
@@ -84,31 +91,48 @@ class CyclicStream:
         self._sync_taken = 0
         self._sync_task: Any = None
         self._running = False
+        self._stopped = False  # the axes were told to stop
+        self._foreign: list[int] = []  # when SYNCs came that are not the owner's, lately
+        self._first_ns = self._heard = (
+            0  # SYNCs of the bus: when the first came, and how many, to tell others' from its own
+        )
 
     # -- coming and going ------------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
         self._check_fit()
         try:
+            self.link.claim_sync(self)
+            self._silence_neighbours()
             for axis in self._axes:
                 self._prepare(axis)
             self._start()
-        except BaseException:
-            self._end(stopped=True)
+        except BaseException as error:  # nothing was moved: the axes are put back, and stay as they were
+            self._end(error)
             raise
         return self
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if exc_type is not None and self._running:
-            self._quick_stop_all()
-        self._end(stopped=exc_type is not None)
+        if exc is not None and self._running:
+            self._stop_all(exc)
+        self._end(exc)
 
-    def _check_fit(self) -> None:
+    def _check_fit(self, *staying: SyncFollower) -> None:
+        """Raise InputError unless the cycle fits the bus, with the TPDOs of other drives that answer its SYNC."""
         if self.settings.bitrate is None:
             return
         cycle = Cycle(self.settings.period_s * 1e6, self.settings.bitrate, self.settings.budget)
-        refuse_errors(lint({axis.drive.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}, cycle=cycle))
+        pdos = {axis.drive.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}
+        refuse_errors(lint(pdos | {follower.node_id: tuple(follower.specs) for follower in staying}, cycle=cycle))
+
+    def _silence_neighbours(self) -> None:
+        """Drives on this bus that do not stream keep off its SYNC; one that cannot counts in the load."""
+        streaming = [axis.drive.sampler for axis in self._axes]
+        others = [follower for follower in self.link.sync.followers if follower not in streaming]
+        staying = [follower for follower in others if not follower.leave_sync()]
+        if staying:
+            self._check_fit(*staying)
 
     def _prepare(self, axis: Axis) -> None:
         """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes hold."""
@@ -120,9 +144,9 @@ class CyclicStream:
             raise CapabilityError(f"drive {drive.name} has no {self.settings.mode.name.lower().replace('_', ' ')} mode")
         value, exponent = _interpolation(self.settings.period_s)
         with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
-            drive.sdo.write(objects.INTERPOLATION_PERIOD, value)
-            drive.sdo.write(objects.INTERPOLATION_EXPONENT, exponent)
-        drive.begin_streaming()
+            drive.motion.set(objects.INTERPOLATION_PERIOD, value)
+            drive.motion.set(objects.INTERPOLATION_EXPONENT, exponent)
+        drive.begin_streaming(axis)
         axis.taken = True
         axis.setup.apply()
         drive.set_mode(self.settings.mode)
@@ -139,48 +163,64 @@ class CyclicStream:
                 AbortError
             ):  # 1006h, where there is one, lets the drive notice by itself that SYNC has stopped
                 sdo = axis.drive.sdo
-                before = sdo.read(objects.SYNC_PERIOD)
+                axis.sync_period_before = sdo.read(objects.SYNC_PERIOD)
                 sdo.write(objects.SYNC_PERIOD, round(self.settings.period_s * 1e6))
-                axis.sync_period_before = before
         self._running = True
         self._next_sync_ns = self.clock.now_ns() + self._period_ns
+        self.link.subscribe(SYNC, self._on_sync)
         if self.settings.sync is SyncSource.BROADCAST_MANAGER:
-            self.link.subscribe(SYNC, self._on_sync)
             message = can.Message(arbitration_id=SYNC, is_extended_id=False, data=b"")
             self._sync_task = self.link.send_periodically(message, self.settings.period_s)
 
-    def _end(self, *, stopped: bool) -> None:
-        """Let the drives stop watching SYNC, then stop SYNC, then put everything else back."""
+    def _stop_all(self, error: BaseException) -> None:
+        """Every axis is told at once to stop; then each stop is seen confirmed, and an axis that does not confirm it is disabled."""
+        self._running, self._stopped = False, True
+        for axis in self._axes:
+            axis.drive.send_stop()
+        undo_all([("", partial(_stop, axis.drive)) for axis in self._axes], during=error)
+
+    def _end(self, error: BaseException | None) -> None:
+        """The drives stop watching SYNC, SYNC stops, every axis is given back; every step is tried, see `undo_all`."""
         self._running = False
-        steps = [self._unwatch_sync, self._give_back]
-        for step in steps:
-            for axis in self._axes:
-                if not axis.taken:
-                    continue
-                try:
-                    step(axis, stopped)
-                except BridgeError:
-                    if not stopped:
-                        raise
-            if self._sync_task is not None:
-                self._sync_task.stop()
-                self._sync_task = None
-                self.link.unsubscribe(SYNC, self._on_sync)
+        taken = [axis for axis in self._axes if axis.taken]
+        with ExitStack() as stack:
+            for axis in taken:
+                stack.enter_context(axis.drive.sdo.way_out)
+            undo_all(
+                [
+                    *((f"drive {axis.drive.name}: 1006h not put back", partial(_unwatch_sync, axis)) for axis in taken),
+                    ("stream: SYNC not stopped", self._stop_sync),
+                    *(("", partial(self._give_back, axis)) for axis in taken),
+                    ("", partial(self.link.sync.release, self)),
+                ],
+                during=error,
+            )
 
-    @staticmethod
-    def _unwatch_sync(axis: Axis, _stopped: bool) -> None:
-        if axis.sync_period_before is not None:
-            axis.drive.sdo.write(objects.SYNC_PERIOD, axis.sync_period_before)
+    def _stop_sync(self) -> None:
+        task, self._sync_task = self._sync_task, None
+        try:
+            if task is not None:
+                task.stop()
+                self.link.poll()  # its last frames are not somebody else's
+        finally:
+            self.link.unsubscribe(SYNC, self._on_sync)
 
-    def _give_back(self, axis: Axis, stopped: bool) -> None:
+    def _give_back(self, axis: Axis) -> None:
+        """PDOs as before, and into profile position unless it was stopped; an axis that cannot be put back is disabled."""
         self.link.unsubscribe(axis.tpdo.cob_id, axis.receive)
         axis.taken = False
+        drive = axis.drive
         try:
-            axis.setup.restore()
-        finally:
-            axis.drive.end_streaming()
-        if not stopped:
-            axis.drive.set_mode(Mode.PROFILE_POSITION)
+            try:
+                axis.setup.restore()
+            finally:
+                drive.end_streaming()
+            if not self._stopped:
+                drive.set_mode(Mode.PROFILE_POSITION)
+        except BaseException as error:
+            drive.send_stop()
+            undo_all([("", drive.disable)], during=error)
+            raise
 
     @property
     def next_sync_ns(self) -> int:
@@ -200,6 +240,7 @@ class CyclicStream:
         if len(values) != len(axes):
             raise InputError(f"{len(values)} values for {len(axes)} drives")
         try:
+            self._heed_stops()
             for axis, value in zip(axes, values, strict=False):
                 axis.planned = axis.counts_of(value)
             self._exchange()
@@ -220,9 +261,8 @@ class CyclicStream:
                         raise axis.explain_error()
                 feedback.append(Feedback(axis.heard_ns, status, counts * axis.mm_per_count, late))
             return feedback
-        except BaseException:
-            self._quick_stop_all()
-            self._running = False
+        except BaseException as error:
+            self._stop_all(error)
             raise
 
     def _exchange_with_host_sync(self) -> None:
@@ -237,6 +277,7 @@ class CyclicStream:
             self._missed_in_a_row = 0
         for axis in self._axes:
             link.send_message(axis.message_with(_RUN, axis.planned))
+        self._heed_stops()  # before SYNC: one that came just now was sent before the set-point, which would undo it
         clock.sleep_until_ns(self._next_sync_ns)
         link.poll()  # what came late belongs to the cycle before
         self._begin_cycle()
@@ -253,6 +294,7 @@ class CyclicStream:
         self._account_for_missed(missed)
         for axis in self._axes:
             self.link.send_message(axis.message_with(_RUN, axis.planned))
+        self._heed_stops()
         if not self.link.wait(lambda: self._sync_count > self._sync_taken, 2.5 * self.settings.period_s):
             self.counters.sync_losses += 1
             raise LinkLostError(f"stream: no SYNC on the bus for {2.5e3 * self.settings.period_s:g} ms")
@@ -283,9 +325,36 @@ class CyclicStream:
             axis.fresh = False
             axis.demand_counts = axis.next_counts
 
-    def _on_sync(self, _time_ns: int, _data: bytes) -> None:
-        self._sync_count += 1
-        self._begin_cycle()
+    def _heed_stops(self) -> None:
+        """An axis that was told to stop ends the stream: no further set-point enables it."""
+        for axis in self._axes:
+            if axis.power.stopped:
+                raise axis.explain_status()
+
+    def _on_sync(self, time_ns: int, _data: bytes) -> None:
+        """A SYNC came in: the bus's own in a stream that it paces; otherwise, or too many of them, somebody else's."""
+        if self._sync_task is not None:
+            if not self._heard:
+                self._first_ns = time_ns
+            self._heard += 1
+            due = (2 * (time_ns - self._first_ns) + self._period_ns) // (2 * self._period_ns) + 1
+            # those that were taken late look like fewer than are due, never like more
+            if self._heard - due <= self.counters.foreign_syncs:
+                self._sync_count += 1
+                self._begin_cycle()
+                return
+        if self._running:
+            self._account_for_foreign(time_ns)
+
+    def _account_for_foreign(self, time_ns: int) -> None:
+        """A SYNC that is not the owner's; one that only looks at its drives stops sending them when it hears ours."""
+        self.counters.foreign_syncs += 1
+        self._foreign.append(time_ns)
+        self._foreign = [heard_ns for heard_ns in self._foreign if time_ns - heard_ns <= FOREIGN_SYNC_S * NS_PER_S]
+        if len(self._foreign) > FOREIGN_SYNCS:
+            raise SafetyError(
+                f"stream: a second SYNC producer is on the bus: {len(self._foreign)} SYNCs within {FOREIGN_SYNC_S:g} s were not ours"
+            )
 
     def _all_answered(self) -> bool:
         for axis in self._last_first:  # noqa: SIM110 - each cycle comes here, a generator would cost as much as a frame
@@ -312,16 +381,20 @@ class CyclicStream:
         if self.counters.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
             raise axis.explain_status()
 
-    def _quick_stop_all(self) -> None:
-        """Whatever happens: every axis gets its quick stop, by RPDO at once and by SDO with an answer."""
-        for axis in self._axes:
-            with suppress(BridgeError):
-                self.link.send_message(axis.message_with(Command.QUICK_STOP.word, axis.next_counts))
-        with suppress(BridgeError):
-            self.link.send(SYNC, b"")
-        for axis in self._axes:
-            with suppress(BridgeError):
-                axis.drive.quick_stop()
+
+def _stop(drive: CanOpenDrive) -> None:
+    """A quick stop that is seen confirmed; the axis is disabled where it is not."""
+    try:
+        drive.quick_stop()
+    except BridgeError as error:
+        undo_all([("", drive.disable)], during=error)
+        raise
+
+
+def _unwatch_sync(axis: Axis) -> None:
+    if axis.sync_period_before is not None:
+        axis.drive.sdo.write(objects.SYNC_PERIOD, axis.sync_period_before)
+        axis.sync_period_before = None
 
 
 def _interpolation(period_s: float) -> tuple[int, int]:

@@ -59,6 +59,7 @@ class StreamCounters:
     missed_cycles: int = 0  # SYNCs that went by without new set-points
     late_feedback: int = 0
     sync_losses: int = 0
+    foreign_syncs: int = 0  # SYNCs that the stream's owner did not send
     worst_late_ns: int = 0
 
 
@@ -94,10 +95,14 @@ class Axis:
     def __init__(self, drive: CanOpenDrive, settings: StreamSettings) -> None:
         node_id, scaling, limits = drive.node_id, drive.scaling, drive.limits
         self.drive = drive
+        self.power = drive.power
         self.settings = settings
         self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, TARGETS[settings.mode]))
         self.tpdo = PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
-        self.setup = PdoSetup(drive.sdo, node_id, (self.rpdo, self.tpdo), alone=True)
+        stop = drive.connection.stop_rpdo
+        kept = () if stop is None else (stop,)
+        self.setup = PdoSetup(drive.sdo, node_id, (self.rpdo, self.tpdo, *kept), alone=True)
+        self.sync_by_host = settings.sync is SyncSource.HOST
         self._pack_into = self.rpdo.codec.pack_into
         self._unpack_from = self.tpdo.codec.unpack_from
         self.message = can.Message(
@@ -142,6 +147,15 @@ class Axis:
         message = self.message
         self._pack_into(message.data, 0, controlword, counts)
         return message
+
+    def command(self, controlword: int) -> can.Message:
+        """A command that stops the axis, as the RPDO of this axis: a message of its own, as any thread may send it.
+
+        The target is the last one of a position stream, and nothing in the others.
+        """
+        counts = self.next_counts if self.settings.mode is Mode.CYCLIC_POSITION else 0
+        data = self.rpdo.codec.pack(controlword, counts)
+        return can.Message(arbitration_id=self.rpdo.cob_id, data=data, is_extended_id=False)
 
     # -- set-points ------------------------------------------------------------------------------------------------------
     def _position_counts(self, position_load_mm: float) -> int:
@@ -190,6 +204,8 @@ class Axis:
     def explain_status(self) -> BridgeError:
         """What a statusword other than "enabled and following" means."""
         state, name = decode_state(self.status), self.drive.name
+        if self.power.stopped:
+            return StateError(f"drive {name} was told to stop while streaming")
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             code = self.drive.monitor.last_error_code() or None
             return DriveFaultError(f"drive {name} went into {state.value} while streaming", code)

@@ -72,6 +72,8 @@ class AsciiDecoder:
 
     def _event(self, line: bytes) -> ValueEvent:
         raw = line[:LONGEST_BYTES]
+        if len(line) > LONGEST_BYTES:
+            return BadLine(raw, f"line longer than {LONGEST_BYTES} bytes")
         try:
             text = raw.decode("utf-8")
         except UnicodeDecodeError:  # a µ of eight bits, or noise, which no pattern matches

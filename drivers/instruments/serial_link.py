@@ -5,6 +5,9 @@ The one module of the instruments that touches pyserial; protocols stay free of 
 
 from __future__ import annotations
 
+import os
+import sys
+
 import serial
 
 from drivers.errors import LinkLostError
@@ -64,10 +67,15 @@ class SerialLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """For instruments that have to be asked."""
+        """For instruments that have to be asked. A port that does not take the few bytes of a request at once is as good as gone."""
         if self._serial is None:
             raise LinkLostError(f"port {self.port} is not open")
         try:
-            self._serial.write(data)
+            if sys.platform == "win32":
+                taken = self._serial.write(data)
+            else:  # pyserial's own write spins until its time-out on a port that takes nothing
+                taken = os.write(self._serial.fileno(), data)
         except (serial.SerialException, OSError) as error:
             raise LinkLostError(f"port {self.port} is gone: {error}") from error
+        if taken != len(data):
+            raise LinkLostError(f"port {self.port} takes no bytes")

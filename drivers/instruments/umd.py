@@ -146,9 +146,11 @@ class UmdDecoder:
         """Events that are complete with these bytes, in order."""
         before, whole, after = self._lines.feed(data)
         events: list[UmdEvent] = [*before]
-        if any(line.translate(None, _CLEAN) for line in whole):
+        if any(line.translate(None, _CLEAN) or len(line) > MAX_LINE_BYTES for line in whole):
             for line in whole:
-                if foreign := line.translate(None, _CLEAN):
+                if len(line) > MAX_LINE_BYTES:
+                    events.append(BadLine(line[:MAX_LINE_BYTES], f"line longer than {MAX_LINE_BYTES} bytes"))
+                elif foreign := line.translate(None, _CLEAN):
                     events.append(BadLine(line[:MAX_LINE_BYTES], f"holds {foreign[:8]!r}, expected decimal integers"))
                 else:
                     _parse_lines((line,), events)

@@ -112,6 +112,8 @@ class UmdLaser(DistanceInstrument):
     With `compensate_air`, good readings are withheld until the air's index is known: `missing_air` says what it waits for.
     """
 
+    numbers_samples = True
+
     def __init__(self, link: ByteLink, clock: Clock, settings: UmdSettings | None = None, *, name: str = "umd") -> None:
         self.name = name
         self.settings = settings or UmdSettings()

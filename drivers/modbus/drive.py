@@ -7,36 +7,46 @@ drive never acknowledged but is believed to run, a start bit sent twice.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
     DriveFaultError,
+    HeldUnderPowerError,
+    MotionTimeoutError,
     StateError,
     TransportError,
+    UndoError,
 )
 from drivers.modbus.codec import Raw
 from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, all_hold
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.orders import POLL_S, Orders, hold
+from drivers.modbus.orders import POLL_S, Orders, Standstill, hold
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.stream import ModbusStream
 from drivers.modbus.touch_probe import ModbusTouchProbe
+from drivers.modbus.way_out import POWER_OFF_S, WayOut
 from drivers.modbus.wear import WearLedger
 from drivers.paced_stream import PacedGroup
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
+from drivers.undo import undo_all
 
-_LOOKS = 50  # at a position that does not change, before an axis is believed to be at rest
+_CONFIRM_S = 0.5
+"""How long a drive may take to show that it obeys a quick stop, s: many times the scan of a slow drive's interface."""
+_ATTAINED_S = 0.5
+""""Homing attained" that was never seen to go away after the start counts when it and the axis stay for so long, s."""
 
 
 class ModbusDrive(ServoDrive):
@@ -68,11 +78,21 @@ class ModbusDrive(ServoDrive):
         self._open = False
         self._homed: bool | None = None
         self._homing = False
+        self._attained_gone = False  # "homing attained" of the last time, since the start of this one
+        self._attained_stands = Standstill(scaling.resolution_load_mm)  # with it shown
         self._running = False  # at a velocity that stands in the drive
         self.values = DriveValues(name, drive_map, scaling)
-        self.orders = Orders(name, self.access, clock, lambda: self.power.state().value)
+        self.way_out = WayOut(clock, limits)
+        self.orders = Orders(
+            name,
+            self.access,
+            clock,
+            way_out=self.way_out,
+            shown_state=lambda: self.power.state().value,
+            post_stop=self.send_stop,
+        )
         common = (name, drive_map, self.access, self.values, self.orders)
-        self.power = PowerStates(*common, clock=clock, sample=self.sample)
+        self.power = PowerStates(*common, clock=clock, way_out=self.way_out, sample=self.sample)
         self.moves = ProfileMoves(*common, scaling=scaling, limits=limits)
 
     # -- connection ------------------------------------------------------------------------------------------------
@@ -86,6 +106,9 @@ class ModbusDrive(ServoDrive):
             self._homed, self._homing, self._running = None, False, False
             self.moves.under_way = None
             self.orders.forget()
+            self.way_out.over()
+            self.link.heed(self.unit, self.way_out)
+            self.access.note(self.map.quick_stop)
             self.sample()
         except BaseException:
             self._open = False
@@ -93,23 +116,45 @@ class ModbusDrive(ServoDrive):
             raise
 
     def close(self) -> None:
-        """Disable, put mode, speeds and ramps back as they were found, and disconnect."""
+        """Disable, put mode, speeds and ramps back as they were found, and disconnect; every step is tried.
+
+        Silent when all of it failed because nobody answers: there is nobody left to tell.
+        """
         if not self._open:
             return
         try:
-            try:
-                self.disable()
-            except TransportError:
+            with self.way_out.step(last=True):
+                undo_all([("", self._disable_at_last), ("", self.orders.put_back)])
+        except BridgeError as error:
+            if not _is_silence(error) or self._answers():
                 raise
-            except BridgeError:
-                self.quick_stop()
-                raise
-            self.orders.put_back()
-        except TransportError:
-            pass  # the link is dead: there is nobody left to tell
         finally:
             self._open = False
             self.link.close()
+
+    def _disable_at_last(self) -> None:
+        """Once more where the first try failed and the drive answers, as one that answers late or fell silent for a while does."""
+        try:
+            self.disable()
+        except HeldUnderPowerError:
+            self.orders.forget()  # a mode is not changed under an axis that its drive holds
+            raise
+        except BridgeError:
+            if not self._answers():
+                raise
+            with suppress(BridgeError):  # disabling says what is wrong
+                self.quick_stop()
+            self.disable()
+
+    def _answers(self) -> bool:
+        """Whether one request, without repeats, is answered by anything."""
+        try:
+            self._stop_look()
+        except TransportError:
+            return False
+        except BridgeError:
+            return True
+        return True
 
     def _require_open(self) -> None:
         if not self._open:
@@ -157,48 +202,99 @@ class ModbusDrive(ServoDrive):
         following_error_mm is as the drive gives it. Raises DriveFaultError once when a homing that was started failed, LimitError
         (with a quick stop) when a velocity run comes to the end of the travel.
         """
+        sample = self._look()
+        if self._running and sample.state is DriveState.ENABLED:
+            velocity_mm_s = sample.velocity_mm_s or 0.0
+            lag_mm = math.copysign(sample.following_error_mm or 0.0, velocity_mm_s)  # it brakes from where it should be
+            self._watch_travel(sample.position_load_mm + lag_mm, velocity_mm_s)
+        return sample
+
+    def _look(self) -> DriveSample:
+        """A sample, without what a velocity run is watched for."""
         self._require_open()
         raw = self.access.read(self.map.sampled())
         time_ns = self.clock.now_ns()
         values, state = self.values, self.values.state(raw)
         if state in FAULTS:
             self._homing = False
-        self._look_at_homing(raw)
         position_mm = self.scaling.load_mm(values.position_counts(raw))
-        if self._running and state is DriveState.ENABLED:
-            self._watch_travel(position_mm, values.load_mm(raw, self.map.velocity))
+        velocity_mm_s = values.load_mm(raw, self.map.velocity)
+        self._look_at_homing(raw, time_ns, position_mm)
         return DriveSample(
             time_ns=time_ns,
             state=state,
             position_load_mm=position_mm,
             target_reached=self.moves.reached(raw) and not self._homing,
-            velocity_mm_s=values.load_mm(raw, self.map.velocity),
+            velocity_mm_s=velocity_mm_s,
             torque_percent=values.torque_percent(raw),
             following_error_mm=values.load_mm(raw, self.map.following_error),
             homed=self._homed,
             fault_code=values.fault_code(raw),
         )
 
-    def _look_at_homing(self, raw: dict[str, Raw]) -> None:
+    def _look_at_homing(self, raw: dict[str, Raw], time_ns: int, position_mm: float) -> None:
         homing = self.map.homing
         if homing is None or not hold(homing.applies, raw):
             return
         if self._homing and homing.failed and hold(homing.failed, raw):
             self._homing, self._homed = False, False
+            if self.values.load_mm(raw, self.map.velocity) != 0.0:
+                self.send_stop()
             raise DriveFaultError(f"drive {self.name}: homing failed", self.values.fault_code(raw))
         attained = hold(homing.attained, raw)
-        if attained:
-            self._homing = False
-        self._homed = attained
+        if self._homing and not (self._is_of_this_homing(attained, time_ns, position_mm) and attained):
+            return
+        self._homing, self._homed = False, attained
+
+    def _is_of_this_homing(self, attained: bool, time_ns: int, position_mm: float) -> bool:
+        """Whether what is shown can no longer be the "attained" of the last homing, which stays until a drive looks at its orders."""
+        self._attained_gone = self._attained_gone or not attained
+        stayed = self._attained_stands.look(time_ns, position_mm, still_s=_ATTAINED_S)
+        return self._attained_gone or stayed
+
+    def zero(self) -> DriveZero:
+        """By the map's [drive.homing] and identity."""
+        self._require_open()
+        identity: dict[str, int | str] = {"map": self.registers.name}
+        identity |= {name: str(self._parameters.read(name)) for name in self.map.identity}
+        homing = self.map.homing
+        if homing is None:
+            return DriveZero(identity=identity)
+        names = [name for name in (homing.method, homing.home_position) if name is not None]
+        raw = self.access.read(names) if names else {}
+        method = None if homing.method is None else int(raw[homing.method])
+        return DriveZero(method, self.values.load_mm(raw, homing.home_position), identity)
+
+    def says_homed(self) -> bool | None:
+        """A flag that means something in homing mode only is asked in that mode, which a disabled drive is put into; the drive may
+        have forgotten it with the change of mode."""
+        self._require_open()
+        homing = self.map.homing
+        if self._homed is None and homing is not None and self.power.state() is DriveState.SWITCH_ON_DISABLED:
+            self.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
+            raw = self.access.of_conditions((*homing.applies, *homing.attained))
+            return True if all_hold(homing.applies, raw) and all_hold(homing.attained, raw) else None
+        return self._homed
 
     # -- states ----------------------------------------------------------------------------------------------------
     def _enable(self) -> None:
         self._require_open()
+        self.orders.stopped = False
+        self.way_out.over()
+        try:
+            self._enable_by_steps()
+        except BridgeError as error:  # a drive that was too slow for a step must not come up afterwards
+            undo_all([("not disabled", self.disable)], during=error)
+            raise
+
+    def _enable_by_steps(self) -> None:
         state = self.power.state()
         if state is DriveState.NOT_READY:
             self.power.await_ready()
-        elif state is DriveState.QUICK_STOP:
-            self._await_standstill()  # the way out of a quick stop may lead through power off
+        elif state is DriveState.QUICK_STOP and not self._stands_within(self._braking_s()):
+            raise MotionTimeoutError(
+                f"drive {self.name}: standstill before enabling not within {self._braking_s():g} s"
+            )
         self._end_run()
         self.moves.set_mode()
         self.power.enable(self._target_here)
@@ -213,46 +309,137 @@ class ModbusDrive(ServoDrive):
         self.access.write({target: self.values.raw(counts, target)})
 
     def disable(self) -> None:
-        """Halt, wait for standstill, then power off. Raises MotionTimeoutError when it does not come to rest; it is then still on."""
+        """Halt, wait for standstill, then power off. One that does not come to rest is quick-stopped, and disabled all the same.
+
+        Raises HeldUnderPowerError for an axis that would then fall: it stays under power, quick-stopped. After any other error of the
+        wire or the drive a stop was sent.
+        """
         self._require_open()
         self._homing = False
+        try:
+            with self.way_out.step(last=True):
+                self._disable()
+        except BaseException:
+            self.send_stop()
+            raise
+
+    def _disable(self) -> None:
         state = self.power.state()
         if state in FAULTS or not self.power.can_disable(state):
             self._end_run()
             return  # nothing is powered
-        if state is DriveState.ENABLED:
-            self.orders.give(self.map.halt)
         if state in (DriveState.ENABLED, DriveState.QUICK_STOP):
-            self._await_standstill()
-        self._end_run()
-        state = self.power.state()
-        if self.power.can_disable(state):
-            self.power.disable(state)
+            self._come_to_rest(state)
+        undo_all([("", partial(self._power_off, state)), ("", self._end_run)])
         self.moves.under_way = None
 
-    def _await_standstill(self) -> None:
-        """Velocity zero, or, where a drive shows none or a noisy one, the position within a count over several looks."""
-        limits = self.limits
-        slowest_s = 5.0 + 10.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2
-        count_mm = 1.5 * self.scaling.resolution_load_mm
-        seen: list[float] = []
+    def _power_off(self, state: DriveState) -> None:
+        """state: the last that was seen. Where nobody answers, what takes power off is sent all the same: the axis had its time."""
+        try:
+            now = self.power.state()
+            if self.power.can_disable(now):
+                self.power.disable(now)
+        except TransportError:
+            self.power.post_off(DriveState.QUICK_STOP if self.orders.stopped else state)
+            raise
 
-        def stands(sample: DriveSample) -> bool:
-            seen.append(sample.position_load_mm)
-            return (
-                sample.state not in (DriveState.ENABLED, DriveState.QUICK_STOP)
-                or sample.velocity_mm_s == 0.0
-                or (len(seen) >= _LOOKS and max(seen[-_LOOKS:]) - min(seen[-_LOOKS:]) <= count_mm)
+    def _come_to_rest(self, state: DriveState) -> None:
+        if state is DriveState.ENABLED and not self.orders.stopped and self._halted():
+            return
+        self.send_stop()
+        braking_s = self.way_out.within_s(self._braking_s(), leave_s=POWER_OFF_S)
+        if not self._stands_within(braking_s) and self.falls_without_power:
+            raise HeldUnderPowerError(
+                f"drive {self.name}: not seen at rest within {braking_s:.3g} s of a quick stop; gravity can move the axis and no"
+                " brake is stated, so it stays under power, held by its drive"
             )
 
-        self.wait_for(stands, slowest_s, "standstill before power off")
+    def _halted(self) -> bool:
+        """By the halt of the map, in the time that braking from the axis's highest speed needs: half of the way out, at most."""
+        try:
+            self.orders.give(self.map.halt)
+        except BridgeError:
+            return False
+        limits = self.limits
+        braking_s = 1.0 + 3.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2
+        return self._stands_within(self.way_out.within_s(braking_s, leave_s=0.5 * self.way_out.budget_s))
+
+    def _braking_s(self) -> float:
+        """Within which any drive brings its axis to rest, also by a ramp ten times flatter than the axis's, if nothing limits it."""
+        return 5.0 + 10.0 * self.limits.max_velocity_mm_s / self.limits.max_acceleration_mm_s2
+
+    def _stands_within(self, timeout_s: float) -> bool:
+        standstill = Standstill(self.scaling.resolution_load_mm)
+
+        def stands() -> bool:
+            sample = self._look()
+            self.looked_at(sample)
+            powered = sample.state in (DriveState.ENABLED, DriveState.QUICK_STOP)
+            return not powered or standstill.look(sample.time_ns, sample.position_load_mm, sample.velocity_mm_s)
+
+        return self.orders.becomes(stands, timeout_s)
+
+    def send_stop(self) -> None:
+        """The map's quick stop, posted: past the lock, the back-off and the exchange under way."""
+        self.orders.stopped = True
+        if self._open:
+            with suppress(Exception):  # whoever sends a stop is in trouble already
+                self.access.post(self.map.quick_stop)
 
     def quick_stop(self) -> None:
-        """Sent at once and repeated without asking, whatever the state and however long the unit has been silent."""
+        """Sent at once, whatever the state and however long the unit has been silent; then seen to be obeyed.
+
+        Where the drive does not show it, it is sent again until it is acknowledged. Raises what the wire raises, and
+        MotionTimeoutError for a drive that goes on.
+        """
         self._require_open()
         self._homing = False
+        self.send_stop()
+        with self.way_out.step(last=False):
+            self._confirm_stop()
+
+    def _confirm_stop(self) -> None:
+        if self._stop_shown():
+            return
         for write in self.map.quick_stop:
             self.access.command(write, urgent=True)
+        standstill = Standstill(self.scaling.resolution_load_mm)
+        confirm_s = self.way_out.within_s(_CONFIRM_S)
+        if not self.orders.becomes(lambda: self._obeys(self._stop_look(), standstill), confirm_s):
+            raise MotionTimeoutError(
+                f"drive {self.name}: quick stop acknowledged, but not obeyed within {confirm_s:.3g} s"
+            )
+
+    def _stop_shown(self) -> bool:
+        """One look, without repeats."""
+        try:
+            return self._stop_look().state is not DriveState.ENABLED
+        except BridgeError:
+            return False
+
+    def _stop_look(self) -> DriveSample:
+        """What tells whether a stop is obeyed; also of a unit in back-off."""
+        names = [rule.condition.register for rule in self.map.states] + [self.map.position]
+        raw = self.access.read(tuple(dict.fromkeys(names)), urgent=True, repeats=0)
+        position_mm = self.scaling.load_mm(self.values.position_counts(raw))
+        return DriveSample(self.clock.now_ns(), self.values.state(raw), position_mm, target_reached=False)
+
+    @staticmethod
+    def _obeys(sample: DriveSample, standstill: Standstill) -> bool:
+        """Some drives stop without leaving "operation enabled"."""
+        return sample.state is not DriveState.ENABLED or standstill.look(sample.time_ns, sample.position_load_mm)
+
+    @contextmanager
+    def _no_motion_after_errors(self) -> Iterator[None]:
+        """An error inside stops the axis and takes its power off; what else ends it (the operator) sends a stop."""
+        try:
+            yield
+        except BridgeError as error:
+            undo_all([("not stopped", self.quick_stop), ("not disabled", self.disable)], during=error)
+            raise
+        except BaseException:
+            self.send_stop()
+            raise
 
     def reset_fault(self) -> None:
         """Acknowledge by the map's sequence; leaves the axis disabled. Raises DriveFaultError when the cause is still there."""
@@ -265,21 +452,25 @@ class ModbusDrive(ServoDrive):
         if homing is None:
             raise StateError(f"drive {self.name}: its register map has no homing")
         self.moves.under_way = None
-        self._end_run()
-        self._release_homing(homing)
-        self.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
-        self._homed = False
-        self.orders.start(homing.start, "homing", homing.timeout_s)
-        self.orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s)
-        self._homing = True
-        # an "attained" of the last time may stand until the drive has looked at the order
-        deadline = self.clock.deadline(homing.timeout_s)
-        while self._attained_now(homing) and not deadline.expired:
-            self.clock.sleep_s(POLL_S)
+        with self._no_motion_after_errors():
+            self._end_run()
+            self._release_homing(homing)
+            self.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
+            self._homed = False
+            self.orders.start(homing.start, "homing", homing.timeout_s)
+            self.orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s)
+            self._attained_gone, self._attained_stands = False, Standstill(self.scaling.resolution_load_mm)
+            self._homing = True
+            deadline = self.clock.deadline(homing.timeout_s)
+            while not self._attained_seen(homing) and not deadline.expired:
+                self.clock.sleep_s(POLL_S)
 
-    def _attained_now(self, homing: HomingMap) -> bool:
-        raw = self.access.of_conditions((*homing.applies, *homing.attained))
-        return all_hold(homing.applies, raw) and all_hold(homing.attained, raw)
+    def _attained_seen(self, homing: HomingMap) -> bool:
+        """One look for whether "attained" has gone, or has stayed for long enough."""
+        raw = self.access.read(self.map.sampled())
+        position_mm = self.scaling.load_mm(self.values.position_counts(raw))
+        attained = hold(homing.applies, raw) and hold(homing.attained, raw)
+        return self._is_of_this_homing(attained, self.clock.now_ns(), position_mm)
 
     def _release_homing(self, homing: HomingMap) -> None:
         self.orders.give(homing.release)
@@ -294,15 +485,11 @@ class ModbusDrive(ServoDrive):
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         raw = self.access.read(self.map.sampled())
         move = self.moves.planned(position_load_mm, velocity_mm_s, raw)  # refused here, before anything is written
-        self._leave_homing(raw)
-        self._end_run()
-        self.moves.make_ready(raw)
-        try:
+        with self._no_motion_after_errors():
+            self._leave_homing(raw)
+            self._end_run()
+            self.moves.make_ready(raw)
             self.moves.begin(move)
-        except BaseException:
-            with suppress(BridgeError):  # it may be moving, and nobody watches a move that was never confirmed
-                self.quick_stop()
-            raise
 
     # -- velocity runs and streams ---------------------------------------------------------------------------------------
     def _start_velocity(self, velocity_mm_s: float) -> None:
@@ -312,20 +499,16 @@ class ModbusDrive(ServoDrive):
         counts_per_s = self.scaling.direction * velocity_mm_s * self.scaling.counts_per_load_mm
         target = {run.target: self.values.raw(counts_per_s, run.target)}  # refused here, before anything is written
         raw = self.access.read(self.map.sampled())
-        self._leave_homing(raw)
         self.moves.under_way = None
-        self.access.write(self.moves.ramp_settings(run.acceleration, run.deceleration))
-        if not self._running:
-            self._write_no_velocity()  # what is left there from before must not come to life with the mode
-        self.orders.set_mode(run.mode, run.mode_shown, run.timeout_s)
-        self._running = True
-        try:
+        with self._no_motion_after_errors():
+            self._leave_homing(raw)
+            self.access.write(self.moves.ramp_settings(run.acceleration, run.deceleration))
+            if not self._running:
+                self._write_no_velocity()  # what is left there from before must not come to life with the mode
+            self.orders.set_mode(run.mode, run.mode_shown, run.timeout_s)
+            self._running = True
             self.orders.start(run.start, "velocity run", run.timeout_s)
-            self.access.write(target)
-        except BaseException:
-            with suppress(BridgeError):  # it may be running
-                self.quick_stop()
-            raise
+            self.orders.write(target)
 
     def _write_no_velocity(self) -> None:
         if self.map.run is not None:
@@ -345,28 +528,31 @@ class ModbusDrive(ServoDrive):
     def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> PacedGroup:
         return PacedGroup([self, *others], settings)
 
-    def begin_stream(self) -> None:
-        """For `ModbusStream`: target := actual, then the mode in which the drive follows it."""
+    def begin_stream(self) -> DriveSample:
+        """For `ModbusStream`: target := actual, then the mode in which the drive follows it; where it stands then."""
         stream = self.map.stream
         self._require_enabled("stream")
         if stream is None:
             raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
-        self._end_run()
-        self._leave_homing(self.access.read(self.map.sampled()))
-        self._write_here(stream.target)
-        self.orders.set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
-        self.orders.start(stream.start, "stream", stream.timeout_s)
+        with self._no_motion_after_errors():
+            self._end_run()
+            self._leave_homing(self.access.read(self.map.sampled()))
+            self._write_here(stream.target)
+            self.orders.set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
+            self.orders.start(stream.start, "stream", stream.timeout_s)
+            return self.sample()
 
     def send_set_point(self, position_load_mm: float) -> None:
         """For `ModbusStream`: the next set-point."""
         target = self.map.stream.target if self.map.stream is not None else self.map.move.target
         counts = float(self.scaling.motor_counts(position_load_mm))
-        self.access.write({target: self.values.raw(counts, target)})
+        self.orders.write({target: self.values.raw(counts, target)})
 
     def end_stream(self) -> None:
         """For `ModbusStream`: back to the mode of moves, held where it is."""
-        self._target_here()
-        self.moves.set_mode()
+        with self._no_motion_after_errors():
+            self._target_here()
+            self.moves.set_mode()
 
     # -- what stands beside the motion -----------------------------------------------------------------------------------
     def _touch_probe(self) -> ModbusTouchProbe:
@@ -382,3 +568,10 @@ class ModbusDrive(ServoDrive):
     def parameters(self) -> ModbusParameters:
         """By the names of the register map."""
         return self._parameters
+
+
+def _is_silence(error: BridgeError) -> bool:
+    """Whether nothing but unanswered requests is in it."""
+    if isinstance(error, UndoError):
+        return all(_is_silence(each) for each in error.errors)
+    return isinstance(error, TransportError)

@@ -1,11 +1,13 @@
 """What makes registers a servo drive: states, transitions, hand-shakes and the places of its values, all as data.
 
-    [drive]                position, velocity, torque, following_error, fault_code: names of registers
+    [drive]                position, velocity, torque, following_error, fault_code: names of registers; identity: a list of those that
+                           tell this drive from others
     [[drive.state]]        (register, mask, value) -> a state of `DriveState`; the first rule that fits holds
     [[drive.enable]]       from these states, write this, and the drive must come to those states within timeout_s;
                            [[drive.disable]] and [[drive.reset_fault]] likewise
     [drive.quick_stop]     what to write, whatever the state; [drive.halt] to stop before switching off
-    [drive.move]           hand-shake of a profile move      [drive.homing]  [drive.store]  [drive.scaling]
+    [drive.move]           hand-shake of a profile move      [drive.homing], with its method and home_position
+    [drive.store]  [drive.scaling]
     [drive.run]            where the drive runs at a velocity   [drive.stream]  where it follows set-points that come cyclically
     [drive.correction_table]  the table that the drive holds itself (`drivers.modbus.table_map`)
     [[drive.touch_probe]]  one for each input that latches positions, with [drive.touch_probe.positive] and .negative for its edges
@@ -103,7 +105,10 @@ class MoveMap:
 
 @dataclass(frozen=True)
 class HomingMap:
-    """The drive's own homing. `attained` and `failed` mean something only while `applies` holds (an empty one always does)."""
+    """The drive's own homing. `attained` and `failed` mean something only while `applies` holds (an empty one always does).
+
+    method, home_position: the registers that decide what becomes the zero, where the map names them
+    """
 
     mode: tuple[Write, ...]
     mode_shown: tuple[Condition, ...]
@@ -114,6 +119,8 @@ class HomingMap:
     attained: tuple[Condition, ...]
     failed: tuple[Condition, ...]
     timeout_s: float
+    method: str | None = None
+    home_position: str | None = None
 
 
 @dataclass(frozen=True)
@@ -215,6 +222,7 @@ class DriveMap:
     store: StoreMap | None
     scaling: ScalingMap
     table: TableBlocks | None = None
+    identity: tuple[str, ...] = ()
 
     def sampled(self) -> tuple[str, ...]:
         """Names of all registers that one sample needs."""

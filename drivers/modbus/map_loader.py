@@ -86,12 +86,20 @@ class _Parser(RoleReader):
             store=self._store(section.child("store")) if "store" in section else None,
             scaling=self._scaling(section.child("scaling", required=False)),
             table=self._table(section.child("correction_table")) if "correction_table" in section else None,
+            identity=self._identity(section),
         )
         section.finish()
         self._check_states(drive)
         if drive.run is not None and drive.velocity is None:
             raise self.document.fail("drive.run", "needs drive.velocity, which says when a run has to be stopped")
         return drive
+
+    def _identity(self, section: Section) -> tuple[str, ...]:
+        names = section.take("identity", _names, "a list of registers' names", ())
+        for name in names:
+            if name not in self.registers.registers or not self.registers[name].readable:
+                raise section.fail("identity", f"names {name!r}, expected registers that can be read")
+        return names
 
     def _table(self, section: Section) -> TableBlocks:
         return TableReader(self.document, self.registers).read(section)
@@ -185,6 +193,8 @@ class _Parser(RoleReader):
             attained=self.conditions(section, "attained", required=True),
             failed=self.conditions(section, "failed"),
             timeout_s=section.take("timeout_s", positive, "seconds > 0", 0.5),
+            method=self.optional_role(section, "method", None),
+            home_position=self.optional_role(section, "home_position", POSITION_UNITS),
         )
         section.finish()
         return homing
@@ -293,6 +303,12 @@ def _state(value: Any) -> DriveState:
     if state is DriveState.UNKNOWN:
         raise ValueError
     return state
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise ValueError
+    return tuple(value)
 
 
 def _states(value: Any) -> tuple[DriveState, ...]:

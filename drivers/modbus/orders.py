@@ -1,37 +1,82 @@
-"""Orders to one Modbus unit that are waited for, and what stood in its settings before they were changed.
+"""Orders to one Modbus unit that are waited for, what stood in its settings before they were changed, and whether its axis stands.
 
-What may go in: writing and then seeing that it took effect. Which orders there are is the register map's business, what they mean
-the drive's.
+Which orders there are is the register map's business, what they mean the drive's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
-from drivers.clock import Clock
-from drivers.errors import MotionTimeoutError, NoAnswerError
+from drivers.clock import NS_PER_S, Clock
+from drivers.errors import BridgeError, MotionTimeoutError, NoAnswerError, StateError
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import Condition, Write, all_hold
 from drivers.modbus.register_access import RegisterAccess, whole
+from drivers.modbus.way_out import WayOut
+from drivers.undo import undo_all
 
 POLL_S = 0.005
+STILL_S = 0.2
+"""An axis whose position has not changed for so long stands, whatever its velocity register shows, s."""
+AGREED_S = 0.02
+"""The same where the velocity register shows 0, s: the register may be stuck there."""
+STILL_MM = 0.005
+"""Positions of an axis at rest lie within this, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
 Evidence = Callable[[], bool]
 
 
-class Orders:
-    """shown_state(): the drive's present state in words, for what is said when something does not come."""
+class Standstill:
+    """Whether an axis stands, judged from looks in a row. count_mm: what the drive tells apart.
 
-    def __init__(self, drive_name: str, access: RegisterAccess, clock: Clock, shown_state: Callable[[], str]) -> None:
+    The position has to stay; less long where a velocity of 0 says the same.
+    """
+
+    def __init__(self, count_mm: float) -> None:
+        self._window_mm = max(STILL_MM, 1.5 * count_mm)
+        self._place_mm: float | None = None
+        self._since_ns = 0
+
+    def look(
+        self, time_ns: int, position_mm: float, velocity_mm_s: float | None = None, still_s: float = STILL_S
+    ) -> bool:
+        """True when it stands; still_s: for how long the position has to stay where no velocity agrees."""
+        if self._place_mm is None or abs(position_mm - self._place_mm) > self._window_mm:
+            self._place_mm, self._since_ns = position_mm, time_ns
+            return False
+        return time_ns - self._since_ns >= (AGREED_S if velocity_mm_s == 0.0 else still_s) * NS_PER_S
+
+
+class Orders:
+    """shown_state(): the drive's present state in words, for what is said when something does not come. post_stop(): sends the stop.
+
+    stopped: a stop was sent since the axis was enabled last, by any thread. From then on no order leaves here, as one that enables
+    would let the axis go on (CiA 402, transition 16).
+    """
+
+    def __init__(
+        self,
+        drive_name: str,
+        access: RegisterAccess,
+        clock: Clock,
+        *,
+        way_out: WayOut,
+        shown_state: Callable[[], str],
+        post_stop: Callable[[], None],
+    ) -> None:
         self._name = drive_name
         self._access = access
         self._clock = clock
+        self._way_out = way_out
         self._shown_state = shown_state
+        self._post_stop = post_stop
+        self.stopped = False
         self._found: dict[str, Raw] = {}  # settings as they were before we changed them
 
     # -- what stood there --------------------------------------------------------------------------------------------
     def forget(self) -> None:
         """A new connection: nothing has been changed yet."""
-        self._found = {}
+        self._found, self.stopped = {}, False
 
     def remember(self, names: Sequence[str]) -> None:
         """Note what stands there before it is written for the first time."""
@@ -41,22 +86,45 @@ class Orders:
             self._found.update(self._access.read(new))
 
     def put_back(self) -> None:
-        """Everything that was remembered."""
-        if self._found:
-            self._access.write(self._found)
-            self._found = {}
+        """Everything that was remembered; what cannot be put back keeps nothing else from it."""
+        found, self._found = self._found, {}
+        if not found:
+            return
+        try:
+            self._access.write(found)
+        except BridgeError:
+            undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
 
     # -- orders ------------------------------------------------------------------------------------------------------
     def give(self, writes: Sequence[Write]) -> None:
-        """Each of them, certain when this returns."""
+        """Each of them, certain when this returns. Raises StateError once the axis was told to stop."""
+        for write in writes:
+            self._unless_stopped(partial(self._access.command, write))
+
+    def give_stopped(self, writes: Sequence[Write]) -> None:
+        """The same for what takes power off or resets a fault, which a stopped axis does too."""
         for write in writes:
             self._access.command(write)
+
+    def write(self, values: Mapping[str, Raw]) -> None:
+        """Set-points, on which some drives start. Raises StateError once the axis was told to stop."""
+        self._unless_stopped(partial(self._access.write, values))
+
+    def _unless_stopped(self, order: Callable[[], None]) -> None:
+        if not self.stopped:
+            try:
+                order()
+            finally:
+                if self.stopped:  # meanwhile, by another thread: the order may have come after the stop
+                    self._post_stop()
+        if self.stopped:
+            raise StateError(f"drive {self._name} was told to stop; it takes orders again once it is enabled anew")
 
     def start(self, writes: Sequence[Write], what: str, timeout_s: float, taken: Evidence = lambda: False) -> None:
         """Start something. Where a start bit went unanswered and cannot be read back, what the axis does is the evidence."""
         for write in writes:
             try:
-                self._access.command(write)
+                self.give((write,))
             except NoAnswerError as error:
                 if not self.becomes(taken, timeout_s):
                     raise NoAnswerError(f"drive {self._name}: start of {what} is in doubt: {error}") from error
@@ -83,8 +151,8 @@ class Orders:
         return all_hold(conditions, self._access.of_conditions(conditions))
 
     def becomes(self, test: Evidence, timeout_s: float) -> bool:
-        """Look until it is so; False when it does not come in time."""
-        deadline = self._clock.deadline(timeout_s)
+        """Look until it is so; False when it does not come in time. At least one look, also where no time is left for the way out."""
+        deadline = self._clock.deadline(self._way_out.within_s(timeout_s))
         while not test():
             if deadline.expired:
                 return False
@@ -95,9 +163,10 @@ class Orders:
         """Raises MotionTimeoutError naming `what` when they do not come to hold."""
         if not conditions:
             return
+        timeout_s = self._way_out.within_s(timeout_s)
         if not self.becomes(lambda: all_hold(conditions, self._access.of_conditions(conditions)), timeout_s):
             raise MotionTimeoutError(
-                f"drive {self._name}: {what} not within {timeout_s:g} s, it is {self._shown_state()}"
+                f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {self._shown_state()}"
             )
 
 

@@ -14,6 +14,7 @@ from drivers.modbus.drive_map import FAULTS, DriveMap, Transition
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.orders import POLL_S, Orders
 from drivers.modbus.register_access import RegisterAccess
+from drivers.modbus.way_out import WayOut
 
 _BOOT_S = 5.0  # how long a drive may be not ready to switch on
 
@@ -32,6 +33,7 @@ class PowerStates:
         orders: Orders,
         *,
         clock: Clock,
+        way_out: WayOut,
         sample: Callable[[], DriveSample],
     ) -> None:
         self._name = drive_name
@@ -40,6 +42,7 @@ class PowerStates:
         self._values = values
         self._orders = orders
         self._clock = clock
+        self._way_out = way_out
         self._sample = sample
 
     def state(self) -> DriveState:
@@ -70,7 +73,14 @@ class PowerStates:
 
     def disable(self, state: DriveState) -> None:
         """Power off from this state, of an axis that stands still."""
-        self._walk(self._from(self._map.disable, state, "disable"), "disable", fault_ends=True)
+        self._walk(self._from(self._map.disable, state, "disable"), "disable", off=True)
+
+    def post_off(self, state: DriveState) -> None:
+        """The writes of `disable`, put on the wire without waiting. Never raises for a drive that answers nothing."""
+        for transition in self._map.disable:
+            if state in transition.sources:
+                self._access.post(transition.writes)
+                return
 
     def reset_fault(self) -> None:
         """Acknowledge by the map's sequence; leaves the axis disabled. Raises DriveFaultError when the cause is still there."""
@@ -80,9 +90,9 @@ class PowerStates:
         if state not in FAULTS:
             return
         transition = self._from(self._map.reset_fault, state, "reset the fault")
-        self._orders.give(transition.writes)
+        self._orders.give_stopped(transition.writes)
         try:
-            self._await("reset", lambda now: now in transition.targets, transition.timeout_s)
+            state = self._await("reset", lambda now: now not in FAULTS, transition.timeout_s)
         except MotionTimeoutError as error:
             sample = self._sample()
             if sample.state not in FAULTS:
@@ -90,6 +100,8 @@ class PowerStates:
             raise DriveFaultError(
                 f"drive {self._name}: the fault stays, its cause is still there", sample.fault_code
             ) from error
+        if self.can_disable(state) and state not in transition.targets:
+            self.disable(state)  # a stop that was sent in the fault still stands
 
     def _from(self, transitions: tuple[Transition, ...], state: DriveState, verb: str) -> Transition:
         for transition in transitions:
@@ -101,22 +113,26 @@ class PowerStates:
             )
         raise StateError(f"drive {self._name} cannot {verb} from {state.value}")
 
-    def _walk(self, transition: Transition, verb: str, *, fault_ends: bool = False) -> None:
-        self._orders.give(transition.writes)
+    def _walk(self, transition: Transition, verb: str, *, off: bool = False) -> None:
+        """off: power goes, which a stop does not forbid, and a fault does as well."""
+        (self._orders.give_stopped if off else self._orders.give)(transition.writes)
         state = self._await(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,
             transition.timeout_s,
         )
-        if state in FAULTS and not fault_ends:
+        if state in FAULTS and not off:
             raise DriveFaultError(f"drive {self._name}: fault while trying to {verb}", self._sample().fault_code)
 
     def _await(self, what: str, good: StateTest, timeout_s: float) -> DriveState:
+        timeout_s = self._way_out.within_s(timeout_s)
         deadline = self._clock.deadline(timeout_s)
         while True:
             state = self.state()
             if good(state):
                 return state
             if deadline.expired:
-                raise MotionTimeoutError(f"drive {self._name}: {what} not within {timeout_s:g} s, it is {state.value}")
+                raise MotionTimeoutError(
+                    f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {state.value}"
+                )
             self._clock.sleep_s(POLL_S)

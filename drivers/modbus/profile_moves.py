@@ -96,7 +96,7 @@ class ProfileMoves:
     def begin(self, planned: Move) -> None:
         """Returns when the axis has set off. After any error it may be moving."""
         move, orders = self._map.move, self._orders
-        self._access.write(planned.written)
+        orders.write(planned.written)
         self.under_way = planned
         orders.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
         orders.wait_for(move.accepted, "new target to be accepted", move.timeout_s)

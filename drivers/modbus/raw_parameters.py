@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
-from drivers.clock import Clock
+from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
@@ -35,6 +35,7 @@ from drivers.raw_parameters import (
     Access,
     DriveIdentity,
     Line,
+    Pause,
     RawForm,
     RawParameter,
     RawParameters,
@@ -49,24 +50,31 @@ _SPARE_WRITES = 2  # of a register's wear budget: what is written may have to be
 
 
 class ModbusLine(Line):
-    """A Modbus line, serial or TCP: one request at a time, so work on it is done one drive after the other."""
+    """A Modbus line, serial or TCP: one request at a time, so work is done one drive after the other, that of the next in a pause."""
 
     def __init__(self, link: ModbusLink) -> None:
         self.link = link
 
     def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
-        return [self._run(job) for job in jobs]
-
-    @staticmethod
-    def _run(job: Steps[T]) -> T | BridgeError:
-        try:
-            next(job)
-        except StopIteration as stop:
-            result: T = stop.value
-            return result
-        except BridgeError as error:
-            return error
-        raise StateError("work for another kind of line")
+        results: dict[int, T | BridgeError] = {}
+        clock = self.link.clock
+        due_ns = dict.fromkeys(range(len(jobs)), clock.now_ns())
+        while due_ns:
+            number = min(due_ns, key=lambda number: due_ns[number])
+            clock.sleep_until_ns(due_ns[number])
+            try:
+                pause = next(jobs[number])
+            except StopIteration as stop:
+                results[number] = stop.value
+                del due_ns[number]
+            except BridgeError as error:
+                results[number] = error
+                del due_ns[number]
+            else:
+                if not isinstance(pause, Pause):
+                    raise StateError("work for another kind of line")
+                due_ns[number] = clock.now_ns() + round(pause.duration_s * NS_PER_S)
+        return [results[number] for number in range(len(jobs))]
 
 
 class ModbusRawParameters(RawParameters):

@@ -13,6 +13,7 @@ from drivers.modbus.drive_map import Condition, Write
 from drivers.modbus.link import Doubt, ModbusLink
 from drivers.modbus.plan import ReadPlan, Span, group_writes, plan_reads
 from drivers.modbus.register_map import Register, RegisterMap
+from drivers.modbus.wire import Request
 
 
 class RegisterAccess:
@@ -23,6 +24,7 @@ class RegisterAccess:
         self.unit = unit
         self.registers = registers
         self._plans: dict[tuple[str, ...], ReadPlan] = {}
+        self._seen: dict[str, int] = {}  # what a register held last, of those that commands go to
 
     def plan(self, names: Sequence[str]) -> ReadPlan:
         """The requests that read these registers, and the predicted wire time."""
@@ -37,16 +39,17 @@ class RegisterAccess:
             )
         return self._plans[key]
 
-    def read(self, names: Sequence[str], *, urgent: bool = False) -> dict[str, Raw]:
-        """Raw values by name, in as few requests as the wire is best served with."""
-        return {
-            name: decode(words, self.registers[name].layout) for name, words in self.words(names, urgent=urgent).items()
-        }
+    def read(self, names: Sequence[str], *, urgent: bool = False, repeats: int | None = None) -> dict[str, Raw]:
+        """Raw values by name, in as few requests as the wire is best served with. urgent and repeats: see `ModbusLink.read`."""
+        words = self.words(names, urgent=urgent, repeats=repeats)
+        return {name: decode(each, self.registers[name].layout) for name, each in words.items()}
 
-    def words(self, names: Sequence[str], *, urgent: bool = False) -> dict[str, tuple[int, ...]]:
+    def words(
+        self, names: Sequence[str], *, urgent: bool = False, repeats: int | None = None
+    ) -> dict[str, tuple[int, ...]]:
         """The registers' words by name."""
         answers = [
-            (request, self.link.read(self.unit, request.table, request.span, urgent=urgent))
+            (request, self.link.read(self.unit, request.table, request.span, urgent=urgent, repeats=repeats))
             for request in self.plan(names).requests
         ]
         words: dict[str, tuple[int, ...]] = {}
@@ -96,6 +99,7 @@ class RegisterAccess:
         if write.mask is not None:
             before = self.integers([register.name], urgent=urgent)[register.name]
             value = (before & ~write.mask) | write.value
+        self._seen[register.name] = value
         doubt = Doubt.READ_BACK if register.readable and not register.self_clearing else Doubt.RAISE
         self.link.write(
             self.unit,
@@ -106,6 +110,27 @@ class RegisterAccess:
             single=self.registers.single_writes,
             urgent=urgent,
         )
+
+    def post(self, writes: Sequence[Write]) -> None:
+        """Put the writes of a stop on the wire without waiting, see `ModbusLink.post`.
+
+        Of a register of which only some bits are written, the others are as `note` or the last command left them.
+        """
+        self.link.post(self.unit, [self._request(write) for write in writes])
+
+    def _request(self, write: Write) -> Request:
+        register = self._writable(write.register)
+        value = write.value
+        if write.mask is not None:
+            value |= self._seen.get(register.name, 0) & ~write.mask
+        words = encode(value, register.layout)
+        return Request.write(register.table, register.span.start, words, single=self.registers.single_writes)
+
+    def note(self, writes: Sequence[Write]) -> None:
+        """Read what `post` has to know of the registers that these writes go to."""
+        names = [write.register for write in writes if write.mask is not None]
+        if names:
+            self._seen.update(self.integers(names))
 
     def neighbourhood(self, name: str, around: int) -> tuple[int, tuple[int, ...]]:
         """The words from `around` registers before to `around` after; returns how many precede the register's own, and the words."""

@@ -31,8 +31,7 @@ class ModbusStream(PacedStream):
                 raise InputError(
                     f"drive {drive.name}: stream period is {1e3 * period_s:g} ms, {whose} needs {1e3 * least_s:.3g} ms"
                 )
-        drive.begin_stream()
-        return drive.sample()
+        return drive.begin_stream()
 
     def _send(self, position_load_mm: float) -> None:
         self._modbus.send_set_point(position_load_mm)

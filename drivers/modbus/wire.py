@@ -1,28 +1,35 @@
 """One Modbus request and its reply, through pymodbus, with every way of failing turned into one typed error.
 
 Nothing here repeats, waits or remembers: that is `drivers.modbus.link`. What pymodbus leaves open is closed here: it reports
-failures as exceptions *or* as replies for which isError() holds; it repeats requests by itself (switched off: a repeated start
-bit is a second move); it does not compare function code, count or echo of a reply with the request; it names the unit differently
-from release to release; a reply cut short on TCP leaves its tail in the stream (the connection is then given up).
+failures as exceptions *or* as replies for which isError() holds; it does not compare function code, count or echo of a reply with the
+request; it names the unit differently from release to release. Its clients are not used, only its requests, replies and framers: they
+block where nobody can interrupt them, repeat requests by themselves (a repeated start bit is a second move) and let traffic extend
+their time-outs. A reply cut short on TCP leaves its tail in the stream; the connection is then given up.
 """
 
 from __future__ import annotations
 
 import contextlib
 import inspect
+import itertools
 import logging
-from collections.abc import Callable
+import math
+import struct
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-import serial
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
+from pymodbus.client.mixin import ModbusClientMixin
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
 
 from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, Span, Table, WireCost
+from drivers.modbus.ports import Check, Port, SerialPort, TcpPort
 
 
 class Function(IntEnum):
@@ -73,6 +80,7 @@ EXCEPTION_NAMES = {
     10: "gateway path unavailable",
     11: "gateway target does not respond",
 }
+ACKNOWLEDGE = 5
 BUSY = 6
 _GATEWAY_NO_RESPONSE = 11
 
@@ -212,178 +220,161 @@ class Wire(Protocol):
 
     @property
     def connected(self) -> bool: ...
-    def connect(self) -> None:
-        """Raises LinkLostError."""
+    def connect(self, within_s: float = math.inf) -> None:
+        """within_s: if that is less than the time-out. Raises LinkLostError."""
 
     def disconnect(self) -> None: ...
     def discard(self, silence_s: float) -> None:
         """Throw away what still comes in, until nothing has come for silence_s of real time. TCP has no need of it."""
 
-    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
-        """The values read, () for a write.
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
+        """The values read, () for a write. within_s: for the reply, if that is less than the time-out.
 
         Raises NoAnswerError, LinkLostError (the connection is then gone), AbortError (the device refused) and ProtocolError (a
-        reply that is none to this request).
+        reply that is none to this request). Whatever else ends it (the operator's stop), its reply may still come.
         """
 
-
-def _serial_errors() -> tuple[type[Exception], ...]:
-    """What pyserial raises; where there are terminals it lets their own kind of error through."""
-    try:
-        import termios  # noqa: PLC0415
-    except ImportError:
-        return (OSError,)
-    return (OSError, termios.error)
+    def post(self, unit: int, requests: Sequence[Request]) -> None:
+        """Send without waiting for replies, beside an exchange that is under way; from any thread and from a signal handler."""
 
 
-_MOST_DISCARDS = 64
-_SERIAL_ERRORS = _serial_errors()
-_OPEN_ERRORS: tuple[type[Exception], ...] = (ValueError, *_SERIAL_ERRORS)
-_OTHER_ERRORS: tuple[type[Exception], ...] = (ModbusException, *_SERIAL_ERRORS)
+_MOST_BYTES = 8192
+"""Bytes within which a reply has to come, after 30 of the longest frames with other numbers. More is noise, not listened to."""
+
+# what pymodbus raises of bytes that are no frame, besides what it means to raise
+_NO_FRAME: tuple[type[Exception], ...] = (ModbusException, IndexError, ValueError, KeyError, TypeError, struct.error)
 
 
-class _SerialClient(ModbusSerialClient):
-    """pymodbus's client, with the reason kept when a port cannot be opened, and told of bytes when they come.
+class _Requests(ModbusClientMixin[ModbusPDU]):
+    """pymodbus's requests, made and not sent."""
 
-    pymodbus's own wait looks twice, milliseconds apart, before it believes that a reply is there.
-    """
-
-    reason = ""
-
-    def connect(self) -> bool:
-        """Open the port; False with `reason` when that fails."""
-        if self.socket is not None:
-            return True
-        settings = self.comm_params
-        try:
-            self.socket = serial.Serial(
-                settings.host,
-                baudrate=settings.baudrate,
-                bytesize=settings.bytesize,
-                parity=settings.parity,
-                stopbits=settings.stopbits,
-                timeout=settings.timeout_connect,
-                write_timeout=settings.timeout_connect,
-                exclusive=True,
-            )
-        except _OPEN_ERRORS as error:
-            self.reason = f": {error}"
-            return False
-        self.reason = ""
-        return True
-
-    def discard(self, silence_s: float) -> None:
-        """Read and forget until the line has been silent; a port that is gone is left to the next request."""
-        if self.socket is None:
-            return
-        with contextlib.suppress(*_SERIAL_ERRORS):
-            self.socket.timeout = silence_s
-            try:
-                for _ in range(_MOST_DISCARDS):  # a line that never falls silent is not waited out
-                    if not self.socket.read(256):
-                        break
-            finally:
-                self.socket.timeout = self.comm_params.timeout_connect
-
-    def recv(self, size: int | None) -> bytes:
-        """Whatever has arrived, b"" when nothing did within the time-out. The framer waits for the rest of a frame."""
-        del size
-        if self.socket is None:
-            raise ConnectionException(str(self))
-        try:
-            first: bytes = self.socket.read(1)
-            return first + self.socket.read(self.socket.in_waiting) if first else b""
-        except _SERIAL_ERRORS as error:
-            self.close()  # type: ignore[no-untyped-call]
-            raise ConnectionException(str(self)) from error
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
+        """Instead of sending it."""
+        del no_response_expected
+        return request
 
 
 class PymodbusWire:
-    """`Wire` over pymodbus's synchronous clients."""
+    """`Wire` by pymodbus's framers over a port of our own. check: `Clock.check_interrupt`, called at least every `IO_SLICE_S`.
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    An exchange takes the endpoint's time-out and `_MOST_BYTES` at most, whatever comes in meanwhile; on a serial line a reply that
+    has begun by then may take the time of the longest frame more.
+    """
+
+    def __init__(self, endpoint: Endpoint, check: Check = lambda: None) -> None:
         self.endpoint = endpoint
         logger = logging.getLogger("pymodbus")
         if not logger.handlers:  # its complaints come back as errors; without a handler they would also go to stderr
             logger.addHandler(logging.NullHandler())
-        self._received = 0
-        self._client: ModbusTcpClient | ModbusSerialClient
+        self._port: Port
+        self._framer: FramerBase
         if isinstance(endpoint, TcpEndpoint):
-            self._client = ModbusTcpClient(
-                endpoint.host, port=endpoint.port, timeout=endpoint.timeout_s, retries=0, trace_packet=self._count_bytes
+            self._port = TcpPort(endpoint.host, endpoint.port, endpoint.timeout_s, check)
+            self._framer = FramerSocket(DecodePDU(False))
+            self._numbers, self._post_numbers = (
+                itertools.cycle(range(1, 0x8000)),
+                itertools.cycle(range(0x8000, 0x10000)),
             )
         else:
-            self._client = _SerialClient(
+            self._port = SerialPort(
                 endpoint.device,
-                baudrate=endpoint.baud,
+                endpoint.baud,
                 parity=endpoint.parity,
-                stopbits=endpoint.stop_bits,
-                timeout=endpoint.timeout_s,
-                retries=0,
-                trace_packet=self._count_bytes,
+                stop_bits=endpoint.stop_bits,
+                timeout_s=endpoint.timeout_s,
+                check=check,
             )
-        self._unit_keyword = unit_keyword(self._client.read_holding_registers)
-
-    def _count_bytes(self, sending: bool, data: bytes) -> bytes:
-        self._received = 0 if sending else len(data)
-        return data
+            self._framer = FramerRTU(DecodePDU(False))
+            self._numbers = self._post_numbers = itertools.cycle((0,))  # RTU numbers nothing
+        self._requests = _Requests()  # type: ignore[no-untyped-call]
+        self._unit_keyword = unit_keyword(self._requests.read_holding_registers)
+        self._rest = b""  # of what came in: on TCP the beginning of a frame
 
     @property
     def connected(self) -> bool:
-        return self._client.connected
+        return self._port.is_open
 
-    def connect(self) -> None:
-        if not self._client.connected and not self._client.connect():
-            reason = self._client.reason if isinstance(self._client, _SerialClient) else ""
-            raise LinkLostError(f"Modbus {self.endpoint} cannot be opened{reason}")
+    def connect(self, within_s: float = math.inf) -> None:
+        if self._port.is_open:
+            return
+        self._rest = b""
+        try:
+            self._port.open(within_s)
+        except OSError as error:
+            raise LinkLostError(f"Modbus {self.endpoint} cannot be opened: {error}") from error
 
     def disconnect(self) -> None:
-        with contextlib.suppress(OSError):  # a port that is gone cannot be closed any better
-            self._client.close()  # type: ignore[no-untyped-call]
+        self._port.close()
 
     def discard(self, silence_s: float) -> None:
-        if isinstance(self._client, _SerialClient):
-            self._client.discard(silence_s)
+        with contextlib.suppress(OSError):  # a port that is gone is left to the next request
+            self._port.discard(silence_s)
 
-    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+    def post(self, unit: int, requests: Sequence[Request]) -> None:
+        self._port.post([self._frame(unit, request, next(self._post_numbers)) for request in requests])
+
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
         what = f"Modbus {self.endpoint} unit {unit}, {request}"
-        self._received = 0
+        self.connect(within_s)
         try:
-            reply = self._send(unit, request)
-        except ConnectionException as error:
-            self.disconnect()
-            raise LinkLostError(f"{what}: connection lost") from error
-        except ModbusIOException as error:
-            raise self._unanswered(what, error) from error
-        except _OTHER_ERRORS as error:
+            with self._port.exchange():
+                reply = self._reply(unit, request, what, min(self.endpoint.timeout_s, within_s))
+        except OSError as error:
             self.disconnect()
             raise LinkLostError(f"{what}: {error}") from error
         if reply.isError():
             raise _refusal(what, request, reply)
         return _checked(what, request, reply)
 
-    def _unanswered(self, what: str, error: ModbusIOException) -> NoAnswerError | ProtocolError:
-        if "No response received" not in str(error):
-            self._drop_broken_stream()
-            return ProtocolError(f"{what}: reply cannot be understood")
-        if not self._received:
-            return NoAnswerError(f"{what}: no answer within {self.endpoint.timeout_s:g} s")
+    def _reply(self, unit: int, request: Request, what: str, timeout_s: float) -> Any:
+        """The first frame from this unit (on TCP: with this number) that comes in time."""
+        number, port = next(self._numbers), self._port
+        if isinstance(self.endpoint, RtuEndpoint):
+            self._rest = b""
+        port.send(self._frame(unit, request, number))
+        end_s, received = time.monotonic() + timeout_s, 0
+        while received <= _MOST_BYTES:
+            data = port.receive(end_s + (port.rest_of_frame_s if received else 0.0))
+            if not data:
+                break
+            received += len(data)
+            self._rest += data
+            if (reply := self._found(unit, number, what)) is not None:
+                return reply
+        if not received:
+            raise NoAnswerError(f"{what}: no answer within {timeout_s:.3g} s")
         self._drop_broken_stream()
-        return NoAnswerError(f"{what}: {self._received} bytes of a damaged or foreign reply, no answer to this request")
+        raise NoAnswerError(f"{what}: {received} bytes of a damaged or foreign reply, no answer to this request")
+
+    def _found(self, unit: int, number: int, what: str) -> Any:
+        """The reply among what has come in so far; frames of others before it are left out."""
+        while True:
+            try:
+                used, reply = self._framer.handleFrame(self._rest, unit, number)
+            except _NO_FRAME as error:
+                self._drop_broken_stream()
+                raise ProtocolError(f"{what}: reply cannot be understood") from error
+            self._rest = self._rest[used:]
+            if reply is None or (reply.dev_id, reply.transaction_id) == (unit, number):
+                return reply
 
     def _drop_broken_stream(self) -> None:
         """On TCP the rest of a broken reply would be taken for the head of the next; on RTU silence ends a frame."""
         if isinstance(self.endpoint, TcpEndpoint):
             self.disconnect()
 
-    def _send(self, unit: int, request: Request) -> Any:
-        method = getattr(self._client, _METHODS[request.function])
+    def _frame(self, unit: int, request: Request, number: int) -> bytes:
+        method = getattr(self._requests, _METHODS[request.function])
         to = {self._unit_keyword: unit}
-        if not request.function.is_write:
-            return method(request.address, count=request.count, **to)
-        values = [bool(value) for value in request.values] if request.function.is_bits else list(request.values)
-        one = request.function in (Function.WRITE_COIL, Function.WRITE_REGISTER)
-        return method(request.address, values[0] if one else values, **to)
+        pdu: ModbusPDU
+        if request.function.is_write:
+            values = [bool(value) for value in request.values] if request.function.is_bits else list(request.values)
+            one = request.function in (Function.WRITE_COIL, Function.WRITE_REGISTER)
+            pdu = method(request.address, values[0] if one else values, **to)
+        else:
+            pdu = method(request.address, count=request.count, **to)
+        pdu.transaction_id = number
+        return self._framer.buildFrame(pdu)
 
 
 def unit_keyword(method: Callable[..., object]) -> str:

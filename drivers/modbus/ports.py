@@ -1,0 +1,345 @@
+"""The socket or serial port under a Modbus wire: every wait is cut into slices in which the operator is heard, and ends in real time.
+
+A stop is *posted*: it leaves without waiting for a reply and without any lock. TCP carries it beside the exchange under way, as
+replies are numbered there. A serial line carries one frame at a time: whoever waits for a reply sends it within a slice, as the unit
+that was asked may be dead, and once more when the line is free, as that unit's reply may have destroyed it.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import socket
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+import serial
+
+from drivers.clock import IO_SLICE_S
+from drivers.modbus.plan import silent_interval_s
+
+Check = Callable[[], None]
+"""check(): raises whatever ends the present wait, such as the operator's stop (`Clock.check_interrupt`)."""
+
+_LONGEST_FRAME = 256  # bytes of the longest RTU frame (Modbus over serial line V1.02, 2.3)
+_BITS_PER_CHARACTER = 11  # 2.5.1
+_TURNAROUND_S = 0.02  # what a drive may take to answer a posted stop before the next one is put on its line
+
+
+def slices(end_s: float, check: Check) -> Iterator[float]:
+    """How long to block next, s, until this moment of `time.monotonic`; `check` is called before each. The last is 0.0, a last look.
+
+    Before and not after: where something comes in all the time nobody takes a second slice.
+    """
+    while (left_s := end_s - time.monotonic()) > 0.0:
+        check()
+        yield min(left_s, IO_SLICE_S)
+    yield 0.0
+
+
+class Port(ABC):
+    """Bytes to and from one line. Everything raises OSError when the line is gone, and what `check` raises."""
+
+    rest_of_frame_s = 0.0  # how much longer than the time-out a reply may take that has begun to come in
+
+    @property
+    @abstractmethod
+    def is_open(self) -> bool: ...
+
+    @abstractmethod
+    def open(self, within_s: float) -> None:
+        """within_s: for what takes its time, if that is less than the time-out."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Never raises."""
+
+    @abstractmethod
+    def send(self, frame: bytes) -> None: ...
+
+    @abstractmethod
+    def receive(self, end_s: float) -> bytes:
+        """What has arrived, as soon as anything has; b"" when nothing has by `end_s` (`time.monotonic`)."""
+
+    @abstractmethod
+    def discard(self, silence_s: float) -> None:
+        """Read and forget until nothing has come for silence_s; a line that never falls silent is not waited out."""
+
+    @abstractmethod
+    def post(self, frames: Sequence[bytes]) -> None:
+        """Send without waiting for replies, from any thread and from a signal handler."""
+
+    @contextmanager
+    def exchange(self) -> Iterator[None]:
+        """A request is sent and its reply awaited inside."""
+        yield
+
+
+# -- TCP ---------------------------------------------------------------------------------------------------------------
+class TcpPort(Port):
+    """A connection to a server; timeout_s is for connecting."""
+
+    def __init__(self, host: str, port: int, timeout_s: float, check: Check) -> None:
+        self._place = (host, port)
+        self._peer: tuple[str, int] | None = None  # the same, with the name resolved
+        self._timeout_s = timeout_s
+        self._check = check
+        self._socket: socket.socket | None = None
+
+    @property
+    def is_open(self) -> bool:
+        return self._socket is not None
+
+    def open(self, within_s: float) -> None:
+        connection = _dialled(self._place, min(self._timeout_s, within_s), self._check)
+        # a stop posted beside a request must not wait for that request to be acknowledged (Nagle's algorithm)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._peer = connection.getpeername()[:2]
+        self._socket = connection
+
+    def close(self) -> None:
+        connection, self._socket = self._socket, None
+        if connection is not None:
+            with suppress(OSError):
+                connection.close()
+
+    def _opened(self) -> socket.socket:
+        if self._socket is None:
+            raise ConnectionError("not connected")
+        return self._socket
+
+    def send(self, frame: bytes) -> None:
+        connection = self._opened()
+        connection.settimeout(IO_SLICE_S)  # only a server that reads nothing lets the buffer fill up
+        connection.sendall(frame)
+
+    def receive(self, end_s: float) -> bytes:
+        connection = self._opened()
+        for slice_s in slices(end_s, self._check):
+            connection.settimeout(slice_s)
+            with suppress(TimeoutError, BlockingIOError):
+                data = connection.recv(4096)
+                if not data:
+                    raise ConnectionResetError("connection lost")
+                return data
+        return b""
+
+    def discard(self, silence_s: float) -> None:
+        """Replies are numbered: an old one is told from the one awaited."""
+
+    def post(self, frames: Sequence[bytes]) -> None:
+        data, connection = b"".join(frames), self._socket
+        if connection is not None and not _hung_up(connection):
+            with suppress(OSError):
+                if connection.send(data) == len(data):
+                    return
+        # in a thread, so that a dead server holds up nobody's stop
+        threading.Thread(target=self._post_anew, args=(data,), name="modbus stop", daemon=True).start()
+
+    def _post_anew(self, data: bytes) -> None:
+        with suppress(OSError), socket.create_connection(self._peer or self._place, self._timeout_s) as connection:
+            connection.sendall(data)
+
+
+def _hung_up(connection: socket.socket) -> bool:
+    """Whether the other side has closed it, so that what is sent now would be lost."""
+    try:
+        return connection.recv(1, socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0)) == b""
+    except (BlockingIOError, TimeoutError):
+        return False
+    except OSError:
+        return True
+
+
+def _dialled(place: tuple[str, int], timeout_s: float, check: Check) -> socket.socket:
+    """A new connection, made in a thread: a name that is being resolved cannot be waited for in slices. Raises OSError."""
+    done: queue.SimpleQueue[socket.socket | OSError] = queue.SimpleQueue()
+    given_up = threading.Event()
+
+    def hang_up() -> None:
+        with suppress(queue.Empty):
+            late = done.get_nowait()
+            if isinstance(late, socket.socket):
+                late.close()
+
+    def dial() -> None:
+        try:
+            done.put(socket.create_connection(place, timeout_s))
+        except (OSError, ValueError) as error:  # ValueError: a host name that cannot be one
+            done.put(error if isinstance(error, OSError) else OSError(str(error)))
+        if given_up.is_set():
+            hang_up()
+
+    threading.Thread(target=dial, name="modbus connect", daemon=True).start()
+    try:
+        for slice_s in slices(time.monotonic() + timeout_s, check):
+            with suppress(queue.Empty):
+                found = done.get(timeout=slice_s)
+                if isinstance(found, OSError):
+                    raise found
+                return found
+        raise TimeoutError(f"not connected within {timeout_s:g} s")
+    finally:
+        given_up.set()
+        hang_up()
+
+
+# -- serial lines --------------------------------------------------------------------------------------------------------
+def _serial_errors() -> tuple[type[Exception], ...]:
+    """What pyserial raises besides OSError: a TypeError of a port closed under it, and where there are terminals their own error."""
+    try:
+        import termios  # noqa: PLC0415
+    except ImportError:
+        return (ValueError, TypeError)
+    return (ValueError, TypeError, termios.error)
+
+
+_SERIAL_ERRORS = _serial_errors()
+
+
+@contextmanager
+def _as_os_error() -> Iterator[None]:
+    try:
+        yield
+    except _SERIAL_ERRORS as error:
+        raise OSError(str(error)) from error
+
+
+_MOST_SILENCES = 64  # a line that never falls silent is listened to for so many times the silence asked for
+
+
+class SerialPort(Port):
+    """A serial line; timeout_s is for a port that takes no bytes."""
+
+    def __init__(self, device: str, baud: int, *, parity: str, stop_bits: int, timeout_s: float, check: Check) -> None:
+        self._device = device
+        self._settings = (baud, serial.EIGHTBITS, parity, stop_bits)
+        self._timeout_s = timeout_s
+        self._check = check
+        self._silence_s = silent_interval_s(baud)
+        self._character_s = _BITS_PER_CHARACTER / baud
+        self.rest_of_frame_s = _LONGEST_FRAME * self._character_s
+        self._serial: serial.Serial | None = None
+        self._posted: deque[bytes] = deque()  # stops that wait for the exchange under way
+        self._early = 0  # how many of them were sent beside it already
+        self._exchanging = False
+        self._stop_answered_s = 0.0  # by when the last posted stop has had its answer
+
+    @property
+    def is_open(self) -> bool:
+        return self._serial is not None
+
+    def open(self, within_s: float) -> None:
+        del within_s  # a local device is opened at once
+        with _as_os_error():
+            self._serial = serial.Serial(
+                self._device, *self._settings, timeout=IO_SLICE_S, write_timeout=self._timeout_s, exclusive=True
+            )
+
+    def close(self) -> None:
+        port, self._serial = self._serial, None
+        if port is not None:
+            with suppress(OSError), _as_os_error():  # a port that is gone cannot be closed any better
+                port.close()
+
+    def _opened(self) -> serial.Serial:
+        if self._serial is None:
+            raise ConnectionError("port is not open")
+        return self._serial
+
+    def send(self, frame: bytes) -> None:
+        port = self._opened()
+        _taken(port)  # replies that nobody waits for any more
+        self._put(port, frame, self._check)
+
+    def _put(self, port: serial.Serial, frame: bytes, check: Check) -> None:
+        for slice_s in slices(time.monotonic() + self._timeout_s, check):
+            frame = frame[_written(port, frame) :]
+            if not frame:
+                return
+            time.sleep(slice_s)
+        raise TimeoutError("the port takes no bytes")
+
+    def receive(self, end_s: float) -> bytes:
+        port = self._opened()
+        for slice_s in slices(end_s, self._check):
+            if data := _taken(port, wait=slice_s > 0.0):
+                return data
+            self._send_early(port)
+        return b""
+
+    def discard(self, silence_s: float) -> None:
+        port = self._opened()
+        end_s = silent_s = time.monotonic() + silence_s
+        end_s += _MOST_SILENCES * silence_s
+        for _ in slices(end_s, self._check):
+            if _taken(port, wait=True):
+                silent_s = time.monotonic() + silence_s
+            elif time.monotonic() >= silent_s:
+                return
+
+    # -- stops -------------------------------------------------------------------------------------------------------
+    def post(self, frames: Sequence[bytes]) -> None:
+        self._posted.extend(frames)
+        if not self._exchanging:  # else whoever waits for a reply sends them
+            self._send_posted()
+
+    @contextmanager
+    def exchange(self) -> Iterator[None]:
+        self._exchanging = True
+        try:
+            yield
+        finally:
+            self._exchanging = False
+            self._early = 0
+            self._send_posted()
+
+    def _send_early(self, port: serial.Serial) -> None:
+        waiting = tuple(self._posted)
+        if len(waiting) > self._early:
+            self._send_stop(port, waiting[self._early])
+            self._early += 1
+
+    def _send_posted(self) -> None:
+        with suppress(IndexError, OSError), _as_os_error():  # IndexError: no more of them
+            while True:
+                self._send_stop(self._opened(), self._posted.popleft())
+
+    def _send_stop(self, port: serial.Serial, frame: bytes) -> None:
+        with _as_os_error():
+            self._await_quiet(port)
+            self._put(port, frame, lambda: None)
+        self._stop_answered_s = time.monotonic() + 2 * len(frame) * self._character_s + _TURNAROUND_S
+
+    def _await_quiet(self, port: serial.Serial) -> None:
+        """Until the last stop was answered and no byte has come for the silent interval; no longer than the longest frame."""
+        while time.monotonic() < self._stop_answered_s and not port.in_waiting:
+            time.sleep(0.001)
+        end_s = time.monotonic() + self.rest_of_frame_s
+        seen = -1
+        while port.in_waiting != seen and time.monotonic() < end_s:
+            seen = port.in_waiting
+            time.sleep(self._silence_s)
+
+
+def _taken(port: serial.Serial, *, wait: bool = False) -> bytes:
+    """What has come in; wait: for the first byte, `IO_SLICE_S` at most."""
+    with _as_os_error():
+        first: bytes = port.read(1) if wait else b""
+        rest: bytes = port.read(port.in_waiting)
+        return first + rest
+
+
+def _written(port: serial.Serial, frame: bytes) -> int:
+    """How many bytes the port took, without waiting: pyserial's own write spins until its time-out on a port that takes none."""
+    if sys.platform == "win32":
+        return int(port.write(frame) or 0)
+    try:
+        return os.write(port.fileno(), frame)
+    except BlockingIOError:
+        return 0

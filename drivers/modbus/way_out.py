@@ -1,0 +1,109 @@
+"""The time that a drive's way out may take: one budget for its stop, its power and its settings, whatever is dead.
+
+Without it the time-outs of the steps add up, as each step knows only its own.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from drivers.clock import NS_PER_S, Clock
+from drivers.drive import DriveLimits
+from drivers.errors import BridgeError
+
+_LEAST_S = 6.0
+"""Of the 10 s from a fault to the end. The rest is for noticing it (three requests of 1 s on TCP) and what stands beside the drive."""
+_MACHINE_S = 10.0
+"""So long after its begin a way out that failed is over, s: whoever stops or disables then does so anew, as after a repair."""
+_LEAST_REPLY_S = 0.1
+"""What a request is waited for once nothing is left, s: any drive that is alive answers within it (most take 1 to 20 ms)."""
+POWER_OFF_S = 1.0
+"""Of the budget, kept from the wait for standstill, s: to write that power goes, and see it go."""
+
+
+class WayOut:
+    """Of one drive: begun by its first stop, `disable` or `close`, shared by those that follow.
+
+    A halt and a quick stop may each have to brake from the axis's highest velocity by its acceleration: where both need longer than
+    `_LEAST_S` leaves them, the budget is longer. What counts is the time in the steps, and all time once one has failed, by the clock;
+    or what was spent on requests that nobody answered, if that is more, as it passes in real time only. From any thread; waits are
+    limited for the thread that is in a step.
+    """
+
+    def __init__(self, clock: Clock, limits: DriveLimits) -> None:
+        self._clock = clock
+        self.budget_s = max(_LEAST_S, 3.0 + 2.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2)
+        self._thread = threading.local()
+        self._begun_ns: int | None = None
+        self._counted_ns = 0  # up to here time was counted
+        self._used_s = self._unanswered_s = 0.0
+        self._failed = False
+
+    def over(self) -> None:
+        """A new connection, or an axis that is enabled anew: the next stop begins another."""
+        self._begun_ns, self._used_s, self._unanswered_s, self._failed = None, 0.0, 0.0, False
+
+    @contextmanager
+    def step(self, *, last: bool) -> Iterator[None]:
+        """Around each step. last: it ends a way out in which nothing has failed, as the axis is then seen to be without power."""
+        if self._inside:
+            yield
+            return
+        now_ns = self._clock.now_ns()
+        if not self._recent:
+            self.over()
+            self._begun_ns = now_ns
+        if not self._failed:
+            self._counted_ns = now_ns
+        self._thread.inside = True
+        try:
+            yield
+        except BridgeError:
+            self._failed = True
+            raise
+        finally:
+            self._used_s, self._counted_ns = self._spent_s(), self._clock.now_ns()
+            self._thread.inside = False
+        if last and not self._failed:
+            self.over()
+
+    @property
+    def _inside(self) -> bool:
+        return bool(getattr(self._thread, "inside", False))
+
+    @property
+    def _recent(self) -> bool:
+        past_s = math.inf if self._begun_ns is None else (self._clock.now_ns() - self._begun_ns) / NS_PER_S
+        return past_s < max(_MACHINE_S, self.budget_s)
+
+    def _spent_s(self) -> float:
+        running = self._inside or self._failed
+        return self._used_s + running * (self._clock.now_ns() - self._counted_ns) / NS_PER_S
+
+    def left_s(self) -> float:
+        """Of the budget."""
+        return max(0.0, self.budget_s - max(self._spent_s(), self._unanswered_s))
+
+    def within_s(self, own_s: float, *, leave_s: float = 0.0) -> float:
+        """How long to wait for something that has own_s by itself. leave_s: kept for what comes after it."""
+        return min(own_s, max(0.0, self.left_s() - leave_s)) if self._inside else own_s
+
+    # -- requests ----------------------------------------------------------------------------------------------------
+    def _limits_requests(self) -> bool:
+        return self._inside or (self._failed and self._recent)
+
+    def repeats(self, own: int, *, silent: bool) -> int:
+        """How often a request may be repeated. silent: the unit has left one unanswered, repeats and all, and nothing since."""
+        return 0 if self._limits_requests() and (silent or self.left_s() <= 0.0) else own
+
+    def reply_s(self) -> float:
+        """How long to wait for a reply at most."""
+        return max(_LEAST_REPLY_S, self.left_s()) if self._limits_requests() else math.inf
+
+    def unanswered(self, waited_s: float) -> None:
+        """So much real time went to a request that was not answered."""
+        if self._limits_requests():
+            self._unanswered_s += waited_s
