@@ -6,7 +6,7 @@ What a test or a demonstration needs of the simulated side. Faces of the servo o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import TracebackType
 from typing import Self
@@ -18,11 +18,20 @@ from sim_backends import laser_effects
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
 from sim_backends.gauge import GaugeParameters, SimulatedGauge
+from sim_backends.homing import HOMING_METHODS
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis, worn_axis
 from sim_backends.servo import ServoParameters, SimulatedServo
+from sim_backends.servo_parameters import Switches
+
+HOMING_REV_S = 5.0
+"""Towards the switch, motor revolutions per second: 50 mm/s with the usual screw, which stops within 1.3 mm behind the switch."""
+HOMING_SLOW_REV_S = 0.5
+"""Away from it, to the edge and the index pulse."""
+SWITCH_SPREAD_REV = 1e-4
+"""Standard deviation of where a limit switch trips: 1 µm with the usual screw, as makers of precision switches state it."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,8 @@ class BenchParameters:
     """Everything seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm).
 
     gauge: a display or gauge that measures the axis instead of the laser; the laser's faults are then its own
+    homing_method: of a drive on a wire, by 6098h, until its axis file says otherwise: 1 is the negative limit switch and the index
+    pulse above it
     trigger_input: fast input of the drive, 1 or 2, that shares a line with the instrument: a pulse with each of its samples
     """
 
@@ -39,6 +50,7 @@ class BenchParameters:
     gauge: GaugeParameters | None = None
     laser_faults: tuple[Fault, ...] = ()
     servo_faults: tuple[Fault, ...] = ()
+    homing_method: int = 1
     trigger_input: int | None = None
     step_s: float = 0.005
 
@@ -84,8 +96,34 @@ class BenchParameters:
             (0x6092, 2): 1,
             (0x60A8, 0): (round(exponent) & 0xFF) << 24 | 0x01 << 16 if is_length else 0xB5 << 16,
             (0x6085, 0): round(servo.max_acceleration_rev_s2 * counts),
-            (0x6099, 1): round(2.0 * counts),
-            (0x6099, 2): round(0.1 * counts),
+            (0x6098, 0): self.homing_method,
+            (0x607C, 0): self.home_counts,
+            (0x6099, 1): round(HOMING_REV_S * counts),
+            (0x6099, 2): round(HOMING_SLOW_REV_S * counts),
+        }
+
+    @property
+    def home_counts(self) -> int:
+        """Where the homing method ends, in the frame in which the axis's nominal zero is 0.
+
+        0 for a method that takes the place where the axis stands, or the index pulse beside it.
+        """
+        method, switches = HOMING_METHODS.get(self.homing_method), Switches(self.servo)
+        if method is None or method.sensor is None:
+            return 0
+        edge = switches.edge(method.sensor)
+        turn = method.final_direction * float(self.servo.counts_per_rev)
+        pulse = switches.index_between(edge, edge + turn) if method.index else None
+        return round(edge if pulse is None else pulse)
+
+    @property
+    def vendor_settings(self) -> dict[str, int]:
+        """Homing of the drive with a vendor's own registers; its speeds are in 0.01 rpm."""
+        return {
+            "origin_method": self.homing_method,
+            "origin_offset": self.home_counts,
+            "origin_speed": round(6000 * HOMING_REV_S),
+            "origin_creep": round(6000 * HOMING_SLOW_REV_S),
         }
 
     @property
@@ -106,7 +144,9 @@ def known_bench(kind: str, seed: int) -> BenchParameters:
     }
     if kind not in plants:
         raise InputError(f"machine {kind!r}, expected one of {', '.join(plants)}")
-    return BenchParameters(plant=plants[kind](seed))
+    servo = ServoParameters()
+    servo = replace(servo, switch_spread_counts=SWITCH_SPREAD_REV * servo.counts_per_rev)
+    return BenchParameters(plant=plants[kind](seed), servo=servo)
 
 
 class Bench:

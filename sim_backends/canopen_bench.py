@@ -51,7 +51,8 @@ SMALL_SERVO = ServoParameters(
 class CanBench:
     """Drives with the given node ids on one wire. bitrate None: frames take no time.
 
-    faults: {node id: what goes wrong with it}; parameters: laid over every drive's defaults.
+    faults: {node id: what goes wrong with it}; parameters: laid over every drive's defaults; lacking: objects that no drive has;
+    refused: objects that no drive lets be written.
     """
 
     node_ids: Sequence[int] = (5,)
@@ -61,6 +62,8 @@ class CanBench:
     servo_parameters: ServoParameters = SMALL_SERVO
     servo_faults: Sequence[Fault] = ()
     flash: Flash | None = None  # of the drive (all of them share it): what it kept from a life before
+    lacking: Sequence[int] = ()
+    refused: Sequence[tuple[int, int]] = ()
     eds: Path = EDS
     table: TableForm | None = None  # of every drive: the correction table that it holds itself
 
@@ -85,6 +88,11 @@ class CanBench:
             )
             for node_id, servo in self.servos.items()
         }
+        for slave in self.slaves.values():
+            for index in self.lacking:
+                slave.dictionary.remove(index)
+            for index, subindex in self.refused:
+                slave.dictionary.lock(index, subindex)
 
     @property
     def servo(self) -> SimulatedServo:

@@ -155,6 +155,20 @@ class Dictionary:
         """The same for entries without a numeric type."""
         self._byte_writers.setdefault((index, subindex), []).append(writer)
 
+    def lock(self, index: int, subindex: int) -> None:
+        """The drive does not let this entry be written: "attempt to write a read only object"."""
+
+        def refuse(_value: int) -> None:
+            raise RefusedError(READ_ONLY)
+
+        self._writers.setdefault((index, subindex), []).insert(0, refuse)
+
+    def remove(self, index: int) -> None:
+        """The drive lacks this object."""
+        for key in [key for key in self.items if key[0] == index]:
+            del self.items[key]
+        self._indices.discard(index)
+
     # -- from inside the drive ---------------------------------------------------------------------------------------
     def number(self, index: int, subindex: int = 0) -> int:
         """The present value of a numeric entry."""

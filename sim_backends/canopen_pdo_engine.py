@@ -70,6 +70,9 @@ class PdoEngine:
     def reload(self) -> None:
         """Take everything from the dictionary again, after a reset or a restore."""
         for pdo in self._pdos:
+            if (pdo.communication, 1) not in self._dictionary.items:
+                pdo.enabled = False  # a drive with fewer PDOs
+                continue
             pdo.kind = self._dictionary.number(pdo.communication, 2)
             pdo.pending = pdo.last = None
             pdo.sync_count = 0

@@ -335,7 +335,8 @@ class DriveProfile:
 
     def abort_connection(self) -> None:
         """The master is gone (heartbeat lost, node stopped): react as 6007h says."""
-        option = self._od.number(0x6007)
+        # without 6007h (it is optional) a communication error is a malfunction, as value 1 has it
+        option = self._od.number(0x6007) if (0x6007, 0) in self._od.items else 1
         if self.state is not DriveState.ENABLED or option == 0:
             return
         if option == 1:

@@ -57,6 +57,10 @@ class SimClock(Clock):
     def now_ns(self) -> int:
         return self._now_ns
 
+    def check_interrupt(self) -> None:
+        if self._waiting is not None:
+            self._waiting.simulated(self._now_ns)
+
     def sleep_until_ns(self, time_ns: int) -> None:
         if self._now_ns >= time_ns:
             return

@@ -95,7 +95,8 @@ class CanDrive:
 def modbus_face(bench: Bench, shape: str) -> Face:
     """The bench's servo as registers: "cia402" (objects in blocks of holding registers) or "vendor" (coils and a trigger register)."""
     if shape == "vendor":
-        return VendorRegisters(bench.servo, counts_per_rev=bench.parameters.servo.counts_per_rev)
+        counts, settings = bench.parameters.servo.counts_per_rev, bench.parameters.vendor_settings
+        return VendorRegisters(bench.servo, counts_per_rev=counts, settings=settings)
     if shape == "cia402":
         return Cia402Registers(bench.servo, parameters=bench.parameters.micrometre_objects)
     raise InputError(f"Modbus shape {shape!r}, expected one of {', '.join(MODBUS_SHAPES)}")

@@ -229,6 +229,7 @@ class SimulatedServo:
             self.homing_error = True
             return
         self._homing_offset = offset_counts
+        self._switches.trip_anew()
         self._homing = HomingRun(
             plan,
             self._switches,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass
 
 from drivers.errors import InputError
@@ -14,7 +15,8 @@ class ServoParameters:
     """A drive, its motor and its switches. Places are shaft counts, in the frame in which the axis's nominal zero is 0.
 
     position_gain_per_s and feed_forward (0…1) make the lag (1 − feed_forward)·v/gain; the window and time-outs supervise it.
-    home_switch_counts: the switch is active below. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s²; the current
+    home_switch_counts: the switch is active below. switch_spread_counts: standard deviation of where a switch trips, drawn anew for
+    each homing. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s²; the current
     limit ends them all at peak_torque_permille.
     """
 
@@ -34,6 +36,7 @@ class ServoParameters:
     positive_stop_counts: float = 51_000_000.0
     home_switch_counts: float = -200_000.0
     index_offset_counts: float = 0.0
+    switch_spread_counts: float = 0.0
     homing_acceleration_rev_s2: float = 100.0
     coast_rev_s2: float = 8.0
     default_cycle_s: float = 0.002
@@ -57,15 +60,22 @@ class Switches:
 
     def __init__(self, parameters: ServoParameters) -> None:
         self._p = parameters
+        self._spread = random.Random(parameters.seed + 1)
+        self._off = 0.0  # where the switches trip at present, beside their places
+
+    def trip_anew(self) -> None:
+        """From now on the switches trip a little elsewhere, as mechanical ones do each time."""
+        spread = self._p.switch_spread_counts
+        self._off = self._spread.gauss(0.0, spread) if spread else 0.0
 
     def positive_limit(self, at: float) -> bool:
-        return at >= self._p.positive_limit_counts
+        return at >= self._p.positive_limit_counts + self._off
 
     def negative_limit(self, at: float) -> bool:
-        return at <= self._p.negative_limit_counts
+        return at <= self._p.negative_limit_counts + self._off
 
     def home(self, at: float) -> bool:
-        return at < self._p.home_switch_counts
+        return at < self._p.home_switch_counts + self._off
 
     def active(self, sensor: HomingSensor, at: float) -> bool:
         if sensor is HomingSensor.HOME:
@@ -76,8 +86,9 @@ class Switches:
         """Where a switch changes."""
         p = self._p
         if sensor is HomingSensor.HOME:
-            return p.home_switch_counts
-        return p.negative_limit_counts if sensor is HomingSensor.NEGATIVE_LIMIT else p.positive_limit_counts
+            return p.home_switch_counts + self._off
+        place = p.negative_limit_counts if sensor is HomingSensor.NEGATIVE_LIMIT else p.positive_limit_counts
+        return place + self._off
 
     def index_between(self, start: float, end: float) -> float | None:
         """The first index pulse met on the way from start to end."""

@@ -11,8 +11,16 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
-from drivers.errors import CapabilityError, DriveFaultError, InputError, LinkLostError, MotionTimeoutError, StateError
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.errors import (
+    CapabilityError,
+    DriveFaultError,
+    HeldUnderPowerError,
+    InputError,
+    LinkLostError,
+    MotionTimeoutError,
+    StateError,
+)
 from drivers.paced_stream import PacedGroup
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
@@ -84,9 +92,8 @@ class VirtualDrive(ServoDrive):
             return
         try:
             self.disable()
-        except MotionTimeoutError:
-            self._servo.power_off()
-        self._open = False
+        finally:
+            self._open = False
 
     @property
     def capabilities(self) -> frozenset[Capability]:
@@ -98,7 +105,7 @@ class VirtualDrive(ServoDrive):
         servo, counts_per_mm = self._servo, self._counts_per_mm
         if self._running and self._state() is DriveState.ENABLED:
             self._watch_travel(
-                servo.position_actual_counts / counts_per_mm, servo.velocity_actual_counts_s / counts_per_mm
+                servo.position_demand_counts / counts_per_mm, servo.velocity_actual_counts_s / counts_per_mm
             )
         return DriveSample(
             time_ns=self.clock.now_ns(),
@@ -111,6 +118,9 @@ class VirtualDrive(ServoDrive):
             homed=servo.homed,
             fault_code=servo.fault_code or None,
         )
+
+    def zero(self) -> DriveZero:
+        return DriveZero(self.settings.homing_method, self.settings.home_position_mm, {"model": "virtual"})
 
     def _state(self) -> DriveState:
         servo = self._servo
@@ -135,23 +145,50 @@ class VirtualDrive(ServoDrive):
         self._servo.power_on()  # sets the demand to the actual position before the loop closes
 
     def disable(self) -> None:
-        """Stop if moving, then power off. Raises MotionTimeoutError when the axis does not come to rest (it is then still on)."""
+        """Stop if moving, then power off. One that does not come to rest is quick-stopped, and disabled all the same.
+
+        Raises HeldUnderPowerError for an axis that would then fall; it stays under power, quick-stopped.
+        """
         self._require_open()
         servo = self._servo
         if not servo.powered:
             return
         self._running = False
-        servo.halt(self._counts_s2(self.settings.acceleration_mm_s2))
-        self.wait_for(
-            lambda sample: sample.velocity_mm_s == 0.0 or sample.state is not DriveState.QUICK_STOP,
-            self.settings.stop_timeout_s,
-            "standstill before power off",
-        )
+        try:
+            if not servo.stopping:  # a quick stop under way is the shorter ramp
+                servo.halt(self._counts_s2(self.settings.acceleration_mm_s2))
+            seen = self._comes_to_rest()
+        except BaseException:
+            self.send_stop()
+            raise
+        if not seen:
+            self.send_stop()
+            if not self._comes_to_rest() and self.falls_without_power:
+                raise HeldUnderPowerError(
+                    f"drive {self.name}: not seen at rest within {self.settings.stop_timeout_s:g} s of a quick stop; gravity can move"
+                    " the axis and no brake is stated, so it stays under power, held by its drive"
+                )
         servo.power_off()
 
+    def _comes_to_rest(self) -> bool:
+        try:
+            self.wait_for(
+                lambda sample: sample.velocity_mm_s == 0.0 or sample.state is not DriveState.QUICK_STOP,
+                self.settings.stop_timeout_s,
+                "standstill before power off",
+            )
+        except MotionTimeoutError:
+            return False
+        return True
+
+    def send_stop(self) -> None:
+        if self._open:
+            self._servo.quick_stop(self._counts_s2(self.settings.quick_stop_mm_s2))
+
     def quick_stop(self) -> None:
+        """Confirmed by returning: there is no wire on which it could be lost."""
         self._require_open()
-        self._servo.quick_stop(self._counts_s2(self.settings.quick_stop_mm_s2))
+        self.send_stop()
 
     def reset_fault(self) -> None:
         self._require_open()
@@ -169,6 +206,7 @@ class VirtualDrive(ServoDrive):
             scaling.motor_counts(settings.home_position_mm),
         )
         if self._servo.homing_error:
+            self.send_stop()  # of whatever was under way
             raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
 
     def _start_velocity(self, velocity_mm_s: float) -> None:
