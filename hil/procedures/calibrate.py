@@ -77,7 +77,7 @@ def calibrate(
     straightness: a straightness correction that is stored and put into force together with the tables
 
     Leaves the tables in force in the session. Raises InputError, before any table is stored, when the band is narrower than the
-    machine's repeatability.
+    machine's repeatability, and CorrectionBoundError, before it is stored, for a table beyond the axis's bound.
     """
     how = session.how
     session.compensation = None
@@ -92,8 +92,10 @@ def calibrate(
     while True:
         number = len(rounds) + 1
         stored = as_stored(tables, correction)
+        compensation = Compensation(stored)
+        compensation.check(session.steering.bound, "correction computed from these runs not used")
         store(stored)
-        session.compensation = Compensation(stored)
+        session.compensation = compensation
         records = measure(session, campaign, f"round-{number}", steps, listener, comment=f"tables {stored.digest()}")
         outside = _outside(records, correction.band)
         rounds.append(Round(records, stored, tuple(outside)))

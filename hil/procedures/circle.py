@@ -57,12 +57,15 @@ def check_axes(axes: Sequence[AxisSession], circle: Circle, period_s: float) -> 
         raise InputError(f"a period of {1e3 * period_s:g} ms is no period for this circle")
 
 
-def prepare(axes: Sequence[AxisSession]) -> None:
-    """Both instruments are heard before either axis is enabled; then each in turn is homed and gets its datum."""
+def prepare(axes: Sequence[AxisSession], compensations: Sequence[Compensation | None] = (None, None)) -> None:
+    """Both instruments are heard before either axis is enabled; then each in turn is homed and gets its datum.
+
+    compensations: what is to be put into force. Raises ZeroError as `AxisSession.prepare`.
+    """
     for axis in axes:
         axis.await_instrument()
-    for axis in axes:
-        axis.prepare()
+    for axis, compensation in zip(axes, compensations, strict=True):
+        axis.prepare(compensation=compensation)
 
 
 def drive_circle(
@@ -117,15 +120,18 @@ def _stream(
     known = [axis.known_for_commands() for axis in axes]
     first, others = axes[0], [axis.drive for axis in axes[1:]]
     with ExitStack() as stack:
-        stack.enter_context(first.lookout.stopping_on_error())
+        stack.enter_context(first.supervisor.stopping_on_error())
+        found = [stack.enter_context(axis.axis.following()) for axis in axes]
         stream = stack.enter_context(first.drive.stream_with(others, SetPointSettings(period_s)))
         for index, (targets, feed) in enumerate(circle.path(period_s)):
             commands = [
                 axis.set_point(target, feed, values) for axis, target, values in zip(axes, targets, known, strict=True)
             ]
-            stream.cycle([command.command_mm for command in commands])
-            for axis, command, rows in zip(axes, commands, samples, strict=True):
+            places = stream.cycle([command.command_mm for command in commands])
+            now_ns = first.clock.now_ns()
+            for axis, command, rows, tell, place_mm in zip(axes, commands, samples, found, places, strict=True):
                 axis.steering.given(command)
+                tell(now_ns, place_mm, feed)
                 rows.extend(axis.readings())
             if index % every == 0:
                 listener(Event(stage, done=min(seconds, round(index * period_s)), total=seconds))

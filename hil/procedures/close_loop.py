@@ -29,7 +29,7 @@ from hil.procedures.calibrate import Calibration, calibrate
 from hil.procedures.computing import Computing, at_once
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.explore import Exploration, Run, explore, plan_runs
-from hil.procedures.extend import compensation_of, issuable, model_of
+from hil.procedures.extend import bounded, issuable, model_of
 from hil.procedures.in_motion import InMotion, check_passes, measure_in_motion, plan_passes
 from hil.procedures.latency import dated
 from hil.procedures.next_run import means_of, measure_run
@@ -132,7 +132,8 @@ def turn_loop(
     """Explore, diagnose, extend, explore again, on a prepared session with a compensation in force.
 
     What is fitted is the whole machine (measured - command), so that the new compensation replaces the old one. It is put into
-    force only when the diagnosis recommends it: not where it would make runs it has not seen worse.
+    force only when the diagnosis recommends it: not where it would make runs it has not seen worse. Raises CorrectionBoundError for
+    one beyond the axis's bound, before it is stored.
     """
     how = turning or Turning()
     runs = [how.plan or plan_runs(session, how.exploration, seed) for seed in (1, 2)]
@@ -140,7 +141,7 @@ def turn_loop(
     diagnosis, rows, further, follow = _decide(session, campaign, before, how, listener)
     extended = session.compensation or Compensation(tables)
     if diagnosis.recommended:
-        extended = compensation_of(diagnosis.extended, tables)
+        extended = bounded(session, diagnosis.extended, tables, rows)
         store(extended)
     session.compensation = extended
     after = explore(session, campaign, "after", runs[1], listener)
@@ -173,7 +174,7 @@ def turn_in_motion(
     diagnosis = computing(session, partial(diagnose, rows, model_of(compensation), effects=effects))
     extended = compensation
     if diagnosis.recommended:
-        extended = compensation_of(diagnosis.extended, compensation.tables)
+        extended = bounded(session, diagnosis.extended, compensation.tables, rows)
         store(extended)
     session.compensation = extended
     after = measure_in_motion(session, campaign, "motion-after", passes[1], how=how, listener=listener)

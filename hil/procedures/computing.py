@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Protocol, TypeVar
 
-from hil.procedures.lookout import SLICE_S
+from hil.machine.supervisor import SLICE_S
 from hil.procedures.session import AxisSession
 
 Result = TypeVar("Result")

@@ -6,6 +6,7 @@ made good: the next one puts it back first. Nothing counts as written that was n
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from drivers.drive import DriveState, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from hil.files import read_text, replace_file
 from hil.procedures.one_correction import switch_table
+from hil.zero import Zero
 
 Tell = Callable[[str], None]
 _POWERED = (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.SWITCHED_ON, DriveState.FAULT_REACTION)
@@ -181,6 +183,30 @@ def put_back(drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None
         table.write(found.raw, present)
         require_same(drive.name, found.raw, table.read())
     switch_table(drive, table, found.enabled)
+
+
+# -- the zero it was made in -----------------------------------------------------------------------------------------------
+def remember_zero(note: Path, raw: RawTable, zero: Zero | None) -> None:
+    """Note that what the drive holds from now on was made in this zero of the axis; a drive has no place for it."""
+    form = {"table": _digest(raw), "zero": None if zero is None else zero.to_json()}
+    note.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(note, (json.dumps(form, indent=1) + "\n").encode())
+
+
+def remembered_zero(note: Path, raw: RawTable) -> Zero | None:
+    """In which zero what the drive holds was made; None where nobody noted it. Raises InputError for a note that cannot be read."""
+    if not note.exists():
+        return None
+    try:
+        form = json.loads(read_text(note))
+        zero = None if form["zero"] is None else Zero.from_json(form["zero"])
+        return zero if form["table"] == _digest(raw) else None
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError("does not say in which zero the drive's table was made", path=note) from error
+
+
+def _digest(raw: RawTable) -> str:
+    return hashlib.sha256(json.dumps(asdict(raw), sort_keys=True).encode()).hexdigest()
 
 
 def require_same(drive: str, wanted: RawTable, kept: RawTable) -> None:

@@ -29,7 +29,7 @@ class Event:
     """Something a person watching would want to know.
 
     stage: the step now running, such as "measure" or "verify, round 2"; done and total count its points (0 of 0: not countable)
-    found: what has just been measured
+    found: what has just been measured; warning: the message is one that nobody may miss
     """
 
     stage: str
@@ -37,6 +37,7 @@ class Event:
     done: int = 0
     total: int = 0
     found: Point | Measured | None = None
+    warning: bool = False
 
 
 Listener = Callable[[Event], None]

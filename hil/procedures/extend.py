@@ -28,6 +28,17 @@ def compensation_of(model: Model, like: TableSet) -> Compensation:
     return Compensation(replace(like, pitch=pitch, backlash=backlash), model.terms)
 
 
+def bounded(session: AxisSession, model: Model, like: TableSet, rows: Records) -> Compensation:
+    """`compensation_of`, held against the axis's bound: along the axis, and in the rows that the model was fitted to.
+
+    Raises CorrectionBoundError naming the worst place.
+    """
+    extended, what = compensation_of(model, like), "extended correction not used"
+    extended.check(session.steering.bound, what)
+    extended.check_rows(session.steering.bound, what, rows.columns)
+    return extended
+
+
 def model_of(compensation: Compensation) -> Model:
     """What a compensation in force comes to as a declared model: the opposite of `compensation_of`.
 

@@ -220,7 +220,7 @@ def measure_lost_motion(
 
     The session has no compensation in force afterwards, on every way out. A campaign that was interrupted goes on with its first
     missing row. computing: how the fit is made. Raises InputError where no lost motion shows above the noise, or the tables are those
-    of another machine.
+    of another machine, CorrectionBoundError where it exceeds the axis's bound.
     """
     try:
         session.compensation = None
@@ -235,6 +235,7 @@ def measure_lost_motion(
             )
         limits = session.drive.limits
         extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))
+        extended.check(session.steering.bound, "correction by the lost motion measured not used")
         steps = proof_steps(how, seed)
         proofs = []
         for name, in_force in (("before", present), ("after", extended)):

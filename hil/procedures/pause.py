@@ -42,13 +42,13 @@ def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostEr
     deadline = session.clock.deadline(within_s)
     while True:
         try:
-            session.instrument.acknowledge_loss()
+            session.acknowledge_loss()
             session.watch(STEADY_S)
             if session.drive.sample().state is not DriveState.ENABLED:
                 session.drive.disable()  # out of the quick stop, which holds it
                 session.drive.enable()
             refuse_while_drive_corrects(session.drive)
-            session.take_datum()
+            session.take_datum(signal_was_lost=True)
         except MeasurementLostError:
             if deadline.expired:
                 raise lost from None

@@ -7,21 +7,27 @@ before anyone hears of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
-from typing import Protocol
+from types import TracebackType
+from typing import NoReturn, Protocol, Self
 
+from drivers.clock import Clock
 from drivers.drive import Capability, DriveSample, ServoDrive
 from drivers.errors import CapabilityError, SafetyError, StateError
 from drivers.touch_probe import Edge, TouchProbe
+from drivers.undo import Step
+from hil.machine.supervisor import Supervisor, finish_despite_interrupt
+from hil.machine.watched_axis import WatchedAxis
 from hil.probe_machine import ProbeMachineConfig
-from hil.procedures.watched_drives import WatchedDrives
-from hil.procedures.way_out import completed
 
 SPINDLE = "spindle"
 ARRIVED_WITHIN = {"x": 0.01, "y": 0.01, SPINDLE: 0.05}
 """mm, and degrees of the spindle: what an axis that says it has arrived may be off; contacts are not taken from there."""
 PULSE_S = 2.0
 """How long a drive may take over one pulse."""
+POLL_S = 0.005
+"""How often axis and probe are looked at: at the speeds of touching the ball goes some µm meanwhile."""
 
 
 class ContactError(SafetyError):
@@ -43,7 +49,7 @@ class ProbeSignal(Protocol):
         """Whether the probe signals now. Raises CapabilityError or InputError where the drive does not show it."""
 
 
-class ProbeSession(WatchedDrives):
+class ProbeSession:
     """Use as a context manager; entering connects, and checks everything that can be checked before anything moves.
 
     drives: "x", "spindle" and, where there is one, "y"; signals: of those that touch; touching: the axes that will; mode: "latch" or
@@ -59,13 +65,37 @@ class ProbeSession(WatchedDrives):
         touching: Sequence[str] = ("x",),
         mode: str | None = None,
     ) -> None:
-        super().__init__(drives)
+        self.drives = dict(drives)
+        self._axes = {name: WatchedAxis(drive) for name, drive in drives.items()}
+        self._supervisor = Supervisor(list(self._axes.values()))
         self.config = config
         self.mode = config.probe.mode if mode is None else mode
         self._signals = {name: signals[name] for name in touching}
         self._latches: dict[str, TouchProbe] = {}
 
+    @property
+    def clock(self) -> Clock:
+        return self._supervisor.clock
+
     # -- coming and going --------------------------------------------------------------------------------------------
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            for drive in self.drives.values():
+                drive.open()
+                opened.callback(drive.close)
+            self._supervisor.begin()
+            self.check()
+            opened.pop_all()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        closing: list[Step] = [
+            (f"drive {drive.name} was not let go", drive.close) for drive in reversed(self.drives.values())
+        ]
+        self._supervisor.leave(exc, *self._disarming(), *closing)
+
     def check(self) -> None:
         """What a drive cannot do is said here, while everything stands still."""
         home = [Capability.HOMING] if self.config.home else []
@@ -90,27 +120,23 @@ class ProbeSession(WatchedDrives):
 
     def prepare(self) -> None:
         """Power on, and home what says it is not homed where the machine file asks for it."""
-        self.enable()
-        for name, drive in self.drives.items():
-            if self.config.home and drive.sample().homed is not True:
-                limits = drive.limits
-                longest_s = 30 + (limits.travel_max_mm - limits.travel_min_mm) / (limits.max_velocity_mm_s / 100)
-                self.start(drive.start_homing)
-                self.watch(
-                    name,
-                    lambda sample: bool(sample.homed) and sample.target_reached,
-                    longest_s,
-                    "homing",
-                    self._clear(name, "homing"),
-                )
+        self._supervisor.enable()
+        for name, axis in self._axes.items():
+            if self.config.home and axis.drive.sample().homed is not True:
+                self._supervisor.home(axis=axis, look=self._clear(name, "homing"))
         if self.mode == "latch" and not self._latches:
             self._latches = {name: self.drives[name].touch_probe() for name in self._signals}
 
-    def put_back(self, *, raising: bool) -> None:
-        """Disarm the inputs that were armed."""
-        while self._latches:
-            _, latch = self._latches.popitem()
-            completed(partial(latch.disarm, self.config.probe.input), raising=raising)
+    def _disarming(self) -> list[Step]:
+        """Of the inputs that were armed."""
+        latches, self._latches = self._latches, {}
+        return [
+            (
+                f"the probe's input of drive {self.drives[name].name} may still be armed",
+                partial(finish_despite_interrupt, partial(latch.disarm, self.config.probe.input)),
+            )
+            for name, latch in latches.items()
+        ]
 
     # -- the probe's signal --------------------------------------------------------------------------------------------
     def touching(self) -> bool:
@@ -135,6 +161,10 @@ class ProbeSession(WatchedDrives):
         unit = "°" if name == SPINDLE else " mm"
         return f"{self.drives[name].name} = {sample.position_load_mm:.3f}{unit}"
 
+    def place(self, name: str) -> float:
+        """Where an axis is, in the unit of its axis file."""
+        return self.drives[name].sample().position_load_mm
+
     @property
     def angle_deg(self) -> float:
         """The spindle's angle."""
@@ -147,7 +177,17 @@ class ProbeSession(WatchedDrives):
             raise UnexpectedContactError(
                 f"the probe touches while {self.drives[name].name} is to move to {target:.3f}; nothing was moved"
             )
-        self.go(name, target, self._speed(name), self._clear(name, "a move"), within=ARRIVED_WITHIN[name])
+        self._go(name, target, self._clear(name, "a move"))
+
+    def _go(self, name: str, target: float, look: Callable[[DriveSample], None]) -> None:
+        self._supervisor.move(
+            target,
+            self._speed(name),
+            axis=self._axes[name],
+            within_mm=ARRIVED_WITHIN[name],
+            slice_s=POLL_S,
+            look=look,
+        )
 
     def orient(self, angle_deg: float) -> None:
         """Turn the spindle to an angle."""
@@ -194,11 +234,12 @@ class ProbeSession(WatchedDrives):
             seen.append(sample.position_load_mm)
             return abs(seen[-1] - seen[0]) <= probe.overtravel_mm
 
-        what, longest_s = f"touching with {drive.name}", self.longest_s(name, end_mm, probe.touch_mm_s)
-        self.start(lambda: drive.start_move(end_mm, probe.touch_mm_s))
-        self.watch(name, contact, longest_s, what, self._clear(name, what, allowed))
+        what = f"touching with {drive.name}"
+        look = self._clear(name, what, allowed)
+        axis = self._axes[name]
+        self._supervisor.move_until(contact, end_mm, probe.touch_mm_s, what, axis=axis, slice_s=POLL_S, look=look)
         if not found:
-            raise self._no_contact(name, search_mm)
+            self._no_contact(name, search_mm)
         return found[0]
 
     def _stepped(self, name: str, start_mm: float, direction: int, search_mm: float) -> float:
@@ -207,31 +248,31 @@ class ProbeSession(WatchedDrives):
         close_mm = 0.5 * (probe.pulse_mm + drive.scaling.resolution_load_mm)
         for pulses in range(1, int(search_mm / probe.pulse_mm) + 1):
             self._pulse(name, start_mm + direction * pulses * probe.pulse_mm, close_mm)
-            with self.stopping_on_error():
+            with self._supervisor.stopping_on_error():
                 self.clock.sleep_s(probe.settle_s)
                 if self.touching():
                     return start_mm + direction * (pulses - 0.5) * probe.pulse_mm
-        raise self._no_contact(name, search_mm)
+        self._no_contact(name, search_mm)
 
     def _pulse(self, name: str, target_mm: float, close_mm: float) -> None:
         """One pulse further, until the axis is there; whether it touched is asked when it rests."""
-        drive = self.drives[name]
-        self.start(lambda: drive.start_move(target_mm, self.config.probe.touch_mm_s))
-        self.watch(
-            name,
+        self._supervisor.move_until(
             lambda sample: sample.target_reached and abs(sample.position_load_mm - target_mm) <= close_mm,
-            PULSE_S,
+            target_mm,
+            self.config.probe.touch_mm_s,
             "a pulse",
-            lambda _sample: None,
+            axis=self._axes[name],
+            timeout_s=PULSE_S,
+            slice_s=POLL_S,
         )
 
-    def _no_contact(self, name: str, search_mm: float) -> NoContactError:
+    def _no_contact(self, name: str, search_mm: float) -> NoReturn:
         drive = self.drives[name]
-        self.stop()
-        return NoContactError(
-            f"no contact within {search_mm:g} mm of {drive.name}, which stands at {self.place(name):.3f} mm;"
-            " the machine was stopped there"
-        )
+        with self._supervisor.stopping_on_error():
+            raise NoContactError(
+                f"no contact within {search_mm:g} mm of {drive.name}, which stands at {self.place(name):.3f} mm;"
+                " the machine was stopped there"
+            )
 
     def _retreat(self, name: str, start_mm: float, contact_mm: float, direction: int) -> None:
         """Back to the start; the signal has to go on the way."""
@@ -241,7 +282,7 @@ class ProbeSession(WatchedDrives):
             return direction * (contact_mm - sample.position_load_mm) <= overtravel_mm
 
         look = self._clear(name, "the way back from a contact", allowed)
-        self.go(name, start_mm, self._speed(name), look, within=ARRIVED_WITHIN[name])
+        self._go(name, start_mm, look)
         if self.touching():
             raise UnexpectedContactError(
                 f"the probe still signals {abs(contact_mm - start_mm):.3f} mm away from its contact; is it stuck?"

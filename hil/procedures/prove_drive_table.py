@@ -19,7 +19,7 @@ from drivers.errors import BridgeError, CapabilityError
 from hil.compensation import Compensation
 from hil.drive_tables import DriveCurve
 from hil.journal import Campaign
-from hil.procedures.bare_axis import BareAxis
+from hil.machine.supervisor import Supervisor
 from hil.procedures.drive_table import held_table
 from hil.procedures.events import Event, Listener, silent
 from hil.procedures.measure import bidirectional_steps, measure
@@ -118,7 +118,7 @@ def prove_by_instrument(
     blocks: dict[str, Records] = {}
     with _left_as_found(session, table):
         _hand_over(session, table, None, by_drive=False)
-        session.prepare()
+        session.prepare(campaign.directory, compensation)
         for name in _ORDER:
             by_drive = name.startswith("drive")
             _hand_over(session, table, None if by_drive else compensation, by_drive=by_drive)
@@ -198,7 +198,7 @@ class Way:
 
 
 def prove_by_drive(
-    axis: BareAxis,
+    supervisor: Supervisor,
     wanted: DirectionalTable,
     targets_mm: Sequence[float],
     way: Way,
@@ -206,11 +206,11 @@ def prove_by_drive(
     *,
     tolerance_um: float = TOLERANCE_UM,
 ) -> Proof:
-    """Ask the drive at each target what it adds. The axis is inside `BareAxis`, disabled; the drive's switch is afterwards as it was.
+    """Ask the drive at each target what it adds. The axis is supervised and disabled; the drive's switch is afterwards as it was.
 
     Raises CapabilityError where the drive does not tell.
     """
-    drive = axis.drive
+    drive = supervisor.axes[0].drive
     table = held_table(drive)
     if not table.description.shows_applied:
         raise CapabilityError(f"drive {drive.name} does not tell what it adds; prove it by the instrument")
@@ -219,13 +219,13 @@ def prove_by_drive(
     places: list[Agreement] = []
     try:
         switch_table(drive, table, True)
-        axis.get_ready(home=way.home)
+        supervisor.get_ready(home=way.home)
         stops = bidirectional_targets(targets_mm, way.overrun_mm)
         for index, (place_mm, direction) in enumerate(stops, start=1):
-            axis.move_to(place_mm, way.velocity_mm_s)
+            supervisor.move(place_mm, way.velocity_mm_s)
             listener(Event("by the drive's word", f"{place_mm:.3f} mm", index, len(stops)))
             if direction is not None:
-                axis.rest(_SETTLE_S)
+                supervisor.watch(_SETTLE_S)
                 added_um = curve.value_um(table.applied() or 0)
                 bridge_um = float(wanted.at(place_mm, direction))
                 places.append(Agreement(place_mm, direction, added_um - bridge_um, bridge_um))

@@ -1,35 +1,36 @@
 """An axis under measurement: drive, instrument and compensation together.
 
-An `AxisSession` prepares the axis, moves it to targets and reads where it came to. Its `Lookout` looks at drive and instrument during
-every wait and stops the axis for whatever is wrong; its `Steering` knows what the drive is told for a target. On leaving, the axis is
-put back as it was found: disabled unless it was enabled before.
+An `AxisSession` prepares the axis, moves it to targets and reads where it came to. Its `Supervisor` looks at drive and instrument
+during every wait and stops the axis for whatever is wrong; its `Steering` knows what the drive is told for a target. On leaving, the
+axis is put back as it was found: disabled unless it was enabled before.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
-from drivers.errors import FollowingErrorError, LimitError, LocalError, StateError
+from drivers.drive import Capability, DriveSample, ServoDrive
+from drivers.errors import StateError
 from drivers.instrument import DistanceInstrument, Reading
 from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.undo import undo_all
 from hil.axis import MeasurementConfig
 from hil.compensation import Command, Compensation, MotionHistory
+from hil.machine.agreement import AgreementLimits
+from hil.machine.supervisor import SLICE_S, Look, Supervisor
+from hil.machine.watched_axis import STALE_AFTER_S, WatchedAxis
 from hil.material import Material
 from hil.procedures.at_rest import average_at_rest
 from hil.procedures.conditions import Conditions, NoConditions
-from hil.procedures.lookout import SLICE_S, Lookout
 from hil.procedures.one_correction import refuse_while_drive_corrects
 from hil.procedures.steering import Steering
-from hil.procedures.way_out import completed
-
-ARRIVED_WITHIN_MM = 0.1
-"""Motor encoder against command at the end of a motion: above any position window, below any distance worth measuring over."""
+from hil.zero import ZeroKeeper
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class PositionReading:
 class AxisSession:
     """Use as a context manager: entering connects and enables nothing; leaving stops, restores and disconnects.
 
-    how: velocities, dwell and reading times; stale_after_s: oldest reading that is still believed.
+    how: velocities, dwell and reading times; stale_after_s: oldest reading that is still believed; agreement: of the instrument with
+    the motor, None: the defaults.
     """
 
     def __init__(
@@ -59,19 +61,25 @@ class AxisSession:
         instrument: DistanceInstrument,
         how: MeasurementConfig,
         *,
-        stale_after_s: float = 0.5,
+        stale_after_s: float = STALE_AFTER_S,
+        agreement: AgreementLimits | None = None,
         conditions: Conditions | None = None,
     ) -> None:
         self.clock = drive.clock
         self.how = how
         self.conditions: Conditions = NoConditions() if conditions is None else conditions
         self.steering = Steering()
-        self.lookout = Lookout(drive, instrument, stale_after_s=stale_after_s, on_stop=self.steering.lose)
+        self.axis = WatchedAxis(
+            drive, instrument, stale_after_s=stale_after_s, agreement=agreement, on_stop=self.steering.lose
+        )
+        self.supervisor = Supervisor([self.axis])
         self.material: Material | None = None  # what lengths are brought to 20 °C by
         self.resume_within_s: float | None = None  # for a lost signal, before the axis moves again by itself
+        self.zero: ZeroKeeper | None = (
+            None  # None: nothing is known of earlier connections (a recording that is played)
+        )
         self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
         self._datum_mm: float | None = None
-        self._was_enabled = False
         self._entered = False
         self._homed_here = False  # since it was entered
         self._keeps_home = False  # that of an earlier job, unless the drive was in a fault since
@@ -79,41 +87,40 @@ class AxisSession:
     @property
     def drive(self) -> ServoDrive:
         """The one that is watched."""
-        return self.lookout.drive
+        return self.axis.drive
 
     @property
     def instrument(self) -> DistanceInstrument:
         """The one that is watched."""
-        return self.lookout.instrument
+        if self.axis.instrument is None:
+            raise StateError(f"drive {self.drive.name} is watched without an instrument")
+        return self.axis.instrument
 
     # -- coming and going --------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
         self.drive.open()
         try:
             self.instrument.open()
-            self._was_enabled = self.drive.sample().state is DriveState.ENABLED
-        except BaseException:
-            self.instrument.close()
-            self.drive.close()
+            self.supervisor.begin()
+        except BaseException as error:
+            undo_all((("", self.instrument.close), ("", self.drive.close)), during=error)
             raise
         self._entered = True
         self._homed_here = self._keeps_home = False
         self.drive.corrected_outside = self.compensation is not None
-        self.lookout.begin()
         return self
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        with ExitStack() as stack:  # each of these is done whatever becomes of the others
-            stack.callback(self.drive.close)
-            stack.callback(self.instrument.close)
-            if not self._was_enabled:
-                stack.callback(completed, self.drive.disable, raising=exc_type is None)
-            if exc_type is not None:
-                stack.callback(self.lookout.stop)
+        try:
+            self.supervisor.leave(
+                exc,
+                (f"drive {self.drive.name} was not let go", self.drive.close),
+                (f"instrument {self.instrument.name} was not let go", self.instrument.close),
+            )
+        finally:
             self._entered = self.drive.corrected_outside = False
-            self.lookout.end()
             self.steering.lose()
 
     @contextmanager
@@ -124,26 +131,17 @@ class AxisSession:
         An axis that was homed by an earlier job is not homed again unless its drive was in a fault since: by a method that takes the
         present position for home, that would move the zero.
         """
-        sample = self.drive.sample()
-        self._was_enabled = sample.state is DriveState.ENABLED
-        self._keeps_home = self._homed_here and sample.homed is True
+        self._keeps_home = self._homed_here and self.drive.sample().homed is True
         self._datum_mm = None
         self.time_offset_s = 0.0
-        self.lookout.begin()
+        self.supervisor.begin()
         self.steering.lose()
         self.compensation = None
         try:
-            yield
-        except BaseException as error:
-            with ExitStack() as stack:
-                if not self._was_enabled:
-                    stack.callback(completed, self.drive.disable)
-                self.lookout.stop_for(error)
-            raise
+            with self.supervisor.leaving():
+                yield
         finally:
             self.compensation = None
-        if not self._was_enabled:
-            completed(self.drive.disable, raising=True)
 
     # -- one correction --------------------------------------------------------------------------------------------------
     @property
@@ -151,7 +149,7 @@ class AxisSession:
         """What the bridge corrects by; None leaves commands as they are.
 
         Putting one into force raises StateError while the drive corrects by a table of its own: the error would be taken out twice.
-        The drive is asked, each time and before each move.
+        The drive is asked, each time and before each move. Raises CorrectionBoundError for one beyond the axis's bound.
         """
         return self.steering.compensation
 
@@ -159,29 +157,36 @@ class AxisSession:
     def compensation(self, compensation: Compensation | None) -> None:
         if compensation is not None and self._entered:
             refuse_while_drive_corrects(self.drive)
+            if self.zero is not None:
+                self.zero.check_tables(compensation.zero)
+        if compensation is not None:
+            compensation.check(self.steering.bound, "correction not put into force")
         self.steering.compensation = compensation
         self.drive.corrected_outside = compensation is not None
 
     # -- watching ----------------------------------------------------------------------------------------------------
     def elapsed_s(self) -> float:
         """Seconds since the session was entered, or its job began, in the clock's time."""
-        return self.lookout.elapsed_s()
+        return self.axis.elapsed_s()
 
     def await_instrument(self) -> None:
         """Before anything moves: wait for the instrument's first reading."""
-        self.lookout.await_instrument()
+        self.supervisor.await_instrument()
 
     def watch(self, duration_s: float) -> list[Reading]:
         """Let time pass with the axis at rest, watched; returns the readings that arrived meanwhile."""
-        return self.lookout.watch(duration_s)
+        return self.supervisor.watch(duration_s)
 
     def readings(self) -> list[tuple[int, Reading]]:
         """What the instrument has sent, each with its number in the session, for while a stream looks after the drive."""
-        return self.lookout.readings()
+        return self.supervisor.readings()
 
     # -- getting ready -----------------------------------------------------------------------------------------------
-    def prepare(self) -> None:
+    def prepare(self, campaign: Path | None = None, compensation: Compensation | None = None) -> None:
         """Signal, enable, home, datum: afterwards positions of the instrument are load positions of the axis.
+
+        campaign: the folder of the rows that are to be measured; compensation: what is to be put into force. Raises ZeroError for
+        either, or an axis, in another zero than the axis had: before anything moves, or at the reference position.
 
         The instrument's zero is taken once, at the reference position approached upwards and without any correction, so that all
         passes of a session, with and without correction, share one datum. Raises StateError while the drive corrects by a table of
@@ -192,26 +197,34 @@ class AxisSession:
         refuse_while_drive_corrects(self.drive)
         self.drive.require(Capability.PROFILE_POSITION, *([Capability.HOMING] if self.how.home else []))
         self.await_instrument()
-        self.watch(max(self.how.reading_s, 2 * SLICE_S))
-        if self.drive.sample().state is not DriveState.ENABLED:
-            self.drive.enable()
-        if self.how.home and (self.lookout.saw_fault or not self._keeps_home):
+        readings = self.watch(max(self.how.reading_s, 2 * SLICE_S))
+        if self.zero is not None:
+            stored = None if compensation is None else compensation.zero
+            old = compensation is not None and stored is None
+            self.zero.begin(self.drive, homes=self.how.home, campaign=campaign, tables=stored, old_tables=old)
+        self.supervisor.enable()
+        stands = self.zero is not None and self.zero.stands
+        if self.how.home and not stands and (self.axis.saw_fault or not self._keeps_home):
             self.steering.lose()
-            limits = self.drive.limits
-            slowest = limits.max_velocity_mm_s / 100
-            self._start(self.drive.start_homing)
-            self.lookout.watch_until(
-                lambda sample: bool(sample.homed) and sample.target_reached,
-                30 + (limits.travel_max_mm - limits.travel_min_mm) / slowest,
-                "homing",
-            )
-            self._homed_here, self.lookout.saw_fault = True, False
-        self.take_datum()
+            self.supervisor.home()
+            self._homed_here, self.axis.saw_fault = True, False
+        raw_mm = self._at_reference_mm()
+        if self.zero is not None:
+            sequence = readings[-1].sequence if readings and self.instrument.numbers_samples else None
+            motor_mm = self.drive.sample().position_load_mm
+            self.zero.at_reference(motor_mm, raw_mm, sequence, self.instrument.sample_rate_hz)
+        self._datum_mm = raw_mm - self.how.reference_mm
 
-    def take_datum(self) -> None:
+    def take_datum(self, *, signal_was_lost: bool = False) -> None:
         """Go to the reference position from below, uncorrected, and call the instrument's reading there that position."""
+        raw_mm = self._at_reference_mm()
+        self._datum_mm = raw_mm - self.how.reference_mm
+        if signal_was_lost and self.zero is not None:
+            self.zero.instrument_lost(self.drive.sample().position_load_mm, raw_mm)
+
+    def _at_reference_mm(self) -> float:
         self.come_to_reference()
-        self._datum_mm = self.raw_average() - self.how.reference_mm
+        return self.raw_average()
 
     def come_to_reference(self) -> None:
         """Go to the reference position from below, uncorrected; from there on the direction of arrival is known."""
@@ -232,12 +245,19 @@ class AxisSession:
         self.drive.enable()
         self.come_to_reference()
 
-    def move_uncorrected(self, position_load_mm: float, velocity_mm_s: float) -> None:
-        """Move the motor to a position as it is, watched; the history for corrections is unknown afterwards."""
+    def move_uncorrected(
+        self, position_load_mm: float, velocity_mm_s: float, *, slice_s: float = SLICE_S, look: Look | None = None
+    ) -> None:
+        """Move the motor to a position as it is, watched; the history for corrections is unknown afterwards.
+
+        slice_s: how often it is looked at; look: hears each sample.
+        """
         self.steering.lose()
-        travel_mm = abs(position_load_mm - self.drive.sample().position_load_mm)
-        self._start(lambda: self.drive.start_move(position_load_mm, velocity_mm_s))
-        self._wait_arrived(position_load_mm, travel_mm, velocity_mm_s)
+        self.supervisor.move(position_load_mm, velocity_mm_s, slice_s=slice_s, look=look)
+
+    def acknowledge_loss(self) -> None:
+        """After a lost signal, read positions again; their zero may be a new one."""
+        self.axis.acknowledge_loss()
 
     def approach(self, position_mm: float) -> None:
         """Go to where the next target is approached from. Raises LimitError before any motion.
@@ -251,19 +271,9 @@ class AxisSession:
             command = Command(position_mm, position_mm, 0.0, command.history)
         self._move(command, None)
 
-    def _start(self, start: Callable[[], None]) -> None:
-        """Start a motion; after any error but a refusal it may be under way, and is stopped."""
-        try:
-            start()
-        except (LimitError, LocalError):
-            raise  # refused: nothing moved, nothing is forgotten
-        except BaseException as error:
-            self.lookout.stop_for(error)
-            raise
-
     def raw_average(self) -> float:
         """Dwell, then the instrument's own position in mm, averaged over the reading time."""
-        return average_at_rest(self.lookout, self.how).position_mm
+        return average_at_rest(self.supervisor, self.how).position_mm
 
     # -- moving ------------------------------------------------------------------------------------------------------
     def known(self, velocity_mm_s: float = 0.0) -> dict[str, float]:
@@ -305,20 +315,8 @@ class AxisSession:
     def _move(self, command: Command, velocity_mm_s: float | None) -> None:
         velocity = self.how.velocity_mm_s if velocity_mm_s is None else velocity_mm_s
         self.drive.limits.check_target(command.target_mm)
-        travel_mm = self.steering.travel_mm(command)
-        self._start(lambda: self.drive.start_move(command.command_mm, velocity))
-        self.steering.given(command)
-        self._wait_arrived(command.command_mm, travel_mm, velocity)
-
-    def _wait_arrived(self, command_mm: float, travel_mm: float, velocity_mm_s: float) -> None:
-        expected_s = travel_mm / velocity_mm_s + velocity_mm_s / self.drive.limits.max_acceleration_mm_s2
-        with self.lookout.stopping_on_error():
-            sample = self.lookout.watch_until(lambda sample: sample.target_reached, 5.0 + 3.0 * expected_s, "move")
-            if abs(sample.position_load_mm - command_mm) > ARRIVED_WITHIN_MM:
-                raise FollowingErrorError(
-                    f"drive {self.drive.name} says it arrived, but is at {sample.position_load_mm:.4f} mm,"
-                    f" expected {command_mm:.4f} mm"
-                )
+        self.steering.check_way(command)
+        self.supervisor.move(command.command_mm, velocity, started=lambda: self.steering.given(command))
 
     def stream_along(
         self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]
@@ -328,11 +326,16 @@ class AxisSession:
         path_mm: targets and the velocities (mm/s) there, from where the axis stands.
         """
         known = self.known_for_commands()
-        with self.lookout.stopping_on_error(), self.drive.stream(settings) as stream:
+        with (
+            self.supervisor.stopping_on_error(),
+            self.axis.following() as found,
+            self.drive.stream(settings) as stream,
+        ):
             for target_mm, velocity_mm_s in path_mm:
                 command = self.set_point(target_mm, velocity_mm_s, known)
                 stream.cycle(command.command_mm)
                 self.steering.given(command)
+                found(*stream.found, velocity_mm_s)
                 at(stream)
 
     def set_point(self, target_mm: float, velocity_mm_s: float, known: dict[str, float]) -> Command:
@@ -376,6 +379,6 @@ class AxisSession:
         """Dwell, then average the instrument over the reading time. Raises MeasurementLostError without readings."""
         if self._datum_mm is None:
             raise StateError("read_position() needs prepare() first: the instrument has no datum")
-        mean = average_at_rest(self.lookout, self.how)
+        mean = average_at_rest(self.supervisor, self.how)
         load_mm = self._in_load_frame(mean.position_mm, self._datum_mm)
         return PositionReading(load_mm, mean.std_um, mean.count, self.drive.sample(), mean.mean_std_um, mean.left_out)

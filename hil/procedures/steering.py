@@ -10,14 +10,16 @@ from collections.abc import Mapping
 
 from drivers.errors import StateError
 from hil.compensation import Command, Compensation, MotionHistory
+from hil.correction_bound import CAREFUL, CorrectionBound
 
 
 class Steering:
     """compensation: in force, None leaves commands as they are; history: of the motion so far, None while it is unknown, as after a
-    stop, and with it the direction of arrival."""
+    stop, and with it the direction of arrival; bound: of the axis, which no correction exceeds."""
 
     def __init__(self) -> None:
         self.compensation: Compensation | None = None
+        self.bound: CorrectionBound = CAREFUL
         self.history: MotionHistory | None = None
         self._commanded_mm = math.nan  # known whenever the history is
 
@@ -48,14 +50,14 @@ class Steering:
         return self.history
 
     def command(self, target_mm: float, known: Mapping[str, float]) -> Command:
-        """For a target, from what is known when it is issued (`Compensation.command`). Raises StateError."""
+        """For a target, from what is known when it is issued (`Compensation.command`). Raises StateError, CorrectionBoundError."""
         history = self.known_history
         if self.compensation is None:
             return Command(target_mm, target_mm, 0.0, history.moved_to(target_mm))
-        return self.compensation.command(target_mm, history, known)
+        return self.compensation.command(target_mm, history, known, self.bound)
 
-    def travel_mm(self, command: Command) -> float:
-        """How far it is to the command's target. Raises StateError where the correction would turn the motion around."""
+    def check_way(self, command: Command) -> None:
+        """Raises StateError where the correction would turn the motion to the command's target around."""
         travel_mm = abs(command.target_mm - self.known_history.position_mm)
         if travel_mm and not (command.command_mm - self._commanded_mm) * command.history.direction > 0:
             raise StateError(
@@ -63,4 +65,3 @@ class Steering:
                 f" {travel_mm * 1000:.1f} µm around: the direction of arrival would not be the one it is for;"
                 " take a longer way (overrun_mm)"
             )
-        return travel_mm

@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drivers.drive import Capability, ServoDrive
-from drivers.errors import CapabilityError, ProtocolError
+from drivers.errors import CapabilityError, LimitError, ProtocolError
 from hil.axis_backlash import SLIDE_MM, SLIDES, BacklashConfig
-from hil.procedures.bare_axis import STEP_SLICE_S, BareAxis, check_reach
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from hil.procedures.events import Event, Listener, Measured, Point, silent
 from hil.procedures.neutral_settings import BacklashSettings, Found, Tell, neutral
 from hil.procedures.one_correction import refuse_while_drive_corrects
@@ -28,6 +29,8 @@ DIRECTIONS = (-1, 1)
 """Of the motion after the reversal: first + → −, then − → +."""
 READING_S = 0.002
 """Between two torque readings of one place."""
+STEP_SLICE_S = 0.005
+"""How often the drive is looked at in a single step."""
 _FIT_EVERY = 8  # steps
 _SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to go on beyond the break-away
 
@@ -70,6 +73,15 @@ def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
     check_reach(drive, *(place(each) for each in DIRECTIONS for place in (how.start_mm, how.turning_mm, how.end_mm)))
 
 
+def check_reach(drive: ServoDrive, *positions_load_mm: float) -> None:
+    """Raise LimitError for the first position outside the travel, before anything moves."""
+    for position in positions_load_mm:
+        try:
+            drive.limits.check_target(position)
+        except LimitError as error:
+            raise LimitError(f"nothing was moved: {error}") from error
+
+
 def measure_backlash(
     drive: ServoDrive,
     how: BacklashConfig,
@@ -87,9 +99,9 @@ def measure_backlash(
     """
     check_drive(drive, how)
     reversals: list[Reversal] = []
-    with neutral(settings, tell) as found, BareAxis(drive) as axis:
-        axis.get_ready(home=how.home)
-        measurement = _Measurement(axis, how, keep, listener)
+    with neutral(settings, tell) as found, Supervisor([WatchedAxis(drive)]) as supervisor:
+        supervisor.get_ready(home=how.home)
+        measurement = _Measurement(supervisor, how, keep, listener)
         for run in range(1, how.runs + 1):
             for direction in DIRECTIONS:
                 reversals.append(Reversal.of(run, measurement.reversal(run, direction)))
@@ -132,7 +144,7 @@ class _Recording:
 class _Measurement:
     """Whom it concerns and who listens."""
 
-    axis: BareAxis
+    supervisor: Supervisor
     how: BacklashConfig
     keep: Keep
     listener: Listener
@@ -145,7 +157,7 @@ class _Measurement:
         how, turning, step_mm = self.how, self.how.turning_mm(direction), self.how.step_um / 1000.0
         stage = self._stage(run, direction)
         self.listener(Event(stage, "to the reference", 0, how.steps))
-        self.axis.move_to(turning, how.travel_velocity_mm_s)
+        self.supervisor.move(turning, how.travel_velocity_mm_s)
         left_behind = [self._step(place)[1] for place in (how.start_mm(direction), turning)]
         recording = _Recording(direction, float(np.mean(left_behind)))
         try:
@@ -183,18 +195,19 @@ class _Measurement:
 
     def _step(self, position_load_mm: float) -> tuple[float, list[float]]:
         """Go to one place and rest; where the motor is, and the torque readings."""
-        axis = self.axis
-        axis.move_to(position_load_mm, self.how.velocity_mm_s, slice_s=STEP_SLICE_S)
-        axis.rest(self.how.settle_s)
+        supervisor, axis = self.supervisor, self.supervisor.axes[0]
+        supervisor.move(position_load_mm, self.how.velocity_mm_s, slice_s=STEP_SLICE_S)
+        supervisor.watch(self.how.settle_s)
         torques: list[float] = []
         while True:
-            sample = axis.look("reading the torque")
+            with supervisor.stopping_on_error():
+                sample = axis.look_enabled("reading the torque")
             if sample.torque_percent is None:
                 raise CapabilityError(f"drive {axis.drive.name} no longer tells its torque")
             torques.append(sample.torque_percent)
             if len(torques) == self.how.readings:
                 return sample.position_load_mm, torques
-            axis.rest(READING_S)
+            supervisor.clock.sleep_s(READING_S)
 
 
 def _series(run: int, direction: int) -> str:

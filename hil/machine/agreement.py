@@ -1,0 +1,193 @@
+"""Agreement: whether the instrument sees the travel that the motor makes.
+
+Pure: positions of the motor and readings go in, what is wrong comes out as a sentence. Neither zero means anything here. What is
+compared is how far `reading - motor` has wandered since `forget`: by no more than the machine's errors, whatever the status says.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import deque
+from dataclasses import dataclass
+from itertools import pairwise
+
+from drivers.clock import NS_PER_S
+from drivers.instrument import Reading
+
+WITHIN_UM = 500.0
+"""Largest difference of the two travels, µm: several times the Abbe, thermal and wind-up errors of a feed axis, which tests by
+ISO 230-2 and 230-3 find in tens of µm."""
+REVERSAL_UM = 200.0
+"""Largest reversal, µm: four times the 50 µm of a worn ball screw, and what rack and pinion drives are set to (0.1 to 0.2 mm)."""
+SHARE_OF_TRAVEL = 1e-3
+"""Of the travel, which the two may differ by besides: rolled ball screws of class T10 of ISO 3408-3 are allowed 210 µm in 300 mm, and
+25 K of steel at 11.7 µm/(m·K) come on top."""
+LATEST_S = 0.1
+"""From a sample to its arrival where the axis file states no latency_s: more than displays and gauges on a serial line take."""
+DATED_WITHIN_S = 0.05
+"""What a moment of a motor position or an arrival may be off on a busy host or a slow fieldbus."""
+FASTER_SHARE = 0.2
+"""By which a speed may exceed the one asked for: more overshoot than a velocity loop is left with by any tuning rule in use."""
+RATE_OVER_S = 1.0
+"""Readings are compared with those of up to so long before to judge how fast the instrument sees the load move."""
+_KEEP_S = 10.0
+_STANDS_SHARE = 0.1
+"""A travel of less than this share of the other one is told as standing still."""
+
+
+@dataclass(frozen=True)
+class AgreementLimits:
+    """What the axis file allows. within_um, largest_reversal_um: see above; latency_s: of the instrument, None: not known."""
+
+    within_um: float = WITHIN_UM
+    largest_reversal_um: float = REVERSAL_UM
+    latency_s: float | None = None
+
+    @property
+    def slack_mm(self) -> float:
+        """What the two travels may differ by, however short: within a reversal the load may wait."""
+        return (self.within_um + self.largest_reversal_um) / 1000.0
+
+    @property
+    def lags_s(self) -> tuple[float, float]:
+        """How long before its arrival a sample was taken, at least and at most."""
+        if self.latency_s is None:
+            return -DATED_WITHIN_S, LATEST_S + DATED_WITHIN_S
+        return self.latency_s - DATED_WITHIN_S, self.latency_s + DATED_WITHIN_S
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """A reading, and the positions of the motor, mm, between which it was taken. bound_mm: the bound of reading − motor kept by it."""
+
+    reading_mm: float
+    low_mm: float
+    high_mm: float
+    bound_mm: float
+
+    @property
+    def motor_mm(self) -> float:
+        return (self.low_mm + self.high_mm) / 2.0
+
+
+class Agreement:
+    """Of one axis. fastest_mm_s: the axis file's largest velocity."""
+
+    def __init__(self, limits: AgreementLimits, fastest_mm_s: float) -> None:
+        self.limits = limits
+        self._fastest_mm_s = fastest_mm_s
+        self._times_ns: list[int] = []
+        self._places_mm: list[float] = []
+        self._recent: deque[Reading] = deque()
+        self._least: _Pair | None = None  # the one whose reading − motor can at most be the smallest
+        self._most: _Pair | None = None  # the one whose reading − motor is at least the largest
+        self._travel_mm = (0.0, 0.0)
+
+    def forget(self) -> None:
+        """Either zero is a new one from now on: travel counts from the next reading."""
+        self._times_ns.clear()
+        self._places_mm.clear()
+        self._recent.clear()
+        self._least = self._most = None
+
+    def motor_at(self, time_ns: int, position_mm: float) -> None:
+        """Where the motor was; what is not later than the position before it is not used."""
+        if self._times_ns and time_ns <= self._times_ns[-1]:
+            return
+        self._times_ns.append(time_ns)
+        self._places_mm.append(position_mm)
+        if time_ns - self._times_ns[0] > 2 * _KEEP_S * NS_PER_S:
+            old = bisect_left(self._times_ns, time_ns - round(_KEEP_S * NS_PER_S))
+            del self._times_ns[:old], self._places_mm[:old]
+
+    def rate(self, reading: Reading, speed_mm_s: float) -> str | None:
+        """What is wrong with how fast the readings change. speed_mm_s: asked of the axis, 0.0: of no motion whose speed is known."""
+        position_mm = _position(reading)
+        while self._recent and reading.time_ns - self._recent[0].time_ns > RATE_OVER_S * NS_PER_S:
+            self._recent.popleft()
+        allowed_mm_s = (speed_mm_s or self._fastest_mm_s) * (1.0 + FASTER_SHARE)
+        wrong = None
+        for before in (self._recent[0], self._recent[-1]) if self._recent else ():
+            change_mm = position_mm - _position(before)
+            seconds = (reading.time_ns - before.earliest_ns) / NS_PER_S + DATED_WITHIN_S
+            if abs(change_mm) > allowed_mm_s * seconds + self.limits.slack_mm:
+                wrong = (
+                    f"its reading changed by {change_mm:.3f} mm within {seconds:.2f} s, the axis moves at"
+                    f" {allowed_mm_s:g} mm/s at most: a jump, or the load is faster than its drive was told"
+                )
+        self._recent.append(reading)
+        return wrong
+
+    def compare(self, reading: Reading, speed_mm_s: float) -> str | None:
+        """What is wrong between this reading and the motor; None too where the motor's position at its time is not known.
+
+        speed_mm_s: asked of the axis at present, 0.0: it is at rest.
+        """
+        span = self._motor_between(reading, speed_mm_s)
+        if span is None:
+            return None
+        (low_mm, high_mm), position_mm = span, _position(reading)
+        least = _Pair(position_mm, low_mm, high_mm, position_mm - low_mm)
+        most = _Pair(position_mm, low_mm, high_mm, position_mm - high_mm)
+        if self._least is None or self._most is None:
+            self._least, self._most, self._travel_mm = least, most, span
+            return None
+        self._travel_mm = min(self._travel_mm[0], low_mm), max(self._travel_mm[1], high_mm)
+        if least.bound_mm < self._least.bound_mm:
+            self._least = least
+        if most.bound_mm > self._most.bound_mm:
+            self._most = most
+        travel_mm = self._travel_mm[1] - self._travel_mm[0]
+        allowed_mm = self.limits.slack_mm + SHARE_OF_TRAVEL * travel_mm
+        if self._most.bound_mm - self._least.bound_mm <= allowed_mm:
+            return None
+        return self._told(most, self._least if self._most is most else self._most, allowed_mm)
+
+    def _motor_between(self, reading: Reading, speed_mm_s: float) -> tuple[float, float] | None:
+        """The smallest and largest position of the motor while the sample may have been taken."""
+        least_s, most_s = self.limits.lags_s
+        from_ns = reading.earliest_ns - round(most_s * NS_PER_S)
+        to_ns = reading.time_ns - round(least_s * NS_PER_S)
+        times = self._times_ns
+        if not times or from_ns < times[0]:
+            return None
+        places = self._places_mm[bisect_right(times, from_ns) - 1 : bisect_left(times, to_ns) + 1]
+        beyond_mm = max(0, to_ns - times[-1]) / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
+        return min(places) - beyond_mm, max(places) + beyond_mm
+
+    def _told(self, now: _Pair, before: _Pair, allowed_mm: float) -> str:
+        """What it looks like: by the steps of the last second, by the motor's latest travel, and else by all that was seen."""
+        seen_mm, motor_mm = now.reading_mm - before.reading_mm, now.motor_mm - before.motor_mm
+        figures = (
+            f"it saw {seen_mm:.3f} mm while the motor travelled {motor_mm:.3f} mm,"
+            f" allowed is a difference of {allowed_mm:.3f} mm"
+        )
+        recent = [(_position(reading), self._motor_mm(reading)) for reading in self._recent]
+        for (one_mm, one_motor_mm), (next_mm, next_motor_mm) in pairwise(recent):
+            step_mm = next_mm - one_mm
+            if abs(step_mm) > self.limits.slack_mm and abs(next_motor_mm - one_motor_mm) < abs(step_mm) / 2.0:
+                return f"jumped by {step_mm:.3f} mm: {figures}"
+        for then_mm, then_motor_mm in reversed(recent):
+            if abs(recent[-1][1] - then_motor_mm) > allowed_mm:
+                seen_mm, motor_mm = recent[-1][0] - then_mm, recent[-1][1] - then_motor_mm
+                break
+        if abs(seen_mm) < _STANDS_SHARE * abs(motor_mm):
+            return f"stands still, whatever its status says: {figures}"
+        if seen_mm * motor_mm < 0.0:
+            return f"runs against the motor ([instrument] direction, or [scaling] direction): {figures}"
+        return f"does not follow the motor: {figures} ([instrument] instrument_agrees_within_um, [axis] largest_reversal_um)"
+
+    def _motor_mm(self, reading: Reading) -> float:
+        """About where the motor was when a reading was taken."""
+        middle_ns = (reading.earliest_ns + reading.time_ns - round(sum(self.limits.lags_s) * NS_PER_S)) // 2
+        at = bisect_right(self._times_ns, middle_ns)
+        if at in (0, len(self._times_ns)):
+            return self._places_mm[max(0, at - 1)]
+        (from_ns, to_ns), (from_mm, to_mm) = self._times_ns[at - 1 : at + 1], self._places_mm[at - 1 : at + 1]
+        return from_mm + (to_mm - from_mm) * (middle_ns - from_ns) / (to_ns - from_ns)
+
+
+def _position(reading: Reading) -> float:
+    if reading.position_mm is None:
+        raise ValueError("a reading without a position cannot be compared")
+    return reading.position_mm

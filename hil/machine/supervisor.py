@@ -1,0 +1,336 @@
+"""Supervisor: the axes of one machine, watched without a gap while anything may move, stopped together, left as they were found.
+
+Every wait of every procedure passes through `watch` or `watch_until`. Whatever goes wrong, an interrupt from the keyboard too, stops
+the axis that moves and those beside it (quick stop) before the error reaches the procedure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from types import TracebackType
+from typing import Self
+
+from drivers.clock import NS_PER_S
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState
+from drivers.errors import (
+    BridgeError,
+    FollowingErrorError,
+    LimitError,
+    LocalError,
+    MeasurementLostError,
+    MotionTimeoutError,
+)
+from drivers.instrument import Reading
+from drivers.undo import Step, undo_all
+from hil.machine.time_out import Motion, likely_reason, what_it_says
+from hil.machine.watched_axis import STALLED_S, WatchedAxis
+
+SLICE_S = 0.05
+"""How often an axis is looked at while it moves."""
+REST_SLICE_S = 0.2
+"""The same at rest: soon enough to say what broke, within what instruments keep for a reader."""
+FIRST_READING_S = 2.0
+"""How long an instrument may need from its opening to its first reading, as when its air sensors report in turn."""
+ARRIVED_WITHIN_MM = 0.1
+"""Motor encoder against command at the end of a motion: above any position window, below any distance worth measuring over."""
+LONGER, LONGER_S = 3.0, 5.0
+"""A move may take so many times what its ramps and speed say, and so many seconds more: an override of 50 %, a slow start."""
+HOMING_SHARE, HOMING_S = 0.01, 30.0
+"""A homing runs along the whole travel at no less than this share of the largest velocity, and may take so many seconds more."""
+
+Look = Callable[[DriveSample], None]
+"""What else is looked at with every sample of the axis that moves; raises to stop the machine."""
+
+
+def finish_despite_interrupt(undo: Callable[[], None]) -> None:
+    """Do it. An interrupt meanwhile (Ctrl-C, the operator's stop) is raised once it was done anew, for it may have been half done."""
+    try:
+        undo()
+    except KeyboardInterrupt as interrupt:
+        try:
+            undo()
+        except BridgeError as error:
+            interrupt.add_note(str(error))
+        raise
+
+
+def homing_time_s(limits: DriveLimits) -> float:
+    """How long a homing may take."""
+    slowest_mm_s = HOMING_SHARE * limits.max_velocity_mm_s
+    return HOMING_S + (limits.travel_max_mm - limits.travel_min_mm) / slowest_mm_s
+
+
+class Supervisor:
+    """Of axes whose drives (and instruments) are open. The first is the one that is meant where none is named.
+
+    beside: other axes of the machine, looked at and stopped with these; whoever works with them puts them back.
+    As a context manager it is around motion: `begin` on entering, `leave` on leaving.
+    """
+
+    def __init__(self, axes: Sequence[WatchedAxis]) -> None:
+        self.axes = tuple(axes)
+        self.beside: tuple[WatchedAxis, ...] = ()
+        self.clock = self.axes[0].drive.clock
+        self._found_enabled: set[WatchedAxis] = set()
+        self._stopped_for: BaseException | None = None
+
+    # -- coming and going --------------------------------------------------------------------------------------------
+    def begin(self) -> None:
+        """Note which axes are under power; what was read before is of no use."""
+        self._stopped_for = None
+        self._found_enabled.clear()
+        for axis in self.axes:
+            axis.begin()
+            if axis.drive.sample().state is DriveState.ENABLED:
+                self._found_enabled.add(axis)
+
+    def leave(self, error: BaseException | None, *more: Step) -> None:
+        """Stop after an error, take the power from each axis that was found without it, then `more`: the most dangerous first.
+
+        Every step is tried. What fails is raised, or added to the error under way as notes (`drivers.undo`).
+        """
+        steps: list[Step] = []
+        if error is not None:
+            steps.append(("", partial(self.stop_for, error)))
+        for axis in self.axes:
+            if axis not in self._found_enabled:
+                power_off = partial(finish_despite_interrupt, axis.drive.disable)
+                steps.append((f"drive {axis.drive.name} may still be under power", power_off))
+        self._found_enabled.clear()
+        undo_all((*steps, *more), during=error)
+        self._stopped_for = None
+
+    @contextmanager
+    def leaving(self) -> Iterator[None]:
+        """Around what is done between `begin` and `leave`."""
+        try:
+            yield
+        except BaseException as error:
+            self.leave(error)
+            raise
+        self.leave(None)
+
+    def __enter__(self) -> Self:
+        self.begin()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.leave(exc)
+
+    # -- stopping ----------------------------------------------------------------------------------------------------
+    @contextmanager
+    def stopping_on_error(self) -> Iterator[None]:
+        """Whatever goes wrong inside, an interrupt from the keyboard too, stops all axes at once."""
+        try:
+            yield
+        except BaseException as error:
+            self.stop_for(error)
+            raise
+
+    def stop_for(self, error: BaseException) -> None:
+        """Once for each error, however many hands it passes through on its way up; again where it could not be confirmed."""
+        if error is self._stopped_for:
+            return
+        told = list(getattr(error, "__notes__", ()))
+        self.stop(during=error)
+        notes = list(getattr(error, "__notes__", ()))
+        if notes == told:
+            self._stopped_for = error
+        else:
+            error.__notes__ = list(dict.fromkeys(notes))  # what failed twice is told once
+
+    def stop(self, *, during: BaseException | None = None) -> None:
+        """Quick stop of all axes: each is told before any is waited for. What is not confirmed is raised, or added to `during`."""
+        axes = (*self.axes, *self.beside)
+        for axis in axes if len(axes) > 1 else ():
+            axis.drive.send_stop()
+        undo_all([(f"drive {axis.drive.name} may still move", partial(_stop, axis)) for axis in axes], during=during)
+
+    # -- looking -----------------------------------------------------------------------------------------------------
+    def _look_beside(self, axis: WatchedAxis) -> None:
+        """At all other axes that were not looked at for a while."""
+        for other in (*self.axes, *self.beside):
+            if other is not axis and self.clock.now_ns() - other.looked_ns >= SLICE_S * NS_PER_S:
+                other.look()
+
+    def readings(self) -> list[tuple[int, Reading]]:
+        """What the first axis's instrument has sent, each with its number, for while a stream looks after the drive."""
+        with self.stopping_on_error():
+            return self.axes[0].readings()
+
+    # -- waiting -----------------------------------------------------------------------------------------------------
+    def await_instrument(self) -> None:
+        """Before anything moves: wait for the first axis's instrument's first reading, which may take longer than those after it."""
+        axis, deadline = self.axes[0], self.clock.deadline(FIRST_READING_S)
+        with self.stopping_on_error():
+            while not axis.heard_reading():
+                if deadline.expired:
+                    raise MeasurementLostError(
+                        f"instrument {axis.instrument_name}: no reading within {FIRST_READING_S:g} s; nothing was enabled"
+                    )
+                self.clock.sleep_s(SLICE_S)
+
+    def watch(self, duration_s: float) -> list[Reading]:
+        """Let time pass with the axes at rest, watched; returns the readings of the first that arrived meanwhile."""
+        axis, deadline = self.axes[0], self.clock.deadline(duration_s)
+        asked = axis.instrument is not None and axis.instrument.answers_when_asked
+        slice_ns = round((SLICE_S if asked else REST_SLICE_S) * NS_PER_S)
+        arrived: list[Reading] = []
+        with self.stopping_on_error():
+            while not deadline.expired:
+                self.clock.sleep_until_ns(min(self.clock.now_ns() + slice_ns, deadline.end_ns))
+                self._look_beside(axis)
+                arrived.extend(axis.look()[1])
+        return arrived
+
+    def watch_until(
+        self,
+        condition: Callable[[DriveSample], bool],
+        timeout_s: float,
+        what: str,
+        *,
+        axis: WatchedAxis | None = None,
+        slice_s: float = SLICE_S,
+        look: Look | None = None,
+    ) -> DriveSample:
+        """Watch until a sample of the axis fulfils the condition. Raises MotionTimeoutError, with its likely reason, when none does in
+        time, or once an axis that was told to move has stood for `STALLED_S`.
+
+        A drive that is no longer enabled fulfils nothing: standing still is not having arrived.
+        """
+        axis = axis or self.axes[0]
+        deadline = self.clock.deadline(timeout_s)
+        with self.stopping_on_error():
+            while True:
+                self._look_beside(axis)
+                sample = axis.look_enabled(what)
+                if look is not None:
+                    look(sample)
+                if condition(sample):
+                    return sample
+                if axis.stalled:
+                    raise self._not_over(axis, sample, f"{what} not over, and the axis has stood for {STALLED_S:g} s")
+                if deadline.expired:
+                    raise self._not_over(axis, sample, f"{what} not over within {timeout_s:.1f} s")
+                self.clock.sleep_s(slice_s)
+
+    @staticmethod
+    def _not_over(axis: WatchedAxis, sample: DriveSample, what: str) -> MotionTimeoutError:
+        speed_mm_s = axis.seen_mm_s
+        reason = likely_reason(axis.motion or Motion(what), sample, speed_mm_s)
+        said = what_it_says(sample, speed_mm_s, axis.drive.complaints())
+        return MotionTimeoutError(f"drive {axis.drive.name}: {what}; likely {reason}; it says: {said}")
+
+    # -- motion ------------------------------------------------------------------------------------------------------
+    def enable(self) -> None:
+        """Power on, where it is not."""
+        for axis in self.axes:
+            if axis.drive.sample().state is not DriveState.ENABLED:
+                axis.drive.enable()
+
+    def get_ready(self, *, home: bool) -> None:
+        """Power on and, if asked to, home each axis that does not say that it is homed."""
+        for axis in self.axes:
+            if home and not axis.drive.sample().homed:
+                axis.drive.require(Capability.HOMING)
+        self.enable()
+        for axis in self.axes:
+            if home and not axis.drive.sample().homed:
+                self.home(axis=axis)
+
+    def home(self, *, axis: WatchedAxis | None = None, look: Look | None = None) -> None:
+        """The drive's own homing, watched to its end."""
+        axis = axis or self.axes[0]
+        drive = axis.drive
+        with self._ordered(axis, Motion("homing"), drive.start_homing):
+            self.watch_until(
+                lambda sample: bool(sample.homed) and sample.target_reached,
+                homing_time_s(drive.limits),
+                "homing",
+                axis=axis,
+                look=look,
+            )
+        if axis.instrument is not None:  # travel is compared from before the next motion on
+            with self.stopping_on_error():
+                axis.look()
+            self.watch(REST_SLICE_S)
+
+    def move(
+        self,
+        target_mm: float,
+        speed_mm_s: float,
+        *,
+        axis: WatchedAxis | None = None,
+        started: Callable[[], None] = lambda: None,
+        within_mm: float = ARRIVED_WITHIN_MM,
+        slice_s: float = SLICE_S,
+        look: Look | None = None,
+    ) -> DriveSample:
+        """Go there and arrive; the sample of the arrival. started: called once the drive has the order.
+
+        Raises LimitError, StateError before any motion, FollowingErrorError for an arrival elsewhere, and as `watch_until`.
+        """
+        axis = axis or self.axes[0]
+        what = f"the move to {target_mm:.4f}"
+
+        def arrived(sample: DriveSample) -> bool:
+            return sample.target_reached
+
+        sample = self.move_until(
+            arrived, target_mm, speed_mm_s, what, axis=axis, started=started, slice_s=slice_s, look=look
+        )
+        if abs(sample.position_load_mm - target_mm) > within_mm:
+            with self.stopping_on_error():
+                limited = ", its internal limit is active: a target beyond a software limit" if sample.limited else ""
+                raise FollowingErrorError(
+                    f"drive {axis.drive.name} says it arrived, but is at {sample.position_load_mm:.4f} mm,"
+                    f" expected {target_mm:.4f} mm{limited}"
+                )
+        return sample
+
+    def move_until(
+        self,
+        condition: Callable[[DriveSample], bool],
+        target_mm: float,
+        speed_mm_s: float,
+        what: str,
+        *,
+        axis: WatchedAxis | None = None,
+        started: Callable[[], None] = lambda: None,
+        timeout_s: float | None = None,
+        slice_s: float = SLICE_S,
+        look: Look | None = None,
+    ) -> DriveSample:
+        """Start for a target and watch until the condition holds. timeout_s: None, by the way there, its speed and its ramps."""
+        axis = axis or self.axes[0]
+        drive = axis.drive
+        if timeout_s is None:
+            travel_mm = abs(target_mm - drive.sample().position_load_mm)
+            expected_s = travel_mm / speed_mm_s + speed_mm_s / drive.limits.max_acceleration_mm_s2
+            timeout_s = LONGER_S + LONGER * expected_s
+        with self._ordered(axis, Motion(what, target_mm, speed_mm_s), partial(drive.start_move, target_mm, speed_mm_s)):
+            with self.stopping_on_error():
+                started()
+            return self.watch_until(condition, timeout_s, what, axis=axis, slice_s=slice_s, look=look)
+
+    @contextmanager
+    def _ordered(self, axis: WatchedAxis, motion: Motion, order: Callable[[], None]) -> Iterator[None]:
+        """Order a motion and, inside, see it over. After any error but a refusal it may be under way, and is stopped."""
+        with axis.moving(motion):
+            try:
+                order()
+            except (LimitError, LocalError):
+                raise  # refused: nothing moved
+            except BaseException as error:
+                self.stop_for(error)
+                raise
+            yield
+
+
+def _stop(axis: WatchedAxis) -> None:
+    axis.on_stop()
+    finish_despite_interrupt(axis.drive.quick_stop)

@@ -1,0 +1,288 @@
+"""WatchedAxis: a drive, and the instrument at its load where there is one, looked at together.
+
+One look takes a sample and what the instrument sent, and raises on whatever makes motion unsafe or readings worthless: a fault, a
+sample or reading that is too old, a lost signal, a motor that is faster than it was told or where it was not told to go, an instrument
+that does not see the motor's travel. Stopping is the supervisor's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from drivers.clock import NS_PER_S
+from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.errors import (
+    DriveFaultError,
+    LimitError,
+    LinkLostError,
+    MeasurementLostError,
+    OverspeedError,
+    StateError,
+)
+from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
+from hil.machine.agreement import RATE_OVER_S, Agreement, AgreementLimits
+from hil.machine.overspeed import OVER_S, Overspeed
+from hil.machine.place import Place
+from hil.machine.time_out import Motion
+
+STALE_AFTER_S = 0.5
+"""Oldest sample or reading that is still believed, unless the axis file says otherwise."""
+STALLED_S = 5.0
+"""An axis that was told to move and stands for so long does not go on: brakes open and homings turn around in a second or two."""
+STANDS_WITHIN_MM = 0.001
+"""An axis that stands changes by no more: the slowest move that is told, 1 µm in 5 s, is none of any machine tool."""
+_FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
+
+
+class WatchedAxis:
+    """An open drive and an open instrument, None for a drive alone.
+
+    on_stop: called when the axis is stopped, as where it comes to rest is not known then. on_readings: hears what the instrument sent.
+    saw_fault: the drive was in a fault since this was last made False. motion: under way, None at rest.
+    """
+
+    def __init__(
+        self,
+        drive: ServoDrive,
+        instrument: DistanceInstrument | None = None,
+        *,
+        stale_after_s: float = STALE_AFTER_S,
+        agreement: AgreementLimits | None = None,
+        on_stop: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.drive = drive
+        self.instrument = instrument
+        self.on_stop = on_stop
+        self.on_readings: Callable[[Sequence[Reading]], None] | None = None
+        self.saw_fault = False
+        self.motion: Motion | None = None
+        self.looked_ns = 0
+        self._stale_ns = round(stale_after_s * NS_PER_S)
+        self._agreement = Agreement(agreement or AgreementLimits(), drive.limits.max_velocity_mm_s)
+        self._compared = True
+        self._overspeed = Overspeed()
+        self._place = Place(drive.limits)
+        self._stream_mm_s = 0.0  # of set-points, the fastest so far
+        self._speeds: deque[tuple[int, float]] = deque()  # of motions that are over, and when they were
+        self._stood: tuple[int, float] | None = None  # since when, and where
+        self._path: deque[tuple[int, float]] = deque()  # of the motor, over the last second of a motion
+        self._numbered = 0  # of the instrument's samples, those that were lost too
+        self.begin()
+
+    def begin(self) -> None:
+        """From now on: what was read before is of no use, and travel is compared from here on."""
+        self._start_ns = self.drive.clock.now_ns()
+        self._latest: Reading | None = None
+        self.motion = None
+        self._forget_travel()
+
+    def _forget_travel(self) -> None:
+        self._agreement.forget()
+        self._overspeed.forget()
+        self._place.forget()
+        self._path.clear()
+
+    def elapsed_s(self) -> float:
+        """Seconds since `begin`, in the clock's time."""
+        return (self.drive.clock.now_ns() - self._start_ns) / NS_PER_S
+
+    # -- what it is told ---------------------------------------------------------------------------------------------
+    @contextmanager
+    def moving(self, motion: Motion) -> Iterator[None]:
+        """While a motion is under way, from before it is ordered until it is over or was stopped.
+
+        In a homing the drive takes another zero: neither travel nor speed of its positions means anything, nor before it is over.
+        """
+        homing = motion.target_mm is None
+        self._overspeed.forget()
+        self._path.clear()
+        self._stood = None
+        self.motion = motion
+        try:
+            yield
+        finally:
+            self._speeds.append((self.drive.clock.now_ns(), motion.speed_mm_s))
+            self.motion = None
+            self._overspeed.forget()
+            if homing:
+                self._forget_travel()
+
+    @contextmanager
+    def following(self) -> Iterator[Callable[[int, float, float], None]]:
+        """While a stream moves it: tell each cycle when the motor was found, where (mm), and the speed of the set-points (mm/s)."""
+
+        def found(time_ns: int, position_mm: float, speed_mm_s: float) -> None:
+            self._stream_mm_s = max(self._stream_mm_s, abs(speed_mm_s))
+            self._agreement.motor_at(time_ns, position_mm)
+
+        try:
+            yield found
+        finally:
+            self._speeds.append((self.drive.clock.now_ns(), self._stream_mm_s))
+            self._stream_mm_s = 0.0
+            self._place.forget()  # a stream looks at no sample; where it ends is where the axis may rest
+
+    @contextmanager
+    def travel_unproven(self) -> Iterator[None]:
+        """While somebody finds out whether the units are right: what the instrument sees of a motion is not judged."""
+        self._compared = False
+        try:
+            yield
+        finally:
+            self._compared = True
+            self._forget_travel()
+
+    def acknowledge_loss(self) -> None:
+        """After a lost signal: the instrument's zero may be a new one."""
+        if self.instrument is not None:
+            self.instrument.acknowledge_loss()
+        self._forget_travel()
+
+    @property
+    def instrument_name(self) -> str:
+        """For messages; "" without an instrument."""
+        return "" if self.instrument is None else self.instrument.name
+
+    @property
+    def _speed_mm_s(self) -> float:
+        return self._stream_mm_s if self.motion is None else self.motion.speed_mm_s
+
+    def _readings_mm_s(self) -> float:
+        """The fastest motion that readings of the last second can be of, however late they are; 0.0: not known."""
+        over_ns = self.drive.clock.now_ns() - 2 * round(RATE_OVER_S * NS_PER_S)
+        while self._speeds and self._speeds[0][0] < over_ns:
+            self._speeds.popleft()
+        speeds_mm_s = [speed for _, speed in self._speeds]
+        if self.motion is not None or self._stream_mm_s:
+            speeds_mm_s.append(self._speed_mm_s)
+        return 0.0 if 0.0 in speeds_mm_s else max(speeds_mm_s, default=0.0)
+
+    @property
+    def seen_mm_s(self) -> float:
+        """How fast the motor moved over the last second of the motion under way, signed; 0.0 before two samples."""
+        if len(self._path) < 2 or self._path[-1][0] == self._path[0][0]:
+            return 0.0
+        (from_ns, from_mm), (to_ns, to_mm) = self._path[0], self._path[-1]
+        return (to_mm - from_mm) * NS_PER_S / (to_ns - from_ns)
+
+    @property
+    def stalled(self) -> bool:
+        """A motion is under way, and the motor has stood for `STALLED_S`."""
+        if self.motion is None or self._stood is None:
+            return False
+        return self.drive.clock.now_ns() - self._stood[0] >= STALLED_S * NS_PER_S
+
+    # -- looking -----------------------------------------------------------------------------------------------------
+    def look(self) -> tuple[DriveSample, Sequence[Reading]]:
+        """One look at drive and instrument; raises on whatever is wrong."""
+        sample = self.drive.sample()
+        self.looked_ns = self.drive.clock.now_ns()
+        self.drive.looked_at(sample)
+        readings = self._poll()
+        if sample.state in _FAULTS:
+            self.saw_fault = True
+            code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
+            during = "" if self.motion is None else f" during {self.motion.what}"
+            raise DriveFaultError(
+                f"drive {self.drive.name} went into {sample.state.value}{during}{code}", sample.fault_code
+            )
+        if self.motion is not None:
+            self._judge_speed(sample)
+        self._judge_place(sample)
+        self._agreement.motor_at(sample.time_ns, sample.position_load_mm)
+        self._take(readings, compared=sample.state is DriveState.ENABLED)
+        now_ns = self.drive.clock.now_ns()
+        if sample.age_ns(now_ns) > self._stale_ns:
+            raise LinkLostError(f"drive {self.drive.name}: no sample for {sample.age_ns(now_ns) / NS_PER_S:.2f} s")
+        self._check_instrument_fresh()
+        return sample, readings
+
+    def look_enabled(self, what: str) -> DriveSample:
+        """One look at an axis that must be under power. Raises as `look`, and StateError: standing still is not having arrived."""
+        sample, _ = self.look()
+        if sample.state is not DriveState.ENABLED:
+            raise StateError(f"drive {self.drive.name}: {what} ended by itself, it is {sample.state.value}")
+        return sample
+
+    def readings(self) -> list[tuple[int, Reading]]:
+        """What the instrument has sent, each with its number, while a stream looks after the drive; raises on a bad or old one."""
+        number, numbered = self._numbered, []
+        readings = self._poll()
+        self._take(readings, compared=True)
+        self._check_instrument_fresh()
+        for reading in readings:
+            number += 1 + reading.lost_before
+            numbered.append((number, reading))
+        return numbered
+
+    def heard_reading(self) -> bool:
+        """Whether the instrument has sent a good reading since `begin`; looks at nothing else. Raises on a bad one."""
+        self._take(self._poll(), compared=False)
+        return self._latest is not None
+
+    def _poll(self) -> Sequence[Reading]:
+        """A port of the instrument's that went away is a lost measurement, not a lost drive."""
+        if self.instrument is None:
+            return ()
+        try:
+            readings = self.instrument.poll()
+        except LinkLostError as error:
+            raise self._lost(str(error)) from error
+        if self.on_readings is not None and readings:
+            self.on_readings(readings)
+        return readings
+
+    def _take(self, readings: Sequence[Reading], *, compared: bool) -> None:
+        homing = self.motion is not None and self.motion.target_mm is None
+        fastest_mm_s = self._readings_mm_s() if readings else 0.0
+        for reading in readings:
+            if reading.status is not ReadingStatus.GOOD:
+                raise self._lost(reading.status.value)
+            self._numbered += 1 + reading.lost_before
+            if not self._compared:
+                continue
+            wrong = self._agreement.rate(reading, fastest_mm_s)
+            if wrong is None and compared and not homing:
+                wrong = self._agreement.compare(reading, self._speed_mm_s)
+            if wrong is not None:
+                raise self._lost(wrong)
+        if readings:
+            self._latest = readings[-1]
+
+    def _judge_speed(self, sample: DriveSample) -> None:
+        """Of the motor in a motion under way."""
+        motion = self.motion
+        if self._stood is None or abs(sample.position_load_mm - self._stood[1]) > STANDS_WITHIN_MM:
+            self._stood = sample.time_ns, sample.position_load_mm
+        while self._path and sample.time_ns - self._path[0][0] > OVER_S * NS_PER_S:
+            self._path.popleft()
+        self._path.append((sample.time_ns, sample.position_load_mm))
+        if motion is None or motion.target_mm is None or sample.state is not DriveState.ENABLED:
+            return
+        wrong = self._overspeed.look(sample.time_ns, sample.position_load_mm, motion.speed_mm_s)
+        if wrong is not None:
+            raise OverspeedError(f"drive {self.drive.name} {wrong}")
+
+    def _judge_place(self, sample: DriveSample) -> None:
+        """Of an axis under power, but for a homing."""
+        homing = self.motion is not None and self.motion.target_mm is None
+        if homing or sample.state is not DriveState.ENABLED:
+            self._place.forget()
+            return
+        moving = self.motion is not None or self._stream_mm_s > 0.0
+        wrong = self._place.look(sample.position_load_mm, moving=moving)
+        if wrong is not None:
+            raise LimitError(f"drive {self.drive.name} {wrong}")
+
+    def _check_instrument_fresh(self) -> None:
+        if self.instrument is None:
+            return
+        now_ns = self.drive.clock.now_ns()
+        newest_ns = self._start_ns if self._latest is None else max(self._latest.time_ns, self._start_ns)
+        if now_ns - newest_ns > self._stale_ns:
+            raise self._lost(f"no reading for {(now_ns - newest_ns) / NS_PER_S:.2f} s")
+
+    def _lost(self, what: str) -> MeasurementLostError:
+        return MeasurementLostError(f"instrument {self.instrument_name}: {what}")
