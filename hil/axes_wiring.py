@@ -16,8 +16,9 @@ from drivers.drive import ServoDrive
 from drivers.errors import InputError
 from hil.axis import AxisConfig
 from hil.bench_conditions import BenchConditions
-from hil.files import held
+from hil.files import held_by_name
 from hil.instruments import instrument, with_instrument
+from hil.machine.signals import ending_by_signals
 from hil.wiring import (
     Links,
     Machine,
@@ -50,14 +51,15 @@ def connected_axes(
     if len({(axis.drive.backend == "bench", axis.drive.face) for axis in axes}) > 1:
         raise InputError("one axis is on the bench and another is not, or behind another face: expected all alike")
     with ExitStack() as stack:
+        stack.enter_context(ending_by_signals())
         for axis in axes:
-            stack.enter_context(held(axis.path))
+            stack.enter_context(held_by_name(axis.path))
         if axes[0].drive.backend == "bench":
             machines = _on_bench(axes, benches or [bench_parameters(axis) for axis in axes], stack, waiting)
         else:
             machines = _on_hardware(axes, stack, waiting)
         for one in machines:
-            one.session.lookout.beside = tuple(other.session.lookout for other in machines if other is not one)
+            one.session.supervisor.beside = tuple(other.session.axis for other in machines if other is not one)
         for one in machines:
             stack.enter_context(one.session)
         yield machines

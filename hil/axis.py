@@ -26,9 +26,12 @@ from hil.axis_instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis_lost_motion import LostMotionConfig, read_lost_motion
 from hil.axis_reader import Table
 from hil.axis_uncertainty import read_uncertainty
+from hil.correction_bound import CAREFUL, MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM, CorrectionBound
 from hil.files import read_text
+from hil.machine.agreement import REVERSAL_UM, AgreementLimits
 from hil.tables import Band, TableMode
 from hil.uncertainty import UncertaintyInputs
+from hil.zero import REFERENCE_WITHIN_UM
 
 __all__ = [
     "BENCH_MACHINES",
@@ -66,11 +69,12 @@ class MeasurementConfig:
     seed: int
     settle_um: float | None = None
     settle_within_s: float | None = None
+    reference_within_um: float = REFERENCE_WITHIN_UM
 
 
 @dataclass(frozen=True)
 class CorrectionConfig:
-    """What system A is to reach, and how the tables are kept."""
+    """What system A is to reach, how the tables are kept, and the bound of any correction of the axis."""
 
     mode: TableMode
     band: Band | None
@@ -79,6 +83,7 @@ class CorrectionConfig:
     fine_range_um: float
     combined: bool
     straightness_share: float
+    bound: CorrectionBound = CAREFUL
 
 
 @dataclass(frozen=True)
@@ -108,6 +113,14 @@ class DriveAxis:
     drive: DriveConfig
     store: StoreConfig
     backlash: BacklashConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
+    falls_without_power: bool = field(default=False, kw_only=True)  # vertical, and no brake is stated
+    absolute_encoder: bool = field(default=False, kw_only=True)  # the drive keeps its zero while its power is off
+    largest_reversal_um: float = field(default=REVERSAL_UM, kw_only=True)  # over which the load may wait for its motor
+
+    @property
+    def zero_path(self) -> Path:
+        """Where the axis's zero is kept (`hil.zero`)."""
+        return self.store.directory / f"{self.name}.zero.json"
 
 
 @dataclass(frozen=True)
@@ -120,6 +133,12 @@ class AxisConfig(DriveAxis):
     conditions: ConditionsConfig
     lost_motion: LostMotionConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
     uncertainty: UncertaintyInputs | None = field(default=None, kw_only=True)
+
+    @property
+    def agreement(self) -> AgreementLimits:
+        """What the instrument may differ from the motor by."""
+        instrument = self.instrument
+        return AgreementLimits(instrument.agrees_within_um, self.largest_reversal_um, instrument.latency_s)
 
     @property
     def tables_path(self) -> Path:
@@ -142,10 +161,17 @@ class AxisConfig(DriveAxis):
             "instrument": {
                 name: value
                 for name, value in asdict(self.instrument).items()
-                if name not in ("port", "stale_after_s", "resume_within_s", "place_temps")
+                if name not in ("port", "stale_after_s", "agrees_within_um", "resume_within_s", "place_temps")
             },
-            "measurement": {**asdict(self.measurement), "targets_mm": list(self.measurement.targets_mm)},
-            "correction": {**asdict(self.correction), "mode": self.correction.mode.value},
+            "measurement": {
+                name: list(value) if name == "targets_mm" else value
+                for name, value in asdict(self.measurement).items()
+                if name != "reference_within_um"
+            },
+            "correction": {
+                **{name: value for name, value in asdict(self.correction).items() if name != "bound"},
+                "mode": self.correction.mode.value,
+            },
         }
 
 
@@ -162,11 +188,11 @@ def load_drive_axis(path: str | Path) -> DriveAxis:
     root = read_toml(path)
     if {"instrument", "measurement"} & set(root.keys_left()):
         return _axis(root)
-    name, limits, scaling, drive = _moving(root)
+    name, limits, scaling, drive, more = _moving(root)
     store = _store(root.child("store", required=False), root.path, name)
     backlash = _backlash(root, limits, scaling, drive)
     root.finish(("axis", "scaling", "drive", "store", "backlash"))
-    return DriveAxis(root.path, name, limits, scaling, drive, store, backlash=backlash)
+    return DriveAxis(root.path, name, limits, scaling, drive, store, backlash=backlash, **more)
 
 
 def read_toml(path: str | Path) -> Table:
@@ -187,17 +213,26 @@ def read_toml(path: str | Path) -> Table:
     return Table(path, text, "", values)
 
 
-def _moving(root: Table) -> tuple[str, DriveLimits, AxisScaling, DriveConfig]:
-    """[axis], [scaling] and [drive]."""
+def _moving(root: Table) -> tuple[str, DriveLimits, AxisScaling, DriveConfig, dict[str, Any]]:
+    """[axis], [scaling] and [drive]; last, more of [axis] by the fields of `DriveAxis`."""
     axis = root.child("axis")
     name = axis.take("name", reader.name, "a name of letters, digits, _ . -")
     limits = _limits(axis)
+    vertical = axis.take("vertical", reader.flag, "true or false", False)
+    brake = axis.take("brake", reader.flag, "true or false", False)
+    reversal_um = axis.take("largest_reversal_um", reader.not_negative, "a number >= 0 in µm", REVERSAL_UM)
+    absolute = axis.take("absolute_encoder", reader.flag, "true or false", False)
+    more = {
+        "falls_without_power": vertical and not brake,
+        "largest_reversal_um": reversal_um,
+        "absolute_encoder": absolute,
+    }
     axis.finish(("name", "travel_min_mm", "travel_max_mm", "max_velocity_mm_s", "max_acceleration_mm_s2"))
-    return name, limits, _scaling(root.child("scaling")), read_drive(root.child("drive"))
+    return name, limits, _scaling(root.child("scaling")), read_drive(root.child("drive")), more
 
 
 def _axis(root: Table) -> AxisConfig:
-    name, limits, scaling, drive = _moving(root)
+    name, limits, scaling, drive, more = _moving(root)
     instrument = read_instrument(root.child("instrument"), has_port=drive.backend != "bench")
     measurement = _measurement(root.child("measurement"), limits)
     correction = _correction(root.child("correction", required=False), measurement.runs)
@@ -216,6 +251,7 @@ def _axis(root: Table) -> AxisConfig:
         *(root.path, name, limits, scaling, drive, store),
         *(instrument, measurement, correction, conditions),
         backlash=backlash,
+        **more,
         lost_motion=lost_motion,
         uncertainty=uncertainty,
     )
@@ -281,6 +317,9 @@ def _measurement(table: Table, limits: DriveLimits) -> MeasurementConfig:
         seed=seed,
         settle_um=table.take("settle_um", reader.positive, "a number > 0 in µm", None),
         settle_within_s=table.take("settle_within_s", reader.between(0.1, 3600.0), "seconds, 0.1 to 3600", None),
+        reference_within_um=table.take(
+            "reference_within_um", reader.positive, "a number > 0 in µm", REFERENCE_WITHIN_UM
+        ),
     )
     table.finish()
     if config.velocity_mm_s > limits.max_velocity_mm_s:
@@ -322,6 +361,10 @@ def _correction(table: Table, runs: int) -> CorrectionConfig:
         fine_range_um=table.take("fine_range_um", reader.positive, "a number > 0 in µm", 3.0),
         combined=table.take("combined", reader.flag, "true or false", False),
         straightness_share=table.take("straightness_share", reader.share, "a share, 0 to 1", 0.0),
+        bound=CorrectionBound(
+            table.take("max_correction_um", reader.positive, "a number > 0 in µm", MAX_CORRECTION_UM),
+            table.take("max_slope_um_per_mm", reader.positive, "a number > 0 in µm/mm", MAX_SLOPE_UM_PER_MM),
+        ),
     )
     table.finish()
     if config.band is not None and runs < 2:

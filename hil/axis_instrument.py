@@ -12,6 +12,7 @@ from typing import Any
 from hil import axis_reader as reader
 from hil.alignment import Alignment
 from hil.axis_reader import Table
+from hil.machine.agreement import WITHIN_UM
 from hil.material import Material
 
 KINDS = ("umd", "nd2xx", "ascii", "replay")
@@ -62,6 +63,7 @@ class ReplayConfig:
 class InstrumentConfig:
     """How to reach the instrument, and how it stands. kind: umd | nd2xx | ascii | replay.
 
+    agrees_within_um: with the travel of the motor, besides reversal and a share of the travel (`hil.machine.agreement`).
     resume_within_s: after a lost signal the axis, stopped, waits so long for it and goes on by itself; None: the job ends.
     latency_s: from a sample to its arrival, None where nobody knows; trigger_input: of the drive's touch-probe inputs, the one that
     shares a line with the instrument, an edge with each sample.
@@ -75,6 +77,7 @@ class InstrumentConfig:
     port: str
     direction: int
     stale_after_s: float
+    agrees_within_um: float = WITHIN_UM
     resume_within_s: float | None = None
     latency_s: float | None = None
     trigger_input: int | None = None
@@ -106,6 +109,7 @@ def read_instrument(table: Table, *, has_port: bool) -> InstrumentConfig:
         "port": port,
         "direction": table.take("direction", reader.choice(1, -1), "1 or -1", 1),
         "stale_after_s": table.take("stale_after_s", reader.positive, "a number > 0 in s", 0.5),
+        "agrees_within_um": table.take("instrument_agrees_within_um", reader.positive, "a number > 0 in µm", WITHIN_UM),
         "resume_within_s": table.take("resume_within_s", reader.between(1.0, 86_400.0), "seconds, 1 to 86400", None),
         "latency_s": table.take("latency_s", reader.between(-1.0, 10.0), "seconds, -1 to 10", None),
         "trigger_input": table.take("trigger_input", reader.choice(1, 2), "1 or 2", None),

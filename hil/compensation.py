@@ -17,15 +17,22 @@ from typing import Protocol
 import numpy as np
 
 from drivers.errors import InputError, StateError
+from hil.correction_bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.lost_motion.running import Turns, remembered, wound_share
 from hil.lost_motion.shapes import Rise
 from hil.records import UM_PER_MM, Floats
 from hil.tables import TableSet
+from hil.zero import Zero
 
 Columns = Mapping[str, Floats]
 
 LONG_STROKE_MM = 1e6
 """Stands for 'long enough to wind everything up' where the stroke before the first reversal is not known."""
+
+_BESIDE_MM = (0.0, -SLOPE_OVER_MM / 2, SLOPE_OVER_MM / 2)
+"""From a target: where a command's correction is taken, the target first, so that its slope is known."""
+_CHECKED_MM = 0.1
+"""Distance of the places where effects of position are held against the bound: a hundredth of a usual lead."""
 
 WOUND_SHARE = "wound_share"
 """Column: 0 after a full stroke in −, 1 after one in +; how far the drive train is wound up between the two."""
@@ -40,6 +47,11 @@ class ErrorTerm(Protocol):
 
     def error_um(self, columns: Columns) -> Floats:
         """The error the effect causes, µm, shape (n,)."""
+
+
+def fits_in_a_table(term: ErrorTerm) -> bool:
+    """Whether an effect depends on position and direction alone."""
+    return set(term.needs) <= {"target_mm", "direction"}
 
 
 @dataclass(frozen=True)
@@ -92,12 +104,14 @@ class Command:
 class Compensation:
     """What is in force: tables, the effects that the tables lack, and how the lost motion rises after a reversal.
 
-    Without a rise (None) the tables' directions are switched at once.
+    Without a rise (None) the tables' directions are switched at once. zero: of the axis that it was stored for; None for one made in
+    the session that uses it, or by hand.
     """
 
     tables: TableSet
     terms: tuple[ErrorTerm, ...] = field(default=())
     rise: Rise | None = None
+    zero: Zero | None = field(default=None, compare=False, kw_only=True)
 
     @property
     def needs(self) -> frozenset[str]:
@@ -119,16 +133,54 @@ class Compensation:
             correction = correction - term.error_um(columns)
         return correction
 
+    def check(self, bound: CorrectionBound, what: str) -> None:
+        """Hold against a bound what is known without the machine: the tables, with the effects of position and direction alone.
+
+        A rise lies between the tables' two directions, and so within the bound when they are. Other effects depend on sensors and on
+        the motion: each command is held against the bound when it is made. Raises CorrectionBoundError naming the worst place.
+        """
+        tables = self.tables
+        static = [term for term in self.terms if fits_in_a_table(term)]
+        nodes = tables.nodes_mm
+        if static:
+            most = math.ceil((nodes[-1] - nodes[0]) / _CHECKED_MM) + 1
+            nodes = np.union1d(nodes, np.linspace(nodes[0], nodes[-1], most))
+        curves = {}
+        for sign in (1, -1):
+            columns = {"target_mm": nodes, "direction": np.full(len(nodes), float(sign))}
+            errors_um = [term.error_um(columns) for term in static]
+            curves[sign] = tables.correction_um(nodes, sign) - np.sum(errors_um, axis=0)
+        bound.check_curves(what, nodes, curves)
+        if tables.straightness is not None and tables.straightness_axis:
+            across = tables.straightness
+            bound.check_curves(f"{what}, to axis {tables.straightness_axis}", across.position_mm, {1: across.value_um})
+
+    def check_rows(self, bound: CorrectionBound, what: str, columns: Columns) -> None:
+        """Hold the correction of measured rows, sensors and all, against a bound. Rows that lack a value are left out.
+
+        Raises CorrectionBoundError naming the worst place.
+        """
+        known = np.all([np.isfinite(columns[name]) for name in (*self.needs, "target_mm")], axis=0)
+        rows = {name: values[known] for name, values in columns.items()}
+        bound.check_values(what, rows["target_mm"], rows["direction"], self.correction_um(rows))
+
     def _of_tables_um(self, columns: Columns) -> Floats:
         if self.rise is None:
             return self.tables.correction_um(columns["target_mm"], columns["direction"])
         plus, minus = (self.tables.correction_um(columns["target_mm"], sign) for sign in (1, -1))
         return np.asarray(minus + columns[WOUND_SHARE] * (plus - minus), dtype=np.float64)
 
-    def command(self, target_mm: float, history: MotionHistory, known: Mapping[str, float]) -> Command:
+    def command(
+        self,
+        target_mm: float,
+        history: MotionHistory,
+        known: Mapping[str, float],
+        bound: CorrectionBound = CAREFUL,
+    ) -> Command:
         """The command for a motion to a target.
 
         known: sensor values and the like at the moment the set-point is issued (`time_s`, `velocity_mm_s`, `temp_screw_c` …)
+        bound: of the axis; a correction beyond it, or steeper with everything else as it is, raises CorrectionBoundError
         Raises InputError for a target that is no position, StateError while the direction of arrival is unknown: a correction
         for a guessed direction may be wrong by the whole backlash.
         """
@@ -148,6 +200,10 @@ class Compensation:
         )
         if self.rise is not None:
             values[WOUND_SHARE] = wound_share(self.rise, target_mm, after.direction, after.turns_mm)
-        columns = {name: np.array([value], dtype=np.float64) for name, value in values.items()}
-        correction_um = float(self.correction_um(columns)[0])
+        near_mm = [target_mm + beside for beside in _BESIDE_MM]
+        columns = {name: np.array([value] * len(near_mm), dtype=np.float64) for name, value in values.items()}
+        columns["target_mm"] = np.array(near_mm)
+        near_um: list[float] = self.correction_um(columns).tolist()
+        bound.check_command(after.direction, near_mm, near_um)
+        correction_um = near_um[0]
         return Command(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)

@@ -7,8 +7,11 @@ ones. Beside it, what makes errors about a file name that file, and holding one 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
+import socket
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -64,6 +67,23 @@ def held(path: str | Path, *, wait: bool = False) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+@contextmanager
+def held_by_name(path: str | Path) -> Iterator[None]:
+    """A file that only one may work with at a time, also where it is replaced by another of its name meanwhile, as editors do.
+
+    The name is held by a socket in Linux's abstract namespace, which leaves nothing behind; the file as well, as by `held`.
+    Raises InputError as `held`.
+    """
+    with held(path), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name:
+        if sys.platform == "linux":
+            digest = hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()
+            try:
+                name.bind(f"\0hil-file-{digest}")
+            except OSError as error:
+                raise InputError("is in use already, expected one process at a time", path=path) from error
+        yield
 
 
 def replace_file(path: str | Path, data: bytes, *, mode: int | None = None) -> None:

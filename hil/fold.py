@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.errors import InputError
-from hil.compensation import Compensation, ErrorTerm
+from hil.compensation import Compensation, ErrorTerm, fits_in_a_table
 from hil.records import Floats
 from hil.tables import DirectionalTable, SingleTable
 
@@ -19,11 +19,6 @@ FINE_UM = 0.05
 MOST_NODES = 20_000
 TRIED = np.sort(np.modf(np.arange(1, 8) * (np.sqrt(5) - 1) / 2)[0])
 """Where between two nodes the line is compared: at fractions of the golden ratio, which no period hits alike."""
-
-
-def fits_in_a_table(term: ErrorTerm) -> bool:
-    """Whether an effect depends on position and direction alone."""
-    return set(term.needs) <= {"target_mm", "direction"}
 
 
 def folded(compensation: Compensation, tolerance_um: float = FINE_UM) -> Compensation:

@@ -18,7 +18,7 @@ import numpy as np
 from drivers.errors import InputError
 from hil.files import read_bytes
 from hil.iso230 import Iso230, iso230
-from hil.journal import BEGUN, MARKER, checksums, read_purpose
+from hil.journal import BEGUN, CHAINED, MARKER, checksums, grew_from, read_purpose
 from hil.records import Records, concatenate, parse_csv
 
 REPLAY = "replay"
@@ -35,7 +35,8 @@ class Pass:
     """One measuring pass on disk.
 
     records: its rows, None where there are none or they cannot be read (`why`); state: closed (as it was left), changed (since it was
-    closed), open (never closed), torn (its last line is half); begun: with its time zone; dated: by its own line, not by its file
+    closed), open (not closed since rows were last added), torn (its last line is half); begun: with its time zone; dated: by its own
+    line, not by its file
     """
 
     path: Path
@@ -112,7 +113,12 @@ def read_pass(path: Path, closed_as: str | None) -> Pass:
     whole = data[: data.rfind(b"\n") + 1]
     text = whole.decode("utf-8", "replace")
     notes = tuple(line.removeprefix("#").strip() for line in text.splitlines() if line.startswith("#"))
-    state = "torn" if whole != data else "open" if closed_as is None else "closed" if sha256 == closed_as else "changed"
+    if whole != data:
+        state = "torn"
+    elif sha256 == closed_as:
+        state = "closed"
+    else:
+        state = "open" if closed_as is None or grew_from(closed_as, data) else "changed"
     records, why = None, ""
     try:
         records = parse_csv(text, path)
@@ -128,7 +134,7 @@ def _date(notes: Iterable[str]) -> datetime | None:
     for note in notes:
         if note.startswith(BEGUN):
             try:
-                date = datetime.fromisoformat(note.removeprefix(BEGUN))
+                date = datetime.fromisoformat(note.removeprefix(BEGUN).removesuffix(CHAINED))
             except ValueError:
                 continue
             return date.astimezone()

@@ -2,8 +2,9 @@
 
 A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of `hil.records`), written
 row by row and synced before the axis moves on; a half-written last line, left by a power cut, was never confirmed and is dropped.
-What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. A pass says when it
-was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`.
+What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. Each line is chained
+to the one before it in `rows.chain` (`hil.row_chain`), and resuming refuses rows that are not as they were written. A pass says when
+it was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`.
 """
 
 from __future__ import annotations
@@ -23,12 +24,19 @@ from typing import Any, Self
 from drivers.errors import InputError, StateError
 from hil.files import read_bytes, read_text, replace_file, sync_directory
 from hil.records import Records, format_row, parse_csv
+from hil.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
 
 CHECKSUMS = "SHA256SUMS"
 FINISHED = "finished"
 """Name of the empty file in a campaign whose job came to its end: one without it can be gone on with."""
 BEGUN = "begun "
 """Of the comment line that says when a pass was begun."""
+CHAINED = ", rows chained"
+"""Ends that line where the campaign has a chain: one that is gone is then missed."""
+UNCHECKED = (
+    f"its rows were measured before rows were chained ({CHAIN}): whether they are as they were written is not known"
+)
+"""Of a resumed campaign."""
 MARKER = "campaign.json"
 """What a campaign was started for."""
 
@@ -36,14 +44,15 @@ MARKER = "campaign.json"
 class RowJournal:
     """One growing record file, open for appending by one process at a time."""
 
-    def __init__(self, path: Path, names: Sequence[str], comment: str = "") -> None:
-        """Open; `names` is the header, `comment` stands above it and says what the rows belong to.
+    def __init__(self, path: Path, names: Sequence[str], comment: str = "", chain: RowChain | None = None) -> None:
+        """Open; `names` is the header, `comment` stands above it and says what the rows belong to; chain: to which each line goes.
 
         Raises InputError when the file was begun with another header or comment, holds a row that is none, cannot be
         written, or is open in another process.
         """
         self.path = path
         self.names = tuple(names)
+        self._chain = chain
         self._header = ("".join(f"# {line}\n" for line in comment.splitlines()) + ",".join(self.names) + "\n").encode()
         self._rows = 0
         try:
@@ -66,12 +75,12 @@ class RowJournal:
     def _recover(self) -> None:
         """Count the rows; a last line without its end was torn by a crash and never confirmed, so it is cut off."""
         data = read_bytes(self.path)
-        whole = data[: data.rfind(b"\n") + 1]
+        whole = data[: data.rfind(b"\n") + 1] if self._chain is None else self._chain.confirmed(self.path.name)
         if len(whole) < len(self._header) and self._header.startswith(whole):  # new, or killed before its first row
-            self._write(self._header, keep=0)
+            self._write(self._header[len(whole) :], keep=len(whole))
             sync_directory(self.path.parent)
             return
-        lines = _written_lines(self.path)
+        lines = whole.decode("utf-8", "replace").split("\n")
         if not whole.startswith(self._header):
             self._refuse_header(lines)
         if len(whole) != len(data):
@@ -117,11 +126,15 @@ class RowJournal:
         self._rows += 1
 
     def note(self, text: str) -> None:
-        """Write a comment line, such as that a measurement was resumed."""
-        self._write("".join(f"# {line}\n" for line in text.splitlines()).encode())
+        """Write comment lines, such as that a measurement was resumed."""
+        for line in text.splitlines():  # one at a time: a crash leaves at most one that is not chained
+            self._write(f"# {line}\n".encode())
 
     def _write(self, data: bytes, *, keep: int | None = None) -> None:
-        """Put data behind the first `keep` bytes (default: all there is), whole or not at all, and flush it to the disk."""
+        """Put data behind the first `keep` bytes (default: all there is), whole or not at all, flush it to the disk, and chain it.
+
+        An interrupt on the way leaves what the next opening recovers from, and closes the file.
+        """
         end = os.fstat(self._fd).st_size if keep is None else keep
         try:
             try:
@@ -131,8 +144,13 @@ class RowJournal:
                 while left:
                     left = left[os.write(self._fd, left) :]
                 os.fsync(self._fd)
+                if self._chain is not None and data:
+                    self._chain.add(self.path.name, data)
             except OSError:
                 os.ftruncate(self._fd, end)
+                raise
+            except BaseException:
+                self.close()
                 raise
         except OSError as error:
             raise InputError(
@@ -167,16 +185,19 @@ class Campaign:
         """Start a campaign, or resume one.
 
         purpose: JSON-able; what decides which rows are to be measured (axis, plan, mode). A resumed campaign must have the same.
-        Raises InputError when the directory holds a campaign and `resume` is False, holds none and it is True, or holds another.
+        Raises InputError when the directory holds a campaign and `resume` is False, holds none and it is True, or holds another, and
+        naming the first line of a resumed one that is not as it was written.
         """
         self.directory = directory
         self.resumed = resume
+        self.warning = ""  # for whoever resumed it
         marker = directory / MARKER
         text = json.dumps(purpose, indent=1, sort_keys=True, allow_nan=False)
         if resume:
             if not marker.exists():
                 raise InputError("holds no campaign to resume", path=directory)
             _check_same(directory, json.loads(text))
+            self.warning = _check_rows(directory)
             return
         if marker.exists():
             raise InputError("holds a campaign already; use --resume, or another directory", path=directory)
@@ -209,12 +230,18 @@ class Campaign:
 
     @contextmanager
     def rows(self, name: str, columns: Sequence[str], comment: str = "") -> Iterator[RowJournal]:
-        """The journal of one measuring pass, open for appending; closed, whatever ended it, its checksum is written."""
+        """The journal of one measuring pass, open for appending; closed, whatever ended it, its checksum is written.
+
+        Raises InputError naming the first line that is not as it was written, also when it was changed while the pass was open.
+        """
         path = self.directory / f"{name}.csv"
         try:
-            with RowJournal(path, columns, comment) as journal:
+            with (
+                self._chain() as chain,
+                RowJournal(path, columns, comment, chain) as journal,
+            ):
                 if not len(journal):
-                    journal.note(f"{BEGUN}{datetime.now().astimezone().isoformat(timespec='seconds')}")
+                    journal.note(f"{BEGUN}{datetime.now().astimezone().isoformat(timespec='seconds')}{CHAINED}")
                 yield journal
         except BaseException:
             with suppress(InputError):  # what ended the pass matters more
@@ -222,8 +249,16 @@ class Campaign:
             raise
         self._write_checksum(path)
 
+    def _chain(self) -> RowChain:
+        return RowChain(self.directory, read_bytes(self.directory / MARKER))
+
     def _write_checksum(self, path: Path) -> None:
-        sums = checksums(self.directory) | {path.name: hashlib.sha256(read_bytes(path)).hexdigest()}
+        """Of the confirmed lines: opening the chain anew has cut off what an interrupt left behind them."""
+        with self._chain() as chain:
+            confirmed = chain.confirmed(path.name)
+        if not confirmed:
+            return
+        sums = checksums(self.directory) | {path.name: hashlib.sha256(confirmed).hexdigest()}
         text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
         replace_file(self.directory / CHECKSUMS, text.encode())
 
@@ -285,6 +320,46 @@ def checksums(directory: Path) -> dict[str, str]:
     return {match[2]: match[1] for line in lines if (match := re.fullmatch(r"([0-9a-f]{64})  ([^/]+)", line))}
 
 
+def _check_rows(directory: Path) -> str:
+    """Refuse rows that are not as they were written, with InputError naming file and line; what could not be checked, or ""."""
+    origin, warning = read_bytes(directory / MARKER), ""
+    if not (directory / CHAIN).exists():
+        passes = sorted(path for path in directory.glob("*.csv") if written_lines(path))
+        if any(map(_says_chained, passes)):
+            raise InputError("is gone; without it the rows beside it cannot be checked", path=directory / CHAIN)
+        _check_closed(directory)
+        if not passes:
+            return ""
+        adopt(directory, origin)
+        warning = UNCHECKED
+    with RowChain(directory, origin):
+        pass
+    _check_closed(directory)
+    return warning
+
+
+def _says_chained(path: Path) -> bool:
+    return any(line.startswith(f"# {BEGUN}") and line.endswith(CHAINED) for line in _written_lines(path))
+
+
+def _check_closed(directory: Path) -> None:
+    """Refuse a pass that is not as it was closed, unless it only grew since."""
+    for name, digest in checksums(directory).items():
+        path = directory / name
+        if not path.exists() or not grew_from(digest, read_bytes(path)):
+            raise InputError(f"was changed since it was closed: it does not agree with {CHECKSUMS}", path=path)
+
+
+def grew_from(digest: str, data: bytes) -> bool:
+    """Whether data begins with whole lines of this SHA-256: a pass that was closed, and perhaps gone on with."""
+    found = hashlib.sha256()
+    for line in data.splitlines(keepends=True):
+        found.update(line)
+        if found.hexdigest() == digest:
+            return True
+    return False
+
+
 def _written_lines(path: Path) -> list[str]:
     """The lines of a journal, without one that was torn."""
     data = read_bytes(path)
@@ -293,6 +368,11 @@ def _written_lines(path: Path) -> list[str]:
 
 def _is_data(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def check_rows(directory: Path) -> Chained | None:
+    """Compare the rows of a campaign with its chain; None where it has none. Raises InputError naming the first line that differs."""
+    return check_chain(directory, read_bytes(directory / MARKER))
 
 
 def read_purpose(directory: Path) -> dict[str, Any]:

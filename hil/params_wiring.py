@@ -24,7 +24,7 @@ from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, parse_endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis import DriveAxis
-from hil.files import held
+from hil.files import held_by_name
 from hil.params.journal import Journal
 from hil.wiring import bench_parameters
 from sim_backends.bench import Bench
@@ -65,7 +65,7 @@ def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = No
         for axis in axes:
             if any(other.name == axis.name for other in axes if other is not axis):
                 raise InputError(f"axis {axis.name} is given twice, expected different ones", path=axis.path)
-            stack.enter_context(held(axis.path))
+            stack.enter_context(held_by_name(axis.path))
             drives.append(_drive(axis, lines, stack))
         yield drives
 

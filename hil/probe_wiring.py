@@ -19,7 +19,9 @@ from drivers.errors import AbortError, CapabilityError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.axis import DriveAxis
-from hil.files import held
+from hil.files import held_by_name
+from hil.machine.drives_to_stop import stopped_by_signals
+from hil.machine.signals import ending_by_signals
 from hil.probe_machine import ProbeConfig, ProbeMachineConfig
 from hil.procedures.probe_session import ProbeSession, ProbeSignal
 from hil.runout import UM_PER_MM
@@ -67,8 +69,9 @@ def probe_drives(
     Raises InputError while another process has connected one of the axis files, and whatever connecting raises.
     """
     with ExitStack() as stack:
+        stack.enter_context(ending_by_signals())
         for axis in config.axes.values():
-            stack.enter_context(held(axis.path))
+            stack.enter_context(held_by_name(axis.path))
         yield _hardware(config, stack, waiting) if bench is None else _simulated(config, bench, stack)
 
 
@@ -211,7 +214,7 @@ def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) 
 def _virtual(name: str, axis: DriveAxis, bench: ProbeBench) -> tuple[ServoDrive, ProbeLatch]:
     settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2, home_position_mm=0.0)
     drive = VirtualDrive(bench.servos[name], axis.scaling, axis.limits, bench.clock, name=axis.name, settings=settings)
-    return drive, drive.probe
+    return stopped_by_signals(drive), drive.probe
 
 
 def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:

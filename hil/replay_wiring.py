@@ -18,17 +18,17 @@ from sim_backends.clock import SimClock
 @contextmanager
 def recorded(machine: Machine, path: Path) -> Iterator[None]:
     """Inside the block, drive and instrument of a connected machine are recorded. Raises InputError for a file that is there."""
-    lookout = machine.session.lookout
-    drive, instrument = lookout.drive, lookout.instrument
+    watched = machine.session.axis
+    drive, instrument = watched.drive, machine.session.instrument
     config = machine.axis.instrument
     with MachineRecorder(path, machine.clock, tuple(config.place_temps), tuple(config.beside or ())) as recorder:
-        lookout.drive = RecordedDrive(drive, recorder)
-        lookout.instrument = RecordedInstrument(instrument, recorder)
-        lookout.drive.sample()
+        watched.drive = RecordedDrive(drive, recorder)
+        watched.instrument = RecordedInstrument(instrument, recorder)
+        watched.drive.sample()
         try:
             yield
         finally:
-            lookout.drive, lookout.instrument = drive, instrument
+            watched.drive, watched.instrument = drive, instrument
 
 
 @contextmanager
@@ -41,5 +41,6 @@ def replayed(axis: AxisConfig, path: Path) -> Iterator[Machine]:
         replay = MachineReplay(Recording.read(path), SimClock())
     drive = ReplayDrive(axis.name, axis.scaling, axis.limits, replay)
     session = session_of(axis, drive, ReplayedInstrument(replay), None)
+    session.zero = drive.before_homing = None  # a recording is no machine that could have another zero
     with session:
         yield Machine(axis, session)

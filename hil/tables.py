@@ -172,6 +172,18 @@ class TableSet:
         """No correction."""
         return cls(TableMode.BIDIRECTIONAL, DirectionalTable.constant(position_mm, 0.0))
 
+    @property
+    def nodes_mm(self) -> Floats:
+        """The nodes of all parts that are added to the axis's own command, ascending: between them `correction_um` is linear."""
+        parts = [self.pitch.position_mm]
+        if self.mode is TableMode.UNIDIRECTIONAL_BACKLASH and self.backlash is not None:
+            parts.append(self.backlash.position_mm)
+        if self.specified is not None:
+            parts.append(self.specified.position_mm)
+        if self.straightness is not None and not self.straightness_axis:
+            parts.append(self.straightness.position_mm)
+        return np.unique(np.concatenate(parts))
+
     def pitch_um(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
         """The pitch part with the direction's share of the backlash, counted once, µm."""
         if self.mode is TableMode.BIDIRECTIONAL or self.backlash is None:

@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -28,10 +29,13 @@ from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoi
 from drivers.scaling import AxisScaling
 from hil.axis import AxisConfig, DriveAxis
 from hil.bench_conditions import BenchConditions
-from hil.files import held
+from hil.files import held_by_name
 from hil.instruments import instrument, with_instrument
+from hil.machine.drives_to_stop import stopped_by_signals
+from hil.machine.signals import ending_by_signals
 from hil.procedures.conditions import Conditions
 from hil.procedures.session import AxisSession
+from hil.zero import ZeroKeeper
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
@@ -39,6 +43,8 @@ from sim_backends.machine import modbus_face
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.own_table import TableForm, known_table
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+Drive = TypeVar("Drive", bound=ServoDrive)
 
 BENCH_PATIENCE_S = 10.0
 """The bench's drive answers in a thread of its own, as soon as the host lets it: its silence is judged in real time."""
@@ -73,7 +79,8 @@ def connected(
     file, and whatever connecting raises.
     """
     with ExitStack() as stack:
-        stack.enter_context(held(axis.path))
+        stack.enter_context(ending_by_signals())
+        stack.enter_context(held_by_name(axis.path))
         if axis.drive.backend == "bench":
             machine = _on_bench(axis, bench or bench_parameters(axis), stack, waiting)
         else:
@@ -113,7 +120,8 @@ def connected_drive(
 ) -> Iterator[ServoDrive]:
     """The drive alone, open, without an instrument. Nothing is enabled or moved. bench, waiting: as for `connected`."""
     with ExitStack() as stack:
-        stack.enter_context(held(axis.path))
+        stack.enter_context(ending_by_signals())
+        stack.enter_context(held_by_name(axis.path))
         yield stack.enter_context(_drive_alone(axis, stack, bench, waiting))
 
 
@@ -124,7 +132,7 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
     Raises CapabilityError for an axis without registers.
     """
     with ExitStack() as stack:
-        stack.enter_context(held(axis.path))
+        stack.enter_context(held_by_name(axis.path))
         drive = _drive_alone(axis, stack)
         if not isinstance(drive, ModbusDrive):
             raise CapabilityError(f"axis {axis.name} has no registers: its drive is not on Modbus")
@@ -234,16 +242,19 @@ def canopen_drive(
         guard_s=config.guard_s,
         homing=HomingSettings(homing.method, homing.speed_switch_mm_s, homing.speed_zero_mm_s, homing.home_position_mm),
     )
-    return CanOpenDrive(
-        axis.name,
-        axis.scaling,
-        axis.limits,
-        clock,
-        link=shared.can[bus],
-        node_id=config.node_id,
-        settings=settings,
-        table=load_table_map(config.correction_table) if config.correction_table else None,
+    drive = stopped_by_signals(
+        CanOpenDrive(
+            axis.name,
+            axis.scaling,
+            axis.limits,
+            clock,
+            link=shared.can[bus],
+            node_id=config.node_id,
+            settings=settings,
+            table=load_table_map(config.correction_table) if config.correction_table else None,
+        )
     )
+    return _of_axis(axis, drive)
 
 
 def modbus_drive(
@@ -251,16 +262,19 @@ def modbus_drive(
 ) -> ModbusDrive:
     """The register map decides what the drive is; writes to its EEPROM are counted beside the axis's campaigns."""
     shared = Links() if links is None else links
-    return ModbusDrive(
-        axis.name,
-        axis.scaling,
-        axis.limits,
-        clock,
-        link=shared.modbus.setdefault(endpoint, ModbusLink(endpoint, clock)),
-        unit=unit,
-        drive_map=load_drive_map(axis.drive.register_map),
-        wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
+    drive = stopped_by_signals(
+        ModbusDrive(
+            axis.name,
+            axis.scaling,
+            axis.limits,
+            clock,
+            link=shared.modbus.setdefault(endpoint, ModbusLink(endpoint, clock)),
+            unit=unit,
+            drive_map=load_drive_map(axis.drive.register_map),
+            wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
+        )
     )
+    return _of_axis(axis, drive)
 
 
 def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
@@ -273,14 +287,38 @@ def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
         "home_position_mm": asked.home_position_mm,
     }
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
-    return VirtualDrive(
-        bench.servo,
-        axis.scaling,
-        axis.limits,
-        bench.clock,
-        name=axis.name,
-        settings=settings,
-        table=bench_table(axis, bench),
+    drive = stopped_by_signals(
+        VirtualDrive(
+            bench.servo,
+            axis.scaling,
+            axis.limits,
+            bench.clock,
+            name=axis.name,
+            settings=settings,
+            table=bench_table(axis, bench),
+        )
+    )
+    return _of_axis(axis, drive)
+
+
+def _of_axis(axis: DriveAxis, drive: Drive) -> Drive:
+    """What the axis file says beside the wire; the axis's zero is looked after whoever moves the drive."""
+    drive.falls_without_power = axis.falls_without_power
+    zero_keeper(axis).guard(drive)
+    return drive
+
+
+def zero_keeper(axis: DriveAxis) -> ZeroKeeper:
+    """Of the axis's zero, as its file says."""
+    if not isinstance(axis, AxisConfig):
+        return ZeroKeeper(axis.zero_path, axis.name, axis.path, absolute_encoder=axis.absolute_encoder)
+    return ZeroKeeper(
+        axis.zero_path,
+        axis.name,
+        axis.path,
+        within_um=axis.measurement.reference_within_um,
+        absolute_encoder=axis.absolute_encoder,
+        instrument=axis.instrument.kind,
     )
 
 
@@ -294,9 +332,19 @@ def session_of(
     axis: AxisConfig, drive: ServoDrive, looking: DistanceInstrument, conditions: Conditions | None
 ) -> AxisSession:
     stale_after_s = axis.instrument.stale_after_s
-    session = AxisSession(drive, looking, axis.measurement, stale_after_s=stale_after_s, conditions=conditions)
+    session = AxisSession(
+        drive,
+        looking,
+        axis.measurement,
+        stale_after_s=stale_after_s,
+        agreement=axis.agreement,
+        conditions=conditions,
+    )
     session.resume_within_s = axis.instrument.resume_within_s
     session.material = axis.instrument.material
+    session.steering.bound = axis.correction.bound
+    session.zero = zero_keeper(axis)
+    session.zero.guard(drive)
     return session
 
 

@@ -9,9 +9,9 @@ def run() -> int:
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not: a job that was told to ignore it
     if ours:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from hil.cli.main import load_verbs, main  # noqa: PLC0415  (seconds of imports)
+    from hil.cli.main import load_verb, main  # noqa: PLC0415  (seconds of imports)
 
-    load_verbs(sys.argv[1:])
+    load_verb(sys.argv[1:])
 
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -27,7 +27,6 @@ known when the row is commanded; residual_um, the error of the uncorrected machi
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "apply",
-        help="the correction of a model for each row of records",
         description="Apply a model of `hil fit` or `hil diagnose` to records.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

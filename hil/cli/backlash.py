@@ -35,7 +35,6 @@ interrupted. Exit status 1: no break-away within the allowed steps (detection li
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "backlash",
-        help="lost motion from the servo's torque, without a position sensor",
         description="Reverse, step until the table breaks away, and read the lost motion from the motor's torque, both ways.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

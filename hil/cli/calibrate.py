@@ -7,11 +7,19 @@ from dataclasses import replace
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_plan
+from hil.cli.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    open_store,
+    print_plan,
+    tell_zero,
+)
 from hil.cli.output import write_json
 from hil.cli.progress import terminal_progress
 from hil.cli.recording_options import add_recording_options, machine_of, recording_name
 from hil.cli.summary import print_stages
+from hil.compensation import Compensation
 from hil.files import replace_file
 from hil.jobs.calibrate import calibration_plan, run_calibration, summarise
 from hil.manual import read_manual_tables, read_straightness
@@ -23,6 +31,7 @@ example:
   hil calibrate X.toml
   hil calibrate X.toml --resume             go on after an interruption
   hil calibrate X.toml --manual typed.csv   store tables that were typed or computed elsewhere, without measuring
+  hil calibrate X.toml --new-zero           begin anew, with the zero where the drive's homing puts it now
   hil calibrate X.toml --record machine.csv drive and instrument, recorded together
   hil calibrate X.toml --replay machine.csv the same again from the recording: nothing is connected, no table is stored
 
@@ -33,7 +42,6 @@ Exit status 1: sections stayed outside the band; they are named.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "calibrate",
-        help="measure, compute tables, store them sealed, prove them",
         description="Calibrate an axis by system A: measure every section both ways, compute and store the tables, prove them.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -45,9 +53,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--straightness", metavar="TABLE.csv", help="store a straightness correction too: position_mm, deviation_um"
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser, anew=True)
     add_recording_options(parser)
     add_password_options(parser, key=True)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, resumes="calibrate")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -62,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
     store = None if args.replay else open_store(args, axis, writing=True)
     how = {"straightness": straightness, "resume": args.resume, "recording": recording_name(args)}
     with machine_of(args, axis) as machine, terminal_progress() as listener:
+        tell_zero(args, machine)
         result = run_calibration(machine, store, listener, **how)
     summary = summarise(axis, result)
     print_stages({"before": summary["before"], **{f"round {n}": one for n, one in enumerate(summary["rounds"], 1)}})
@@ -87,6 +97,7 @@ def _store_manual(args: argparse.Namespace, axis: AxisConfig, straightness: Sing
             raise InputError("holds a straightness table already, and --straightness gives another", path=args.manual)
         typed = replace(typed, straightness=straightness)
     tables = as_stored(typed, axis.correction)
+    Compensation(tables).check(axis.correction.bound, f"{args.manual}: correction not stored")
     if args.dry_run:
         print(f"axis {axis.name}: would move nothing")
         print(f"would write {axis.tables_path}")

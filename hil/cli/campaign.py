@@ -32,7 +32,6 @@ check exits with 1 when there is something that the campaign can never show.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "campaign",
-        help="design a measuring campaign, or check what one can show",
         description="Plan measurements that make effects visible, or say what a campaign that was measured can never show.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

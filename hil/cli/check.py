@@ -7,7 +7,7 @@ import hashlib
 from pathlib import Path
 
 from drivers.errors import InputError
-from hil.cli.output import add_json_option, print_facts, write_json
+from hil.cli.output import add_json_option, binding_facts, print_facts, write_json
 from hil.files import naming, read_bytes
 from hil.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 
@@ -23,7 +23,6 @@ exit code: 0 as the builder signed it, 1 not, 2 cannot be checked.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "check",
-        help="check the builder's signature",
         description="Check a sealed file, or a file with a detached signature, against the builder's public key.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -39,9 +38,12 @@ def run(args: argparse.Namespace) -> int:
     """Check; 0 good, 1 not. Raises InputError for what cannot be checked at all."""
     data, public = read_bytes(args.file), load_public_key(args.builder)
     facts: dict[str, object] = {"file": str(args.file), "builder": fingerprint(public)}
+    header: dict[str, str] = {}
     try:
         if is_sealed(data):
-            facts |= check(data, public).as_json()
+            info = check(data, public)
+            facts |= info.as_json()
+            header = binding_facts(info.binding)
         else:
             signature = Path(args.signature or f"{args.file}.sig")
             if not signature.exists():
@@ -53,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
     except SealedError as error:
         verdict, reason, kind = False, error.what, type(error).__name__
     facts |= {"good": verdict, "reason": reason, "kind": kind}
-    print_facts({name: _text(value) for name, value in facts.items() if name not in ("good", "kind", "reason")})
+    shown = {name: _text(value) for name, value in facts.items() if name not in ("good", "kind", "reason", "binding")}
+    print_facts(shown | header)
     print(f"{'good' if verdict else 'NOT GOOD'}: {reason}")
     if args.json:
         write_json(args.json, facts)

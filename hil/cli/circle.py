@@ -7,7 +7,7 @@ import math
 
 from hil.axes_wiring import connected_axes
 from hil.axis import AxisConfig, load_axis
-from hil.cli.axis_options import add_password_options, open_store
+from hil.cli.axis_options import add_password_options, add_zero_options, load_stored, open_store, tell_zero
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import add_json_option, number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
@@ -33,7 +33,6 @@ MM_MIN = 60.0
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "circle",
-        help="two axes drive a circle: what lost motion does at the quadrants",
         description="Drive a circle with two axes, uncorrected and corrected, and read the bumps after the quadrants.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -51,6 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--period-ms", metavar="MS", type=_positive, default=4.0, help="of the set-points (default 4)")
     parser.add_argument("--uncorrected", action="store_true", help="only that; needs no password")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser)
     add_password_options(parser, key=False)
     add_effects_option(parser)
     parser.set_defaults(run=run)
@@ -83,6 +83,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     stored = [None if args.uncorrected else _stored(args, axis) for axis in axes]
     with connected_axes(axes) as machines, terminal_progress() as listener:
+        for machine in machines:
+            tell_zero(args, machine)
         driven = run_circle(machines, circle, stored, listener, period_s=args.period_ms / 1000.0)
     _print(driven)
     if args.report:
@@ -95,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 def _stored(args: argparse.Namespace, axis: AxisConfig) -> Compensation | None:
     if not axis.tables_path.exists():
         return None
-    return open_store(args, axis, writing=False).load(read_effects(args.effects))
+    return load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
 
 
 def _print_plan(axes: tuple[AxisConfig, AxisConfig], circle: Circle, args: argparse.Namespace) -> None:

@@ -8,7 +8,14 @@ from typing import Any
 
 from drivers.errors import InputError
 from hil.axis import AxisConfig, load_axis
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_dry_run
+from hil.cli.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    open_store,
+    print_dry_run,
+    tell_zero,
+)
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.motion_options import add_in_motion_options, feeds, passes_of
 from hil.cli.output import write_json
@@ -45,7 +52,6 @@ catalogue explains, a measurement is waiting for a person, or the axis came out 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "close-loop",
-        help="calibrate, verify warm, diagnose, extend, measure again",
         description="Find what error a calibration leaves, trace it to an effect, add that effect, and prove it on the machine.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -67,10 +73,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
     )
     _add_in_motion(parser)
+    add_zero_options(parser)
     add_recording_options(parser)
     add_effects_option(parser)
     add_password_options(parser, key=True)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, resumes="close-loop")
 
 
 def _add_in_motion(parser: argparse.ArgumentParser) -> None:
@@ -114,6 +121,7 @@ def run(args: argparse.Namespace) -> int:
         machine_of(args, axis, _asked(axis)) as machine,
         terminal_progress() as listener,
     ):
+        tell_zero(args, machine)
         loop = run_loop(machine, store, turning, listener, resume=args.resume, recording=recording_name(args))
     if store is None:
         print("nothing is stored: this was a recording")

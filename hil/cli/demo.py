@@ -40,7 +40,6 @@ TURNING = Turning(Exploration(runs=4, rows=28, warm_up_s=180.0), most_further=0)
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "demo",
-        help="the whole loop on the built-in bench",
         description="Calibrate, verify, diagnose, extend and verify again, on a simulated machine over real protocols.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -58,8 +57,8 @@ def run(args: argparse.Namespace) -> int:
     axis = _lay_out(directory, args.seed)
     store = _store(axis)
     with connected(axis) as machine, terminal_progress() as listener:
-        machine.session.prepare()
         campaign = Campaign.numbered(axis.store.directory, axis.purpose("demo"), resume=False)
+        machine.session.prepare(campaign.directory)
         loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=TURNING)
         machine_s = machine.clock.now_ns() / NS_PER_S
     from hil.jobs.documents import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)

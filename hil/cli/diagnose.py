@@ -30,7 +30,6 @@ explained or within the noise; 1: structure is left that nothing in the catalogu
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "diagnose",
-        help="trace what is left to an effect",
         description="Find the effect that the declared model lacks, name what it could be confused with, and extend the model.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

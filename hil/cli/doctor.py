@@ -17,7 +17,7 @@ from hil.cli.motion_options import add_in_motion_options, feeds, passes_of
 from hil.cli.output import print_table, write_json
 from hil.cli.progress import terminal_progress
 from hil.journal import Campaign
-from hil.procedures.doctor import PROOF_TRAVEL_MM, Check, doctor
+from hil.procedures.doctor import Check, doctor, reach_mm
 from hil.procedures.latency import ENOUGH_S, measure_latency
 from hil.wiring import Machine, connected, connected_registers
 
@@ -30,16 +30,16 @@ example:
                                              which type, word and byte order show what the drive's own display shows (Modbus)
 
 What the drive says of its units (608Fh, 6091h, 6092h, 60A8h, or by its register map) is compared with the axis file before anything
-moves; a small move against the instrument proves them. Passes in motion cannot tell a late reading from a table that trails its motor
-by a time; an edge that drive and instrument share ([instrument] trigger_input) can. Exit status 1: a check failed.
+moves; small moves prove them, way against the instrument, speed against the clock, very slow ones first. Passes in motion cannot tell
+a late reading from a table that trails its motor by a time; an edge that drive and instrument share ([instrument] trigger_input) can.
+Exit status 1: a check failed.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "doctor",
-        help="preflight: drive, limits, instrument, units",
-        description="Is everything there, and are the units what the axis file says? Asked of the drive, proven by a small move.",
+        description="Is everything there, and are the units what the axis file says? Asked of the drive, proven by small moves.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -74,7 +74,9 @@ def run(args: argparse.Namespace) -> int:
     if args.probe_order is not None:
         return _probe_order(args, axis)
     if args.dry_run:
-        what = "move nothing" if args.no_move else f"enable it and move it by up to {2 * PROOF_TRAVEL_MM:g} mm and back"
+        what = (
+            "move nothing" if args.no_move else f"enable it and move it by up to {reach_mm(axis.limits):g} mm and back"
+        )
         if args.latency:
             what += f"; then make passes of {args.stretch:g} mm and their ramps at {_listed(args.latency)} mm/s over its targets"
         print(f"axis {axis.name} over {axis.drive.backend}: would read drive and instrument, and {what}")
@@ -100,7 +102,7 @@ def _latency(args: argparse.Namespace, machine: Machine) -> Check:
     purpose = {**axis.purpose("latency"), "in_motion": {**vars(how), "feeds_mm_s": list(args.latency)}}
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=False)
     with terminal_progress() as listener:
-        machine.session.prepare()
+        machine.session.prepare(campaign.directory)
         found = measure_latency(machine.session, campaign, how, listener)
     detail = found.describe()
     if found.straight is False:

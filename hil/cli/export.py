@@ -10,11 +10,12 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.axis import load_axis
-from hil.cli.axis_options import add_password_options, open_store
+from hil.cli.axis_options import add_password_options, open_store, positive
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.format_options import CONTROLLER_OPTIONS, add_options, as_typed, controller_names, settings_from
 from hil.cli.output import add_json_option, print_facts, write_json
 from hil.compensation import Compensation
+from hil.correction_bound import MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM, CorrectionBound
 from hil.files import naming, read_bytes, replace_file
 from hil.formats import CONTROLLERS
 from hil.formats.common import Export, tables_only
@@ -38,7 +39,6 @@ back before it is handed out; what a controller must be set to besides is printe
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "export",
-        help="the tables as a controller's file",
         description="Write the correction tables of an axis in the format of a CNC controller.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -50,6 +50,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--tables-only",
         action="store_true",
         help="leave out fitted effects that no table holds: of load, time, velocity …",
+    )
+    parser.add_argument(
+        "--bound",
+        nargs=2,
+        type=positive,
+        default=(MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM),
+        metavar=("UM", "UM_PER_MM"),
+        help=f"of a source without axis file: a larger or steeper correction is refused"
+        f" (default {MAX_CORRECTION_UM:g} {MAX_SLOPE_UM_PER_MM:g}; an axis file states its own)",
     )
     parser.add_argument("--dry-run", action="store_true", help="say what would be written, and write nothing")
     add_options(parser, "options of the formats", CONTROLLER_OPTIONS)
@@ -65,6 +74,10 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from(args, args.format, controller.settings, CONTROLLER_OPTIONS)
     with naming(args.source), as_typed(CONTROLLER_OPTIONS):
         tables = tables_only(read_source(args), leave_out_effects=args.tables_only)
+        if (
+            Path(args.source).suffix.lower() != ".toml"
+        ):  # an axis's store holds what it gives against the axis file's bound
+            Compensation(tables).check(CorrectionBound(*args.bound), f"{args.source}: correction not exported")
         made = controller.export(tables, settings)
     if not args.dry_run:
         replace_file(args.out, made.text.encode("ascii"))

@@ -29,7 +29,6 @@ there. `hil apply` uses it; `hil diagnose` finds out which effects there are.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "fit",
-        help="a baseline model from records",
         description="Fit the bidirectional error table of an axis to measurement records.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

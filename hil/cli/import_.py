@@ -48,7 +48,6 @@ MEASUREMENT_OPTIONS = (
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "import",
-        help="a controller's table, or measurements of another program",
         description="Turn a controller's compensation file into tables, or another program's measurements into records.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -21,7 +21,6 @@ The deviation of a row is measured - target: with a correction in force, the fig
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "iso230",
-        help="the figures of ISO 230-2",
         description="Accuracy and repeatability of positioning of a linear axis by ISO 230-2:2014.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -8,7 +8,15 @@ import sys
 
 from hil.axis import AxisConfig, load_axis
 from hil.axis_lost_motion import LostMotionConfig
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, seed
+from hil.cli.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    load_stored,
+    open_store,
+    seed,
+    tell_zero,
+)
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.progress import terminal_progress
@@ -44,7 +52,6 @@ Exit status 1: the correction did not prove itself in moves of all lengths, or t
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "lost-motion",
-        help="lost motion after a reversal: measure, fit, store, prove",
         description="Measure how the table lags after reversals, fit its rise, put it into force, and prove it by fresh moves.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -54,9 +61,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted measurement")
     parser.add_argument("--seed", type=seed, default=1, help="chooses the moves of the proof (default 1)")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser)
     add_password_options(parser, key=True)
     add_effects_option(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, resumes="lost-motion")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     present, store = _present(args, axis)
     with connected(axis) as machine, terminal_progress() as listener:
+        tell_zero(args, machine)
         measured = run_lost_motion(machine, how, present, listener, seed=args.seed, resume=args.resume)
         if store is not None and measured.result.good:
             store.save(measured.result.compensation)
@@ -85,9 +94,11 @@ def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation |
     there = axis.tables_path.exists()
     if args.only_measure:
         readable = there and (args.password_file or os.environ.get("HIL_PASSWORD") or sys.stdin.isatty())
-        return (open_store(args, axis, writing=False).load(read_effects(args.effects)) if readable else None), None
+        return (
+            load_stored(open_store(args, axis, writing=False), read_effects(args.effects)) if readable else None
+        ), None
     store = open_store(args, axis, writing=True)
-    return (store.load(read_effects(args.effects)) if there else None), store
+    return (load_stored(store, read_effects(args.effects)) if there else None), store
 
 
 def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespace) -> None:

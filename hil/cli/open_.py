@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from drivers.errors import InputError
-from hil.cli.output import add_json_option, write_json
+from hil.cli.output import add_json_option, binding_facts, write_json
 from hil.cli.passwords import add_reading_options, reading_passwords
 from hil.files import naming, read_bytes, replace_file
 from hil.sealed import check, load_public_key, open_sealed
@@ -26,7 +26,6 @@ The builder's signature is checked first; nothing is decrypted from a file that 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "open",
-        help="read a sealed file",
         description="Check a sealed file and decrypt its entries, to standard output (one entry) or into a directory.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -45,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
     """Open. Raises the SealedError that says what is wrong, InputError for bad arguments."""
     data, public = read_bytes(args.sealed), load_public_key(args.builder)
     with naming(args.sealed):
-        present = list(check(data, public).entries)
+        info = check(data, public)
+        present = list(info.entries)
         names = list(dict.fromkeys(args.entry or present))
         for name in names:
             if name not in present:
@@ -53,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
         if args.out is None and len(names) > 1:
             raise InputError(f"holds {', '.join(names)}; choose one with --entry, or give a directory with --out")
         opened = open_sealed(data, reading_passwords(args, names, os.environ), public, names=names)
+    for name, text in binding_facts(info.binding).items():  # standard output may be the entry itself
+        print(f"{name}: {text}", file=sys.stderr)
     written = {} if args.out is None else _write(Path(args.out), opened, force=args.force)
     if args.out is None:
         sys.stdout.buffer.write(opened[names[0]])
@@ -62,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
             name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest(), "written": written.get(name)}
             for name, content in opened.items()
         }
-        write_json(args.json, {"sealed": str(args.sealed), "entries": facts})
+        binding = None if info.binding is None else info.binding.as_json()
+        write_json(args.json, {"sealed": str(args.sealed), "entries": facts, "binding": binding})
     return 0
 
 

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.files import replace_file
+from hil.sealed import Binding
 
 Align = Literal["left", "right"]
 PIPE_WIDTH = 140
@@ -53,6 +54,14 @@ def print_table(
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, emoji=False, width=PIPE_WIDTH)
     console.print(table)
+
+
+def binding_facts(binding: Binding | None) -> dict[str, str]:
+    """The header of a sealed file: how often and when it was resealed, and what it belongs to."""
+    if binding is None:
+        return {"bound to": "nothing: the file was made before sealed files stated what they belong to"}
+    of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"
+    return {"counter": str(binding.counter), "resealed": binding.date, "bound to": of}
 
 
 def print_facts(facts: Mapping[str, str]) -> None:

@@ -34,7 +34,6 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "panel",
-        help="the operator's screen in a browser on loopback",
         description="Serve the operator's screen of one or several axes.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -46,7 +46,6 @@ class _Job(argparse.ArgumentParser):
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "params",
-        help="drive parameters: back up, compare, download all or nothing, prove, keep",
         description="Whole sets of drive parameters, written all or nothing and read back.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

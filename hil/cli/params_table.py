@@ -8,24 +8,35 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import CapabilityError
-from hil.axis import AxisConfig, iso_targets, load_axis, load_drive_axis
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, seed
+from hil.axis import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
+from hil.cli.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    load_stored,
+    open_store,
+    positive,
+    seed,
+)
 from hil.cli.output import number, print_facts, print_table, write_json
 from hil.cli.params_table_output import description_facts, found_facts, made_facts, made_form, print_proof, proof_form
 from hil.cli.progress import terminal_progress
 from hil.compensation import Compensation
-from hil.drive_tables import DEVIATION_UM, DriveCurve, drive_table, largest_deviation_um, wanted_of
+from hil.drive_tables import DEVIATION_UM, DriveCurve, check_curve, drive_table, largest_deviation_um, wanted_of
 from hil.formats.common import tables_only
 from hil.journal import Campaign
-from hil.procedures.bare_axis import BareAxis
-from hil.procedures.drive_table import TableChange, changing, held_table, snapshot
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
+from hil.procedures.drive_table import TableChange, changing, held_table, remember_zero, remembered_zero, snapshot
 from hil.procedures.events import Listener
 from hil.procedures.prove_drive_table import TOLERANCE_UM, Proof, Way, prove_by_drive, prove_by_instrument
 from hil.store import compensation_in_force
 from hil.tables import DirectionalTable
-from hil.wiring import Machine, connected, connected_drive, described_table, predicted_table_s
+from hil.wiring import Machine, connected, connected_drive, described_table, predicted_table_s, zero_keeper
+from hil.zero import read_zero
 
 NOTE = "drive-table-before.json"
+ZERO_NOTE = ".drive-table.json"
+"""Behind the axis's name: in which zero of the axis the drive's table was made."""
 EXAMPLE = """\
 example:
   hil params table show X.toml                        what the drive holds, and whether it corrects by it
@@ -80,12 +91,12 @@ def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
     )
     job.add_argument("--runs", type=_between(1, 100), default=2, metavar="N", help="of each block (default 2)")
     job.add_argument(
-        "--tolerance-um", type=_positive, default=TOLERANCE_UM, metavar="UM", help="of the proof (default %(default)s)"
+        "--tolerance-um", type=positive, default=TOLERANCE_UM, metavar="UM", help="of the proof (default %(default)s)"
     )
     if unproven:
         job.add_argument(
             "--deviation-um",
-            type=_positive,
+            type=positive,
             default=DEVIATION_UM,
             metavar="UM",
             help="how far the drive's table may be from the stored ones anywhere (default %(default)s)",
@@ -106,16 +117,6 @@ def _between(low: int, high: int) -> Any:
     return convert
 
 
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
-    return value
-
-
 # -- show ----------------------------------------------------------------------------------------------------------------
 def _show(args: argparse.Namespace) -> int:
     axis = load_drive_axis(args.axis)
@@ -128,7 +129,9 @@ def _show(args: argparse.Namespace) -> int:
         curve = DriveCurve(table.description, found.raw, drive.scaling)
     nodes = curve.nodes_mm
     plus, minus = curve.correction_um(nodes, 1), curve.correction_um(nodes, -1)
-    print_facts({**description_facts(table.description), **found_facts(found)})
+    zero = remembered_zero(_zero_note(axis), found.raw)
+    made_in = "not known" if zero is None else zero.describe()
+    print_facts({**description_facts(table.description), **found_facts(found), "made in the zero": made_in})
     if (axis.store.directory / NOTE).exists():
         print(f"a change of it was broken off; what was there before is in {axis.store.directory / NOTE}")
     rows = [[number(p, 4), number(u, 2), number(d, 2)] for p, u, d in zip(nodes, plus, minus, strict=True)]
@@ -148,7 +151,8 @@ def _download(args: argparse.Namespace) -> int:
     if description is None:
         raise CapabilityError(f"axis {axis.name}: no map describes a correction table of its drive (correction_table)")
     compensation, wanted = _stored(args, axis)
-    made = drive_table(wanted, description, axis.scaling, axis.limits, deviation_um=args.deviation_um)
+    how = {"deviation_um": args.deviation_um, "bound": axis.correction.bound}
+    made = drive_table(wanted, description, axis.scaling, axis.limits, **how)
     facts = {**description_facts(description), **made_facts(made)}
     if args.dry_run:
         print_facts(facts)
@@ -161,6 +165,7 @@ def _download(args: argparse.Namespace) -> int:
         _print_plan(args, axis)
         return 0
     say, note = _say, axis.store.directory / NOTE
+    zero = zero_keeper(axis).kept(tables=compensation.zero)
     with terminal_progress() as listener:
         if args.prove_by == "instrument":
             with connected(axis) as machine, changing(machine.session.drive, note, say) as change:
@@ -172,9 +177,11 @@ def _download(args: argparse.Namespace) -> int:
                 change.write(made.raw)
                 proof = None
                 if args.prove_by == "drive":
-                    with BareAxis(drive) as moving:
+                    with Supervisor([WatchedAxis(drive)]) as moving:
                         proof = _by_drive(args, axis, moving, wanted, listener)
                 _settle(change, proof)
+    if not change.undone:
+        remember_zero(_zero_note(axis), made.raw, compensation.zero or zero or read_zero(axis.zero_path))
     print_facts({**facts, "written and read back in": f"{change.seconds * 1000:.0f} ms"})
     print_proof(proof)
     print("put back as it was found" if change.undone else "the drive corrects by it now; the bridge must not")
@@ -193,11 +200,17 @@ def _settle(change: TableChange, proof: Proof | None) -> None:
 
 def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, DirectionalTable]:
     """What the bridge corrects by, and what a drive's table would have to add in its place."""
-    compensation = open_store(args, axis, writing=False).load()
+    compensation = load_stored(open_store(args, axis, writing=False))
     wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
     return (
-        Compensation(tables_only(compensation, leave_out_effects=True)) if args.tables_only else compensation
+        Compensation(tables_only(compensation, leave_out_effects=True), zero=compensation.zero)
+        if args.tables_only
+        else compensation
     ), wanted
+
+
+def _zero_note(axis: DriveAxis) -> Path:
+    return axis.store.directory / f"{axis.name}{ZERO_NOTE}"
 
 
 # -- prove ---------------------------------------------------------------------------------------------------------------
@@ -207,13 +220,14 @@ def _prove(args: argparse.Namespace) -> int:
     if args.dry_run:
         _print_plan(args, axis)
         return 0
+    zero_keeper(axis).kept(tables=compensation.zero)
     with terminal_progress() as listener:
         if args.prove_by == "instrument":
             with connected(axis) as machine:
                 held = _held(machine.session.drive, wanted, axis)
                 proof = _by_instrument(args, axis, machine, compensation, listener)
         else:
-            with connected_drive(axis) as drive, BareAxis(drive) as moving:
+            with connected_drive(axis) as drive, Supervisor([WatchedAxis(drive)]) as moving:
                 held = _held(drive, wanted, axis)
                 proof = _by_drive(args, axis, moving, wanted, listener)
     print(f"by its numbers the drive's table is {held:.3f} µm off the stored ones at most")
@@ -224,8 +238,12 @@ def _prove(args: argparse.Namespace) -> int:
 
 
 def _held(drive: Any, wanted: DirectionalTable, axis: AxisConfig) -> float:
+    """How far the drive's table is from the stored ones, µm. Raises ZeroError, before anything moves, for one of another zero."""
     table = held_table(drive)
-    curve = DriveCurve(table.description, table.read(), axis.scaling)
+    raw = table.read()
+    zero_keeper(axis).kept(tables=remembered_zero(_zero_note(axis), raw))
+    curve = DriveCurve(table.description, raw, axis.scaling)
+    check_curve(curve, axis.limits, axis.correction.bound)  # the proof switches it on
     return largest_deviation_um(curve, wanted, axis.limits.travel_min_mm, axis.limits.travel_max_mm)
 
 
@@ -248,7 +266,7 @@ def _by_instrument(
 
 
 def _by_drive(
-    args: argparse.Namespace, axis: AxisConfig, moving: BareAxis, wanted: DirectionalTable, listener: Listener
+    args: argparse.Namespace, axis: AxisConfig, moving: Supervisor, wanted: DirectionalTable, listener: Listener
 ) -> Proof:
     how = axis.measurement
     way = Way(how.velocity_mm_s, how.overrun_mm, how.home)
@@ -282,6 +300,7 @@ def _remove(args: argparse.Namespace) -> int:
             change.switch(False)
         else:
             change.write(type(change.found.raw)())
+            _zero_note(axis).unlink(missing_ok=True)
         found = snapshot(change.table)
     print_facts(found_facts(found))
     if args.json:

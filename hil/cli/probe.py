@@ -47,7 +47,6 @@ SECONDS_PER_MINUTE = 60.0
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "probe",
-        help="a touch probe's run-out: measure, correct, centre a bore",
         description="Measure the run-out of a touch probe on a reference block, and correct measurements by it.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

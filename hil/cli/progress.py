@@ -1,22 +1,23 @@
-"""Progress of a procedure on a terminal: its events as a bar, or nothing at all where stderr is no terminal."""
+"""Progress of a procedure on a terminal: its events as a bar, or its warnings alone where stderr is no terminal."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hil.procedures.events import Event, Listener, silent
+from hil.procedures.events import Event, Listener
 
 
 @contextmanager
 def terminal_progress() -> Iterator[Listener]:
-    """A listener that shows one bar per stage on stderr."""
+    """A listener that shows one bar per stage on stderr, and warnings whether it is a terminal or not."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield silent
+        yield _tell_warnings
         return
     columns = (
         TextColumn("{task.description}"),
@@ -29,6 +30,7 @@ def terminal_progress() -> Iterator[Listener]:
         tasks: dict[str, int] = {}
 
         def show(event: Event) -> None:
+            _tell_warnings(event)
             if event.stage not in tasks:
                 tasks[event.stage] = int(progress.add_task(event.stage, total=event.total or None, note=""))
             task = progress.tasks[tasks[event.stage]].id
@@ -38,3 +40,8 @@ def terminal_progress() -> Iterator[Listener]:
                 progress.update(task, note=event.message)
 
         yield show
+
+
+def _tell_warnings(event: Event) -> None:
+    if event.warning:
+        print(f"hil: {event.message}", file=sys.stderr)

@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.cli.output import Align, add_json_option, number, print_facts, print_table, write_json
+from hil.cli.resuming import resumed_by, state_of
 from hil.files import naming, replace_file
 from hil.formats import wide_iso
 from hil.history import (
@@ -26,6 +27,7 @@ from hil.history import (
     usual_pass,
 )
 from hil.iso230 import FIGURES, Iso230
+from hil.journal import check_rows
 from hil.records import read_csv, to_csv
 
 EXAMPLE = """\
@@ -43,7 +45,6 @@ Exit status 1: inspect found a pass that was changed, torn, or cannot be read.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "records",
-        help="campaigns on disk: list, inspect, merge, export, history",
         description="Look after what was measured. Nothing that is there is changed.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -95,10 +96,15 @@ def _list(args: argparse.Namespace) -> int:
             str(len(one.passes)),
             str(sum(_rows(part) for part in one.passes)),
             str(one.directory),
+            state_of(one) or "–",
         ]
         for one in campaigns
     ]
-    print_table(["begun", ("axis", "left"), ("kind", "left"), "passes", "rows", ("campaign", "left")], rows)
+    heads: list[str | tuple[str, Align]] = ["begun", ("axis", "left"), ("kind", "left"), "passes", "rows"]
+    print_table([*heads, ("campaign", "left"), ("state", "left")], rows)
+    for one in campaigns:
+        if command := resumed_by(one):
+            print(f"{one.directory}: go on with {command}")
     if args.json:
         write_json(args.json, {"campaigns": [_campaign_form(one) for one in campaigns]})
     return 0
@@ -116,12 +122,28 @@ def _inspect(args: argparse.Namespace) -> int:
     for one in campaign.passes:
         for note in one.notes:
             print(f"{one.name}: {note}")
+    if command := resumed_by(campaign):
+        print(f"unfinished, go on with {command}")
+    chain, good = _chain(campaign)
+    print(f"rows: {chain}")
     if args.json:
-        write_json(args.json, _campaign_form(campaign))
+        write_json(args.json, {**_campaign_form(campaign), "chain": chain, "chain_good": good})
     bad = [
         one for one in campaign.passes if one.state in ("changed", "torn") or (one.records is None and _has_data(one))
     ]
-    return 1 if bad else 0
+    return 1 if bad or good is False else 0
+
+
+def _chain(campaign: FoundCampaign) -> tuple[str, bool | None]:
+    """What the chain says of the rows, and whether they are as they were written; None where there is no chain."""
+    try:
+        found = check_rows(campaign.directory)
+    except InputError as error:
+        return f"NO: {error}", False
+    if found is None:
+        return "not chained: whether they are as they were written is not known", None
+    left = "".join(f"; the last line of {name} was not confirmed, resuming drops it" for name in found.unconfirmed)
+    return f"as they were written, {sum(found.lines.values())} lines by their chain{left}", True
 
 
 def _has_data(one: Pass) -> bool:
@@ -147,6 +169,8 @@ def _campaign_form(campaign: FoundCampaign) -> dict[str, Any]:
         "axis": campaign.axis,
         "kind": campaign.kind,
         "purpose": dict(campaign.purpose),
+        "state": state_of(campaign),
+        "resume": resumed_by(campaign),
         "passes": [
             {
                 "name": one.name,

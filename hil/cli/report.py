@@ -34,7 +34,6 @@ The file stands alone: it can be mailed, archived, printed, and signed with `hil
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "report",
-        help="one HTML file from records: plots, ISO 230-2 figures, data",
         description="Write one self-contained HTML file: error plots, ISO 230-2 figures, before and after, and the data behind.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -34,7 +34,6 @@ Nothing is written to any device. Exit status 1: nobody was found.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "scan",
-        help="who is on the bus",
         description="List the CANopen nodes of a CAN bus, or the units of a Modbus line, with what they say of themselves.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -25,7 +25,6 @@ Each file becomes an entry of its own name, encrypted with its password; the bui
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "seal",
-        help="lock files: encrypted, signed by the builder",
         description="Lock files into one sealed file that machines can run with and only the builder can change.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -34,7 +34,6 @@ A sealed file is signed anew only if its present signature is good: nobody signs
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "sign",
-        help="sign a file with the builder's key, or make the key",
         description="Sign a record, a report or a sealed file with the builder's key; or make a key pair.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

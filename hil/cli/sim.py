@@ -25,6 +25,7 @@ from sim_backends.canopen_faults import CanFaultKind
 from sim_backends.fault_text import Faults, fault_names, parse_faults
 from sim_backends.faults import FaultKind
 from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
+from sim_backends.homing import HOMING_METHODS
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
 from sim_backends.modbus_faults import WireFaultKind
 from sim_backends.own_table import known_table
@@ -51,7 +52,6 @@ FAULT_HELP = "what goes wrong, and when: KIND@SECONDS[+SECONDS][=SIZE], for exam
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "sim",
-        help="simulated drive and laser as processes on a real interface",
         description="Run a simulated machine, or a part of one, as a process of its own in real time.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -80,6 +80,7 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "--table", choices=BENCH_TABLES, default="", help="a correction table that the drive holds itself"
     )
     _add_surroundings(drive)
+    _add_homing(drive)
     _add_machine(drive)
     drive.set_defaults(run=_run_drive)
 
@@ -99,6 +100,7 @@ def _add_modbus(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     modbus.add_argument("--unit", type=int, default=1, help="unit id (default 1)")
     modbus.add_argument("--shape", choices=MODBUS_SHAPES, default="cia402", help="which register set (default cia402)")
     _add_surroundings(modbus)
+    _add_homing(modbus)
     _add_machine(modbus)
     modbus.set_defaults(run=_run_modbus)
 
@@ -125,6 +127,18 @@ def _add_surroundings(parser: argparse.ArgumentParser) -> None:
         "--allow-outside",
         action="store_true",
         help="allow an interface or address that others than this machine can reach",
+    )
+
+
+def _add_homing(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--homing",
+        type=int,
+        choices=sorted(HOMING_METHODS),
+        default=BenchParameters().homing_method,
+        metavar="METHOD",
+        help="the drive's homing method, by 6098h (default %(default)s, a limit switch and the index pulse); 37 takes the place where"
+        " the axis stands for zero",
     )
 
 
@@ -157,7 +171,15 @@ def _parameters(args: argparse.Namespace, faults: Faults) -> BenchParameters:
     parameters = known_bench(args.machine, args.seed)
     laser = replace(parameters.laser, rate_hz=args.rate)
     gauge = None if args.kind == "umd" else GaugeParameters(args.kind, rate_hz=args.rate)
-    return replace(parameters, laser=laser, gauge=gauge, laser_faults=faults.laser, servo_faults=faults.servo)
+    homing_method = getattr(args, "homing", parameters.homing_method)  # of a drive on a wire only
+    return replace(
+        parameters,
+        laser=laser,
+        gauge=gauge,
+        laser_faults=faults.laser,
+        servo_faults=faults.servo,
+        homing_method=homing_method,
+    )
 
 
 def _effects(texts: Sequence[str]) -> list[tuple[str, float]]:

@@ -6,7 +6,16 @@ import argparse
 
 from drivers.errors import InputError
 from hil.axis import load_axis
-from hil.cli.axis_options import add_axis_arguments, add_password_options, open_store, print_plan, seed
+from hil.cli.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    load_stored,
+    open_store,
+    print_plan,
+    seed,
+    tell_zero,
+)
 from hil.cli.effects_input import add_effects_option, read_effects
 from hil.cli.iso230 import print_figures
 from hil.cli.output import write_json
@@ -32,7 +41,6 @@ Exit status 1: sections lie outside the band of the axis file; they are named.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "verify",
-        help="measure with the correction in force at other targets",
         description="Prove a calibration: measure with the stored correction in force, at targets between its own.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -41,10 +49,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser)
     add_recording_options(parser)
     add_password_options(parser, key=False)
     add_effects_option(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, resumes="verify")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,8 +62,9 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_plan(verification_plan(axis, args.seed))
         return 0
-    compensation = open_store(args, axis, writing=False).load(read_effects(args.effects))
+    compensation = load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
     with machine_of(args, axis) as machine, terminal_progress() as listener:
+        tell_zero(args, machine)
         how = {"seed": args.seed, "resume": args.resume, "recording": recording_name(args)}
         result = run_verification(machine, compensation, listener, **how)
     figures = error_figures(result.records)

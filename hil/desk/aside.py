@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LocalError
+from hil.error_log import ErrorLog
 
 PROGRAM = (sys.executable, "-m", "hil.jobs.aside")
 CLOSING_S = 5.0
@@ -35,15 +36,17 @@ class Computed:
 
 
 class Aside:
-    """For any thread. program: what is started, with the axis file's path behind it."""
+    """For any thread. errors: keeps mistakes of the program; program: what is started, with the axis file's path behind it."""
 
     def __init__(
         self,
         axis_file: Path,
+        errors: ErrorLog,
         program: Sequence[str] = PROGRAM,
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._command = [*program, str(axis_file)]
+        self._errors = errors
         self._monotonic_s = monotonic_s
         self._lock = threading.Lock()
         self._computed = Computed()
@@ -93,9 +96,13 @@ class Aside:
             self._thread.join()
 
     def _wait(self, process: subprocess.Popen[str], request: str, started_s: float) -> None:
-        with process:
-            said, complained = process.communicate(request)
-        made, error = _answer(said, complained, process.returncode)
+        try:
+            with process:
+                said, complained = process.communicate(request)
+            made, error = _answer(said, complained, process.returncode)
+            error = self._errors.line_of_process(error, complained)
+        except Exception as mistake:  # noqa: BLE001  otherwise it would be computing for ever
+            made, error = (), self._errors.line_of(mistake)
         with self._lock:
             seconds = self._monotonic_s() - started_s
             self._computed = replace(self._computed, running=False, made=made, error=error, seconds=seconds)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from drivers.clock import Clock
 from hil.jobs.job import Question
-from hil.procedures.lookout import SLICE_S
+from hil.machine.supervisor import SLICE_S
 
 
 @dataclass(frozen=True)

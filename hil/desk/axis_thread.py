@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 
 from drivers.clock import NS_PER_S, WallClock
@@ -18,6 +19,7 @@ from hil.desk.live import RATE_HZ, Board, Live, of_sample
 from hil.desk.progress import JobLog, Phase
 from hil.desk.standstill import Standstill
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.error_log import ERRORS, ErrorLog
 from hil.jobs.job import Job, Question, Workplace
 from hil.procedures.session import AxisSession
 from hil.store import SealedStore
@@ -47,6 +49,7 @@ class AxisThread:
         self.standstill = Standstill()
         self.board = Board()
         self.asking = Asking()
+        self.errors = ErrorLog(axis.store.directory / ERRORS)
         self._connect = connect
         self._pace = pace
         self._pacing = Pacing(self.stop)
@@ -56,7 +59,8 @@ class AxisThread:
         self._lent = threading.Event()
         self._let_go = threading.Event()
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name=f"axis {axis.name}", daemon=True)
+        work = copy_context()  # with the drives that a signal stops
+        self._thread = threading.Thread(target=work.run, args=(self._work,), name=f"axis {axis.name}", daemon=True)
 
     # -- for any thread ------------------------------------------------------------------------------------------------
     def start(self) -> None:
@@ -126,8 +130,9 @@ class AxisThread:
 
     def _lose(self, error: Exception) -> None:
         """There is no axis any more; a job that was asked for meanwhile will not be run."""
-        self.board.forget(one_line(error))
-        self._cancel(Phase.FAILED, one_line(error))
+        said = self.errors.line_of(error)
+        self.board.forget(said)
+        self._cancel(Phase.FAILED, said)
         self.stop.rearm()  # the error may have come while a stop was carried out
         self._closing.wait(RETRY_S)
 
@@ -222,7 +227,7 @@ class AxisThread:
         except StoppedByOperator:
             log.end(Phase.STOPPED)
         except Exception as error:  # noqa: BLE001  a mistake of ours in a job must not leave the axis without its thread
-            log.end(Phase.FAILED, error=one_line(error))
+            log.end(Phase.FAILED, error=self.errors.line_of(error))
         finally:
             self._pacing.set_factor(1.0)
             self.stop.rearm()
@@ -248,7 +253,7 @@ class AxisThread:
 
         drive.on_look = looked
         if session is not None:
-            session.lookout.on_readings = lambda readings: self.board.heard(
+            session.axis.on_readings = lambda readings: self.board.heard(
                 readings, lambda one: _in_load_frame(session, one)
             )
 
@@ -267,9 +272,9 @@ class AxisThread:
         """With no job: look at everything, and let nothing that is seen stop the looking; only a drive that is gone does."""
         connection.drive.looked_at(connection.drive.sample())
         session = connection.session
-        if session is not None and session.lookout.on_readings is not None:
+        if session is not None and session.axis.on_readings is not None:
             with suppress(LinkLostError):  # its readings get old, and are shown so
-                session.lookout.on_readings(session.instrument.poll())
+                session.axis.on_readings(session.instrument.poll())
 
 
 def _in_load_frame(session: AxisSession, reading: Reading) -> float | None:
@@ -277,8 +282,3 @@ def _in_load_frame(session: AxisSession, reading: Reading) -> float | None:
         return session.load_position_mm(reading)
     except StateError:
         return None
-
-
-def one_line(error: BaseException) -> str:
-    """As the command line says it; the kind of an error that says nothing."""
-    return " ".join(str(error).split()) or type(error).__name__

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from drivers.clock import Waiting
 from drivers.drive import ServoDrive
 from hil.axis import AxisConfig, DriveAxis
-from hil.procedures.bare_axis import BareAxis
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from hil.procedures.session import AxisSession
 from hil.wiring import connected, connected_drive
 
@@ -23,7 +24,9 @@ class Connection:
 
     def one_job(self) -> AbstractContextManager[object]:
         """Around a job: whatever goes wrong stops the axis, and afterwards it is as it was found."""
-        return BareAxis(self.drive) if self.session is None else self.session.one_job()
+        if self.session is None:
+            return Supervisor([WatchedAxis(self.drive)])
+        return self.session.one_job()
 
 
 Connect = Callable[[Waiting], AbstractContextManager[Connection]]

@@ -53,7 +53,8 @@ class Desk:
         self.rights = Rights(axis)
         self.control.on_change = self.rights.forget
         self._thread = AxisThread(axis, connect or to_axis(axis), pace)
-        self._aside = Aside(axis.path)
+        self.errors = self._thread.errors
+        self._aside = Aside(axis.path, self.errors)
         self._lock = threading.Lock()
         self._log: JobLog | None = None
         self._last: dict[str, JobLog] = {}

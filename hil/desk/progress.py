@@ -74,6 +74,8 @@ class JobLog:
         """A listener for procedures."""
         with self._lock:
             self._event = event
+            if event.warning:
+                self._messages.append(event.message)
             if isinstance(event.found, Measured):
                 self._figures.append(event.found)
             elif isinstance(event.found, Point):

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.correction_table import Directions, Interpolation, Outside, RawTable, TableDescription
+from drivers.drive import DriveLimits
 from drivers.scaling import AxisScaling
+from hil.correction_bound import CorrectionBound
 from hil.records import UM_PER_MM, Floats
 from hil.tables import DirectionalTable
 
@@ -90,3 +92,14 @@ def largest_deviation_um(curve: DriveCurve, wanted: DirectionalTable, low_mm: fl
     places = np.concatenate([wanted.position_mm, nodes - beside_mm, nodes, nodes + beside_mm, [low_mm, high_mm]])
     places = places[(places >= low_mm) & (places <= high_mm)]
     return max(float(np.max(np.abs(curve.correction_um(places, sign) - wanted.at(places, sign)))) for sign in (1, -1))
+
+
+def check_curve(curve: DriveCurve, limits: DriveLimits, bound: CorrectionBound) -> None:
+    """Hold what a drive adds by its table, anywhere in the travel, against the axis's bound. Raises CorrectionBoundError."""
+    beside_mm = _BESIDE_UM / UM_PER_MM
+    nodes = curve.nodes_mm
+    places = np.concatenate([nodes - beside_mm, nodes, nodes + beside_mm])
+    low, high = limits.travel_min_mm, limits.travel_max_mm
+    places = np.unique(np.concatenate([places[(places > low) & (places < high)], [low, high]]))
+    curves = {sign: curve.correction_um(places, sign) for sign in (1, -1)}
+    bound.check_curves(f"{curve.description.name}: what the drive would add by its table", places, curves)

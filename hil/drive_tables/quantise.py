@@ -17,7 +17,8 @@ from drivers.drive import DriveLimits
 from drivers.errors import InputError
 from drivers.scaling import AxisScaling
 from hil.compensation import Compensation
-from hil.drive_tables.curve import DriveCurve, largest_deviation_um
+from hil.correction_bound import CAREFUL, CorrectionBound
+from hil.drive_tables.curve import DriveCurve, check_curve, largest_deviation_um
 from hil.formats.common import (
     both_directions,
     equidistant,
@@ -65,10 +66,12 @@ def drive_table(
     limits: DriveLimits,
     *,
     deviation_um: float = DEVIATION_UM,
+    bound: CorrectionBound = CAREFUL,
 ) -> DriveTable:
     """A table for the drive that stays within `deviation_um` of ours: on our own nodes where it can, else on as few as do.
 
-    Raises InputError where there is none, saying what would have to change.
+    Raises InputError where there is none, saying what would have to change, and CorrectionBoundError where what the drive would add
+    exceeds the axis's bound.
     """
     value_um, place_um = description.value.um(scaling), description.position.um(scaling)
     budget_um = deviation_um - value_um / 2
@@ -86,6 +89,7 @@ def drive_table(
     raw, rounding_um = _rounded(sampled, backlash_um, description, scaling)
     description.check(raw)
     curve = DriveCurve(description, raw, scaling)
+    check_curve(curve, limits, bound)
     found_um = largest_deviation_um(curve, wanted, limits.travel_min_mm, limits.travel_max_mm)
     if found_um > deviation_um + _ROUNDING_SLACK_UM:
         raise InputError(

@@ -14,7 +14,6 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, No
 from hil.effects.survey import Survey
 
 PROPORTIONAL, SATURATING, CURVED = "proportional", "saturating", "with square"
-UM_PER_MM = 1000.0
 
 
 class VelocityLag(Effect):

@@ -17,8 +17,8 @@ def main(path: str) -> int:
     campaign = hil.Campaign.numbered(axis.store.directory, axis.purpose("prove-drive-table"), resume=False)
     with hil.connected(axis) as machine:
         drive = machine.session.drive
-        description = hil.held_table(drive).description
-        made = hil.drive_table(hil.wanted_of(compensation), description, axis.scaling, axis.limits)
+        description, wanted = hil.held_table(drive).description, hil.wanted_of(compensation)
+        made = hil.drive_table(wanted, description, axis.scaling, axis.limits, bound=axis.correction.bound)
         with hil.changing_table(drive, axis.store.directory / "drive-table-before.json", print) as change:
             change.write(made.raw)
             proof = hil.prove_by_instrument(machine.session, campaign, compensation, targets)

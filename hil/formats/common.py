@@ -72,14 +72,7 @@ def both_directions(tables: TableSet, *, cross_axis: bool = False) -> Directiona
             f"the straightness table corrects axis {tables.straightness_axis}, and this format holds one axis; export it"
             " as SINUMERIK CEC, or leave the straightness out"
         )
-    parts = [tables.pitch.position_mm]
-    if tables.mode is TableMode.UNIDIRECTIONAL_BACKLASH and tables.backlash is not None:
-        parts.append(tables.backlash.position_mm)
-    if tables.specified is not None:
-        parts.append(tables.specified.position_mm)
-    if tables.straightness is not None and not tables.straightness_axis:
-        parts.append(tables.straightness.position_mm)
-    nodes = np.unique(np.concatenate(parts))
+    nodes = tables.nodes_mm
     return DirectionalTable(nodes, tables.correction_um(nodes, 1), tables.correction_um(nodes, -1))
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from drivers.errors import BridgeError, InputError
 from hil.axis import AxisConfig, load_axis
+from hil.error_log import ERRORS, ErrorLog, one_line
 from hil.jobs.report import Wanted, make_history, make_report
 from hil.jobs.stored_diagnosis import stored_beside
 
@@ -48,10 +49,15 @@ def answer(axis: AxisConfig, asked: dict[str, Any]) -> list[str]:
 def main(path: str) -> int:
     """0 with an answer, 1 with an error."""
     os.nice(LESS_URGENT)
+    place = Path(path).parent
     try:
-        told: dict[str, Any] = {"made": answer(load_axis(path), json.load(sys.stdin))}
+        axis = load_axis(path)
+        place = axis.store.directory
+        told: dict[str, Any] = {"made": answer(axis, json.load(sys.stdin))}
     except (BridgeError, OSError) as error:
-        told = {"error": " ".join(str(error).split())}
+        told = {"error": one_line(error)}
+    except Exception as error:  # noqa: BLE001  whoever asked is told where its traceback is
+        told = {"error": ErrorLog(place / ERRORS).line_of(error)}
     json.dump(told, sys.stdout)
     return 1 if "error" in told else 0
 

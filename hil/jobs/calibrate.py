@@ -9,7 +9,7 @@ from hil.axis import AxisConfig
 from hil.compensation import Compensation
 from hil.history import purpose_of_replay
 from hil.jobs.figures import error_figures
-from hil.jobs.job import Job, Workplace
+from hil.jobs.job import Job, Workplace, tell_unchecked
 from hil.jobs.plan import Plan, Write, measuring_plan
 from hil.journal import Campaign
 from hil.procedures.calibrate import Calibration, calibrate
@@ -47,7 +47,8 @@ def run_calibration(
     axis = machine.axis
     purpose = axis.purpose(CALIBRATE)
     campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
-    machine.session.prepare()
+    tell_unchecked(campaign, listener)
+    machine.session.prepare(campaign.directory)
     store_tables = store.save_tables if store is not None else lambda _tables: None
     result = calibrate(machine.session, campaign, axis.correction, store_tables, listener, straightness=straightness)
     campaign.finish()
@@ -113,7 +114,8 @@ def run_verification(
     purpose = {**axis.purpose(UNCORRECTED if compensation is None else VERIFY), "seed": seed}
     purpose |= {} if compensation is None else compensation_in_force(compensation)
     campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
-    machine.session.prepare()
+    tell_unchecked(campaign, listener)
+    machine.session.prepare(campaign.directory, compensation)
     machine.session.compensation = compensation
     name = UNCORRECTED if compensation is None else VERIFY
     result = verify(machine.session, campaign, name, axis.correction.band, listener, seed=seed)
@@ -126,6 +128,8 @@ def verification_job(axis: AxisConfig, *, corrected: bool = True, seed: int = 1,
 
     def work(place: Workplace) -> Verified:
         compensation = place.opened_store().load() if corrected else None
+        if compensation is not None and (warning := place.opened_store().warning()) is not None:
+            place.tell(warning)
         result = run_verification(place.machine(), compensation, place.listener, seed=seed, resume=resume)
         return Verified(compensation, result)
 

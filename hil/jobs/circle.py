@@ -99,7 +99,7 @@ def run_circle(
     sessions = [machine.session for machine in machines]
     check_axes(sessions, circle, period_s)
     campaign = Campaign.numbered(axes[0].store.directory, _purpose(axes, circle, stored), resume=False)
-    prepare(sessions)
+    prepare(sessions, stored)
     latency_s = [axis.instrument.latency_s or 0.0 for axis in axes]
     runs = {}
     for name, corrections in wanted.items():

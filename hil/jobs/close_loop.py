@@ -11,7 +11,7 @@ from hil.diagnosis.follow_up import FollowUp
 from hil.history import purpose_of_replay
 from hil.jobs.diagnose import shown_diagnosis
 from hil.jobs.figures import error_figures
-from hil.jobs.job import Job, Workplace
+from hil.jobs.job import Job, Workplace, tell_unchecked
 from hil.jobs.loop_plan import CLOSE_LOOP, Looped, loop_plan
 from hil.jobs.person import Person
 from hil.jobs.stored_diagnosis import STORED
@@ -50,7 +50,8 @@ def run_loop(
     axis = machine.axis
     purpose = loop_purpose(axis, turning)
     campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
-    machine.session.prepare()
+    tell_unchecked(campaign, listener)
+    machine.session.prepare(campaign.directory)
     save = store.save if store is not None else lambda _compensation: None
     loop = close_loop(machine.session, campaign, axis.correction, save, listener, turning=turning)
     for name, turn in (("before", loop.turn), ("motion-before", loop.in_motion)):

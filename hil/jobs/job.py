@@ -10,7 +10,8 @@ from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
 from hil.axis import AxisConfig, DriveAxis
 from hil.jobs.plan import Plan
-from hil.procedures.events import Listener
+from hil.journal import Campaign
+from hil.procedures.events import Event, Listener
 from hil.procedures.session import AxisSession
 from hil.store import SealedStore
 from hil.wiring import Machine
@@ -33,6 +34,12 @@ class Question:
 
 Ask = Callable[[Question], bool | None]
 """Asks, and waits with the axis watched: the answer, None where nobody gave one in time. A stop ends it."""
+
+
+def tell_unchecked(campaign: Campaign, listener: Listener) -> None:
+    """Say what could not be checked of a resumed campaign's rows, before any are added to them."""
+    if campaign.warning:
+        listener(Event("rows", f"{campaign.directory}: {campaign.warning}", warning=True))
 
 
 def nobody(_question: Question) -> bool | None:

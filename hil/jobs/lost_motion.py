@@ -13,7 +13,7 @@ from hil.axis import AxisConfig, DriveAxis
 from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
 from hil.compensation import Compensation
 from hil.jobs.identity import drive_in_words
-from hil.jobs.job import Job, Workplace
+from hil.jobs.job import Job, Workplace, tell_unchecked
 from hil.jobs.plan import Move, Plan, Write
 from hil.journal import Campaign
 from hil.lost_motion.estimate import NOT_SEPARATE, separate
@@ -84,7 +84,8 @@ def run_lost_motion(
     purpose = {**axis.purpose(CAMPAIGN), "how": asdict(how), "seed": seed}
     purpose |= {} if present is None else compensation_in_force(present)
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
-    machine.session.prepare()
+    tell_unchecked(campaign, listener)
+    machine.session.prepare(campaign.directory, present)
     result = measure_lost_motion(machine.session, campaign, how, present, listener, seed=seed, computing=computing)
     campaign.finish()
     return MeasuredLostMotion(how, result, present, campaign.directory)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,12 +10,12 @@ from typing import TypeVar
 from nicegui import Client, run, ui
 from nicegui.element import Element
 
-from drivers.errors import BridgeError, InputError
-from hil.desk.axis_thread import one_line
+from drivers.errors import InputError
 from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
 from hil.desk.progress import Progress
 from hil.desk.roles import Role
+from hil.error_log import one_line
 from hil.jobs.job import Job
 from hil.jobs.plan import Plan
 from hil.panel.browsers import Browser
@@ -117,17 +116,13 @@ class View:
 
     # -- doing ---------------------------------------------------------------------------------------------------------
     async def attempt(self, action: Callable[[], object]) -> bool:
-        """Do it; an error is shown, in one line, and logged if it is none that was foreseen. False for an error. An action may be a
-        coroutine function."""
+        """Do it; an error is shown, in one line that says where its traceback is if nobody foresaw it. False for an error. An action
+        may be a coroutine function."""
         try:
             done = action()
             if hasattr(done, "__await__"):
                 await done
-        except (BridgeError, OSError) as error:
-            self.show_error(error)
-            return False
-        except Exception as error:
-            logging.getLogger(__name__).exception("axis %s: what was asked for on the screen failed", self.desk.name)
+        except Exception as error:  # noqa: BLE001  whatever it is, it is shown
             self.show_error(error)
             return False
         return True
@@ -138,7 +133,12 @@ class View:
 
     def show_error(self, error: BaseException) -> None:
         """As a note that stays until it is closed."""
-        text = self.t("control.not_yours") if isinstance(error, NotInControlError) else self.t.said(one_line(error))
+        if isinstance(error, NotInControlError):
+            text = self.t("control.not_yours")
+        elif isinstance(error, OSError):
+            text = one_line(error)
+        else:
+            text = self.t.said(self.desk.errors.line_of(error))
         with self.client.content:
             ui.notification(
                 text, type="negative", position="bottom-right", timeout=None, close_button=self.t("button.close")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from drivers.errors import CapabilityError, NoAnswerError, RemoteError, TransportError
-from drivers.raw_parameters import RawParameters, Steps
+from drivers.raw_parameters import Pause, RawParameters, Steps
 from hil.params.works import Progress, Work, stage, unseen
 
 Ask = Callable[[str], None]
@@ -55,7 +55,7 @@ def _until(drive: RawParameters, answers: bool, within_s: float) -> Steps[None]:
         if deadline.expired:
             what = "does not answer after its restart" if answers else "was not switched off"
             raise NoAnswerError(f"drive {drive.name} {what} within {within_s:g} s")
-        drive.clock.sleep_s(_LOOK_S)
+        yield Pause(_LOOK_S)
 
 
 def _compare(work: Work) -> Steps[None]:

@@ -18,7 +18,7 @@ from drivers.errors import (
     RemoteError,
     TransportError,
 )
-from drivers.raw_parameters import Access, RawParameters, Steps, Tell, deaf
+from drivers.raw_parameters import Access, Pause, RawParameters, Steps, Tell, deaf
 from hil.params.order import in_order, uncrossed
 
 SETTLE_S = 0.5  # a drive may take this long to show what it has taken
@@ -141,7 +141,7 @@ class DriveJob:
                 return
             if deadline.expired:
                 raise ProtocolError(self._mismatch(wrong[0], goals[wrong[0]], shown[wrong[0]], len(wrong)))
-            self.clock.sleep_s(_POLL_S)
+            yield Pause(_POLL_S)
 
     def _mismatch(self, address: str, meant: bytes, shown: bytes, count: int) -> str:
         parameter = self.drive.find(address)
@@ -182,7 +182,7 @@ class DriveJob:
                     raise
             else:
                 return written
-            self.clock.sleep_s(pause_s)
+            yield Pause(pause_s)
             pause_s *= 2
 
 

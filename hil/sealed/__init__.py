@@ -9,7 +9,7 @@ over the whole file has been found good. The byte layout stands in `container`; 
 key pair and detached signatures for files that stay readable, `errors` the ways a file is refused.
 """
 
-from hil.sealed.container import Cost
+from hil.sealed.container import Binding, Cost
 from hil.sealed.errors import (
     CostError,
     DamagedError,
@@ -46,6 +46,7 @@ from hil.sealed.sealing import (
 )
 
 __all__ = [
+    "Binding",
     "Cost",
     "CostError",
     "DamagedError",

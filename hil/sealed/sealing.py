@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -21,7 +23,7 @@ from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
 from drivers.errors import InputError
 from hil.files import naming, read_bytes, replace_file
 from hil.sealed import container, keys
-from hil.sealed.container import Container, Cost, EntryHeader, Header
+from hil.sealed.container import Binding, Container, Cost, EntryHeader, Header
 from hil.sealed.errors import SealedError, WrongPasswordError
 
 Passwords = str | Mapping[str, str]
@@ -35,7 +37,8 @@ _DOMAIN = b"hil sealed file\0"
 class SealedInfo:
     """What a sealed file shows without a password, its signature found good.
 
-    `entries` maps each name to its size in bytes; `sha256` is the hash of the file, in hex; `builder` the signer's fingerprint.
+    `entries` maps each name to its size in bytes; `sha256` is the hash of the file, in hex; `builder` the signer's fingerprint;
+    `binding` what it is bound to, None for a file of version 1.
     """
 
     version: int
@@ -44,18 +47,36 @@ class SealedInfo:
     kdf: str
     cipher: str
     sha256: str
+    binding: Binding | None = None
 
     def as_json(self) -> dict[str, object]:
         """The same as plain JSON values."""
-        return {**asdict(self), "entries": dict(self.entries)}
+        binding = None if self.binding is None else self.binding.as_json()
+        return {**vars(self), "entries": dict(self.entries), "binding": binding}
 
 
 def seal(
-    entries: Mapping[str, bytes], passwords: Passwords, builder_key: Ed25519PrivateKey, *, cost: Cost | None = None
+    entries: Mapping[str, bytes],
+    passwords: Passwords,
+    builder_key: Ed25519PrivateKey,
+    *,
+    cost: Cost | None = None,
+    bound_to: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """The bytes of a sealed file with these entries. Raises InputError for a bad name, no entry, or a missing password."""
-    header = Header(file_id=os.urandom(16), cost=cost or Cost(), builder=keys.raw(builder_key.public_key()), entries=())
+    """The bytes of a sealed file with these entries; bound_to: see `Binding.of`.
+
+    Raises InputError for a bad name, no entry, a missing password, or a binding that is too large.
+    """
+    builder = keys.raw(builder_key.public_key())
+    header = Header(os.urandom(16), cost or Cost(), builder, entries=(), binding=_next_binding(None, bound_to))
     return _build(header, {}, entries, passwords, builder_key)
+
+
+def _next_binding(before: Binding | None, bound_to: Mapping[str, Any] | None) -> Binding:
+    """The one that follows `before`, bound to the same unless to something else."""
+    kept = {} if before is None else before.of
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return Binding(1 if before is None else before.counter + 1, now, kept if bound_to is None else bound_to)
 
 
 def check(data: bytes, builder_public: Ed25519PublicKey) -> SealedInfo:
@@ -66,12 +87,13 @@ def check(data: bytes, builder_public: Ed25519PublicKey) -> SealedInfo:
         for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
     }
     return SealedInfo(
-        version=container.VERSION,
+        version=parts.header.version,
         builder=keys.fingerprint(parts.header.builder),
         entries=sizes,
         kdf=f"{container.KDF} {parts.header.cost}",
         cipher=container.CIPHER,
         sha256=hashlib.sha256(data).hexdigest(),
+        binding=parts.header.binding,
     )
 
 
@@ -102,11 +124,19 @@ def open_sealed(
     return opened
 
 
-def reseal(data: bytes, changes: Mapping[str, bytes], passwords: Passwords, builder_key: Ed25519PrivateKey) -> bytes:
-    """A sealed file with the entries in `changes` replaced or added, and signed anew.
+def reseal(
+    data: bytes,
+    changes: Mapping[str, bytes],
+    passwords: Passwords,
+    builder_key: Ed25519PrivateKey,
+    *,
+    bound_to: Mapping[str, Any] | None = None,
+) -> bytes:
+    """A sealed file with the entries in `changes` replaced or added, and signed anew; its counter is one more.
 
-    Only the changed entries' passwords are needed; the others stay encrypted as they are. Raises the SealedError that says what is
-    wrong unless the present file is signed with the same key.
+    bound_to: what the file is bound to from now on; None leaves that as it was. Only the changed entries' passwords are needed; the
+    others stay encrypted as they are. Raises the SealedError that says what is wrong unless the present file is signed with the
+    same key, InputError for a binding that is too large.
     """
     parts = _checked(data, builder_key.public_key())
     kept = {
@@ -114,15 +144,17 @@ def reseal(data: bytes, changes: Mapping[str, bytes], passwords: Passwords, buil
         for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
     }
     # contents are bound to their place in the file, so what is kept keeps its place
-    return _build(parts.header, kept, changes, passwords, builder_key)
+    header = replace(parts.header, binding=_next_binding(parts.header.binding, bound_to))
+    return _build(header, kept, changes, passwords, builder_key)
 
 
 def resign(data: bytes, builder_public: Ed25519PublicKey, new_builder_key: Ed25519PrivateKey) -> bytes:
-    """The same file signed with another builder's key; needs no password. The present signature must be `builder_public`'s."""
+    """The same file, binding and counter included, signed with another builder's key; needs no password.
+
+    The present signature must be `builder_public`'s.
+    """
     parts = _checked(data, builder_public)
-    header = Header(
-        parts.header.file_id, parts.header.cost, keys.raw(new_builder_key.public_key()), parts.header.entries
-    )
+    header = replace(parts.header, builder=keys.raw(new_builder_key.public_key()))
     signed = container.pack(header, parts.ciphertexts)
     return signed + new_builder_key.sign(_DOMAIN + signed)
 
@@ -139,9 +171,10 @@ def write_sealed(
     builder_key: Ed25519PrivateKey,
     *,
     cost: Cost | None = None,
+    bound_to: Mapping[str, Any] | None = None,
 ) -> None:
     """Seal into a file, replacing an older one in one step and keeping its permissions."""
-    replace_file(path, seal(entries, passwords, builder_key, cost=cost))
+    replace_file(path, seal(entries, passwords, builder_key, cost=cost, bound_to=bound_to))
 
 
 def read_sealed(
@@ -169,7 +202,7 @@ def _build(
             entries.append(EntryHeader(name, salt, os.urandom(12)))
         else:
             entries.append(kept[name][0])
-    header = Header(base.file_id, base.cost, base.builder, tuple(entries))
+    header = replace(base, entries=tuple(entries))
     ciphertexts = []
     for number, entry in enumerate(entries):
         if entry.name in changes:
