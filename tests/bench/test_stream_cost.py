@@ -46,6 +46,9 @@ class LeapingClock(Clock):
     def __init__(self) -> None:
         self._now_ns = 0
 
+    def check_interrupt(self) -> None:
+        return
+
     def now_ns(self) -> int:
         return self._now_ns
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +12,12 @@ from pathlib import Path
 import pytest
 from support import bench_axis
 
+from drivers.errors import LinkLostError
 from hil.axis import load_axis
 from hil.cli.main import main
 from hil.files import held
+from hil.journal import RowJournal
+from hil.procedures.session import AxisSession
 from hil.records import read_csv
 from hil.store import SealedStore
 from hil.tables import TableSet
@@ -29,7 +33,8 @@ def axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_doctor_finds_a_sound_axis_good(axis: Path, tmp_path: Path) -> None:
     assert main(["doctor", str(axis), "--json", str(tmp_path / "doctor.json")]) == 0
     found = json.loads((tmp_path / "doctor.json").read_text())
-    assert [check["name"] for check in found["checks"]] == ["drive", "limits", "scaling", "instrument", "units"]
+    names = ["drive", "limits", "scaling", "zero", "instrument", "speed", "units"]
+    assert [check["name"] for check in found["checks"]] == names
 
 
 @pytest.mark.parametrize(
@@ -194,3 +199,109 @@ def test_demo_finds_what_was_hidden_and_measures_the_gain(tmp_path: Path, capsys
     assert (out / "report.html").stat().st_size > 100_000
     assert main(["demo", "--out", str(tmp_path)]) == 2, "a directory that no demo made is left alone"
     capsys.readouterr()
+
+
+# -- how to go on ----------------------------------------------------------------------------------------------------------
+def interrupted_after(rows: int, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the next row but so many on, appending one fails."""
+    append, left = RowJournal.append, rows
+
+    def failing(journal: RowJournal, row: dict[str, float]) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise error
+        append(journal, row)
+
+    monkeypatch.setattr(RowJournal, "append", failing)
+
+
+def last_line(capsys: pytest.CaptureFixture[str]) -> str:
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("verb", "options"),
+    [
+        ("calibrate", ()),
+        ("verify", ("--seed", "3")),
+        ("lost-motion", ("--only-measure", "--seed", "2")),
+        ("close-loop", ("--runs", "2", "--rows", "12", "--warm-up", "0", "--person", "none")),
+    ],
+)
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), LinkLostError("pulled"), OSError(28, "No space"), KeyError("us")]
+)
+def test_what_broke_off_ends_with_the_command_that_goes_on(
+    axis: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    verb: str,
+    options: tuple[str, ...],
+    error: BaseException,
+) -> None:
+    typed = axis.parent / "typed.csv"
+    typed.write_text("position_mm,plus_um,minus_um\n20,1,2\n260,3,4\n")
+    assert main(["calibrate", str(axis), "--manual", str(typed)]) == 0
+    with monkeypatch.context() as patch:
+        interrupted_after(3, error, patch)
+        assert main([verb, str(axis), *options]) == (130 if isinstance(error, KeyboardInterrupt) else 1)
+    command = shlex.join(["hil", verb, str(axis), *options, "--resume"])
+    assert last_line(capsys) == f"hil: go on with: {command}"
+    listed = [option for option in options if option not in ("--only-measure", "--person", "none")]
+    assert main(["records", "list", str(axis.parent), "--json", str(axis.parent / "list.json")]) == 0
+    (one,) = json.loads((axis.parent / "list.json").read_text())["campaigns"]
+    assert one["state"] == "unfinished"
+    assert shlex.split(one["resume"]) == ["hil", verb, str(axis), *listed, "--resume"]
+    assert f"go on with {one['resume']}" in capsys.readouterr().out
+    with monkeypatch.context() as patch:  # broken off again: it is the same command
+        interrupted_after(0, error, patch)
+        assert main(shlex.split(command)[1:]) != 0
+    assert last_line(capsys) == f"hil: go on with: {command}"
+
+
+def pulled(_session: AxisSession, *_more: object) -> None:
+    raise LinkLostError("pulled")
+
+
+def test_where_nothing_can_be_gone_on_with_nothing_of_it_is_said(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupted_after(3, KeyboardInterrupt(), patch)
+        assert main(["calibrate", str(axis)]) == 130
+    assert "go on with" in last_line(capsys)
+    with monkeypatch.context() as patch:  # a new one that was not begun: --resume would take the one before it
+        patch.setattr(AxisSession, "prepare", pulled)
+        assert main(["calibrate", str(axis)]) == 1
+    assert last_line(capsys) == "hil: pulled"
+    assert main(["calibrate", str(axis), "--resume"]) == 0
+    capsys.readouterr()
+    assert main(["records", "list", str(axis.parent)]) == 0
+    said = capsys.readouterr().out
+    assert "finished" in said
+    assert "go on with" not in said
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_row_changed_since_is_refused_before_anything_moves(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], closed: bool
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupted_after(5, KeyboardInterrupt(), patch)
+        assert main(["calibrate", str(axis)]) == 130
+    (path,) = axis.parent.glob("X-campaign/calibrate-001/measure.csv")
+    if not closed:  # as a killed process leaves it
+        (path.parent / "SHA256SUMS").unlink()
+    lines = path.read_text().splitlines(keepends=True)
+    lines[4] = lines[4].replace(",", ",1", 1) if lines[4].startswith("#") else lines[4].replace("1,+1,", "1,+1,0", 1)
+    path.write_text("".join(lines))
+    changed = path.read_bytes()
+    capsys.readouterr()
+    assert main(["calibrate", str(axis), "--resume"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"{path}:5: is not as it was written" in error
+    assert path.read_bytes() == changed
+    assert not (axis.parent / "X-campaign/tables.sealed").exists()

@@ -20,7 +20,7 @@ from support import bench_axis
 
 from hil.axis import AxisConfig, load_axis
 from hil.compensation import Compensation
-from hil.journal import Campaign
+from hil.journal import Campaign, check_rows
 from hil.procedures.calibrate import Calibration, calibrate
 from hil.records import Records, read_csv
 from hil.sealed import load_public_key
@@ -110,10 +110,12 @@ def judge(result: Calibration, directory: Path, *, heats_up: bool) -> None:
 
 
 def rows_of(directory: Path) -> dict[str, list[str]]:
-    """The whole rows of every pass on disk."""
+    """The confirmed rows of every pass on disk: those that are in the campaign's chain."""
     found = {}
     for path in sorted(directory.glob("X-campaign/calibrate-*/*.csv")):
-        lines = path.read_bytes().decode("utf-8", "replace").split("\n")[:-1]
+        chained = check_rows(path.parent)
+        assert chained is not None
+        lines = path.read_bytes().decode("utf-8", "replace").split("\n")[: chained.lines.get(path.name, 0)]
         found[path.name] = [line for line in lines if line and not line.startswith("#")]
     return found
 
@@ -169,13 +171,18 @@ def kill_after(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_asked_to_end_it_says_so_in_one_line_and_keeps_its_rows(tmp_path: Path, number: signal.Signals) -> None:
-    """Ctrl-C, a service that is stopped, a terminal that is closed: the session is left in order (and with it the axis)."""
+def test_asked_to_end_it_says_so_in_one_line_keeps_its_rows_and_names_the_way_on(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """Ctrl-C, a service that is stopped, a terminal that is closed: the session is left in order (and with it the axis). The last line
+    is the command that goes on."""
     axis = bench_axis.lay_out(tmp_path, sections=25, runs=50)
     with calibrating(axis) as process:
         error = kill_after(process, lambda: progress(tmp_path)[0] > 1000, 0.0, number)
         assert process.returncode == 130
-        assert error == "hil: interrupted; the axis was stopped, what was measured is kept\n"
+        said, how = error.splitlines()
+        assert said == "hil: interrupted; the axis was stopped, what was measured is kept"
+        assert how == f"hil: go on with: hil calibrate {axis} --resume"
     rows = rows_of(tmp_path)["measure.csv"]
     assert len(rows) > 5
     assert not (tmp_path / "X-campaign/tables.sealed").exists()

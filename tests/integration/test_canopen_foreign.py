@@ -19,7 +19,8 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import load_eds
 from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
 from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, configure, read_image, same, wanted_image
+from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, same, wanted_image
+from drivers.canopen.pdo_setup import configure, read_image
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.side_by_side import CanLine

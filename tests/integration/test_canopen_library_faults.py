@@ -21,7 +21,8 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.node import NmtCommand, NodeMonitor
-from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, configure
+from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
+from drivers.canopen.pdo_setup import configure
 from drivers.canopen.sdo import SdoClient
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState

@@ -6,16 +6,18 @@ import logging
 import threading
 import uuid
 from collections.abc import Iterator
+from contextlib import suppress
 
 import can
 import canopen
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.sdo_peers import Flood
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.lss import LssAddress, LssMaster
+from drivers.canopen.lss import SLAVE, LssAddress, LssMaster
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import InputError, NoAnswerError, ProtocolError
 from drivers.scaling import AxisScaling
@@ -49,6 +51,25 @@ def bus() -> Iterator[Bus]:
     bus = Bus(Identity(serial=0xBEEF))
     with bus.link:
         yield bus
+
+
+@pytest.mark.parametrize(
+    "data", [bytes(8), b"\x4f" + bytes(7), b"\x11\x00" + bytes(6)], ids=["others", "found", "taken"]
+)
+def test_lss_frames_without_end_do_not_extend_a_wait(data: bytes) -> None:
+    """An answer that comes without a question ends in a wrong finding at worst, not in a longer wait."""
+    bus = Bus()
+    Flood(bus.wire, [(SLAVE, data)], 0.0002)
+    start_ns = bus.clock.now_ns()
+    with suppress(NoAnswerError, ProtocolError):
+        bus.lss.find_unconfigured()
+    asked = 1 + 4 * 33
+    assert bus.clock.now_ns() - start_ns <= 1.01e9 * 0.005 * asked
+    start_ns = bus.clock.now_ns()
+    with suppress(NoAnswerError, ProtocolError):
+        bus.lss.set_node_id(5)
+    assert bus.clock.now_ns() - start_ns <= 1.01e9 * 0.005
+    bus.link.close()
 
 
 def test_a_node_without_an_id_speaks_lss_only(bus: Bus) -> None:

@@ -17,7 +17,8 @@ from hil.axis import AxisConfig
 from hil.compensation import Compensation
 from hil.drive_tables import drive_table, wanted_of
 from hil.journal import Campaign
-from hil.procedures.bare_axis import BareAxis
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from hil.procedures.drive_table import held_table
 from hil.procedures.prove_drive_table import Agreement, Proof, Way, prove_by_drive, prove_by_instrument
 from hil.tables import DirectionalTable, TableSet
@@ -116,7 +117,7 @@ def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
         table.write(made.raw)
         for raw, good in ((made.raw, True), (replace(made.raw, plus=made.raw.minus), False)):
             table.write(raw)
-            with BareAxis(drive) as moving:
+            with Supervisor([WatchedAxis(drive)]) as moving:
                 proof = prove_by_drive(moving, wanted, TARGETS, how)
             assert proof.good is good, proof.verdict
             assert not proof.measured
@@ -176,11 +177,11 @@ def test_the_load_stands_where_the_bridge_would_have_put_it(form: TableForm, dir
         made = drive_table(wanted, table.description, scaling, limits)
         table.write(made.raw)
         table.switch(True)
-        with BareAxis(drive) as axis:
+        with Supervisor([WatchedAxis(drive)]) as axis:
             axis.get_ready(home=True)
             for place_mm, way in ((20.0, 1), (100.0, 1), (250.0, 1), (180.0, -1), (30.0, -1), (60.0, 1)):
-                axis.move_to(place_mm, 150.0)
-                axis.rest(0.2)
+                axis.move(place_mm, 150.0)
+                axis.watch(0.2)
                 load_um = direction * shaft.motor_rev * 10_000.0 - place_mm * 1000.0
                 assert load_um == pytest.approx(float(wanted.at(place_mm, way)), abs=made.deviation_um + 0.2)
 

@@ -186,7 +186,10 @@ def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path,
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors == "hil: interrupted; the axis was stopped, what was measured is kept\n"
+    assert errors.splitlines() == [
+        "hil: interrupted; the axis was stopped, what was measured is kept",
+        f"hil: go on with: hil lost-motion {x} --resume",
+    ]
     assert not (tmp_path / "X-campaign" / "tables.sealed").exists()
     kept = rows.read_text()
     assert main(["lost-motion", str(x), "--resume"]) == 0

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,12 +17,15 @@ from drivers.errors import (
     AbortError,
     CapabilityError,
     DriveFaultError,
+    HeldUnderPowerError,
     InputError,
+    LimitError,
     LinkLostError,
     MotionTimeoutError,
     NoAnswerError,
     ProtocolError,
     StateError,
+    UndoError,
 )
 from drivers.modbus.codec import Layout, Order, RegisterType
 from drivers.modbus.drive import ModbusDrive
@@ -226,7 +231,7 @@ def test_a_trigger_that_was_lost_is_reported_as_in_doubt_and_nothing_moves() -> 
         r.server.faults.add(WireFault(WireFaultKind.LOST_REQUEST, function=6))
         with pytest.raises(NoAnswerError, match="start of move is in doubt"):
             drive.start_move(50.0, 10.0)
-        assert drive.sample().state is DriveState.QUICK_STOP  # nobody watches a move that start_move denied
+        assert drive.sample().state is DriveState.SWITCH_ON_DISABLED  # nobody watches a move that start_move denied
         r.clock.sleep_s(1.0)
         assert drive.sample().position_load_mm == 0.0
 
@@ -270,6 +275,7 @@ def test_a_hand_shake_that_is_not_kept_is_found_out(defect: Defect, what: str) -
         r.face.profile.defects.add(defect)
         with pytest.raises(MotionTimeoutError, match=what):
             drive.start_move(50.0, 10.0)
+        assert (r.servo.powered, r.servo.velocity_actual_counts_s) == (False, 0)  # it may have set off
 
 
 def test_small_steps_are_quick_even_inside_the_drives_window(each: Rig) -> None:
@@ -394,6 +400,49 @@ def test_a_homing_that_fails_is_raised_once(each: Rig) -> None:
         assert drive.sample().homed is False
 
 
+def show_attained_for(r: Rig, duration_s: float) -> None:
+    """The drive shows "attained" of the last homing for so long after now."""
+    assert isinstance(r.face, Cia402Registers)
+    profile, until_ns = r.face.profile, r.clock.now_ns() + round(duration_s * 1e9)
+
+    def statusword() -> int:
+        old = 0x1400 if profile._mode == 6 and r.clock.now_ns() < until_ns else 0
+        return profile.statusword() | old
+
+    r.face.dictionary.on_read(0x6041, 0, statusword)
+
+
+def test_the_attained_of_the_last_homing_is_not_believed_while_the_axis_moves() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        drive.enable()
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        drive.start_move(10.0, 200.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        r.face.dictionary.set_number(0x6098, 0, 17)
+        r.face.dictionary.set_number(0x6099, 1, 50_000)
+        show_attained_for(r, 2.0)
+        drive.start_homing()
+        for _ in range(130):
+            assert drive.sample().homed is False
+            r.clock.sleep_s(0.01)
+        assert r.servo.velocity_actual_counts_s < 0
+        drive.wait_for(lambda sample: sample.homed is True, 30.0, "homed")
+        assert r.servo.velocity_actual_counts_s == 0
+        assert r.servo.homed
+
+
+def test_a_homing_without_motion_counts_once_attained_and_the_axis_have_stayed() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        show_attained_for(r, 1e6)
+        start_ns = r.clock.now_ns()
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        assert 500_000_000 <= r.clock.now_ns() - start_ns < 700_000_000
+
+
 # -- stopping ----------------------------------------------------------------------------------------------------------
 def test_quick_stop_is_sent_to_a_unit_in_backoff_too(each: Rig) -> None:
     with each.drive as drive:
@@ -409,6 +458,290 @@ def test_quick_stop_is_sent_to_a_unit_in_backoff_too(each: Rig) -> None:
         each.clock.sleep_s(1.0)
         assert drive.sample().velocity_mm_s == 0.0
         assert each.servo.position_actual_counts < 100_0000
+
+
+QUICK_STOP = (b"\x06\x21\x00\x00\x02", b"\x05\x00\x01\xff\x00")  # controlword, emergency stop
+
+
+def stops(r: Rig) -> int:
+    return sum(pdu in QUICK_STOP for _, pdu in r.server.seen)
+
+
+def test_a_quick_stop_is_over_when_it_is_seen_to_be_obeyed(each: Rig) -> None:
+    with each.drive as drive:
+        drive.enable()
+        drive.start_move(200.0, 50.0)
+        each.clock.sleep_s(0.5)
+        drive.quick_stop()
+        assert drive.sample().state is DriveState.QUICK_STOP
+        assert stops(each) == 1
+
+
+def test_a_quick_stop_to_a_unit_that_is_dead_says_so_and_was_sent() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        r.server.faults.add(WireFault(WireFaultKind.LOST_REQUEST, count=10**6))
+        with pytest.raises(NoAnswerError):
+            drive.quick_stop()
+        assert stops(r) == 4  # at once, and three times until it would be acknowledged
+
+
+def test_a_quick_stop_that_is_not_obeyed_is_told() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        drive.enable()
+        drive.start_move(200.0, 50.0)
+        r.clock.sleep_s(0.5)
+        r.face.profile.defects.add(Defect.LOCAL_CONTROL)
+        with pytest.raises(MotionTimeoutError, match=r"quick stop acknowledged, but not obeyed within 0\.5 s"):
+            drive.quick_stop()
+        r.face.profile.defects.clear()
+
+
+def test_a_stop_that_another_thread_sends_ends_the_order_under_way() -> None:
+    """What follows the start of a move enables operation: in "quick stop active" that would let the axis go on."""
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        wait_for = drive.orders.wait_for
+
+        def stop_meanwhile(*args: Any) -> None:
+            wait_for(*args)
+            if args[1] == "new target to be accepted":
+                drive.send_stop()
+
+        drive.orders.wait_for = stop_meanwhile  # type: ignore[method-assign, assignment]
+        with pytest.raises(StateError, match="was told to stop; it takes orders again once it is enabled anew"):
+            drive.start_move(200.0, 50.0)
+        controlwords = [int.from_bytes(pdu[3:5], "big") for pdu in writes_to(r.server, 0x2100)]
+        assert not any(word & 0xF == 0xF for word in controlwords[controlwords.index(2) :])
+        drive.orders.wait_for = wait_for  # type: ignore[method-assign]
+        with pytest.raises(StateError):
+            drive.start_move(10.0, 50.0)
+        drive.enable()
+        drive.start_move(10.0, 50.0)
+
+
+def test_a_stop_leaves_the_other_bits_of_its_register_alone(tmp_path: Path) -> None:
+    source = load_drive_map(CIA402).registers.path.read_text(encoding="utf-8")
+    whole = 'write = [{ register = "controlword", value = 0x0002 }]'
+    assert source.count(whole) == 1
+    path = tmp_path / "masked.toml"
+    masked = 'write = [{ register = "controlword", mask = 0x0004, value = 0 }]'
+    path.write_text(source.replace(whole, masked), encoding="utf-8")
+    with rig(CIA402, map_path=path) as r, r.drive as drive:
+        drive.enable()
+        before = r.server.requests
+        drive.send_stop()
+        drive.sample()
+        assert r.server.seen[before][1] == bytes.fromhex("06 21 00 00 0B")  # 000Fh without bit 2
+        assert drive.sample().state is DriveState.QUICK_STOP
+
+
+def test_a_velocity_run_that_leaves_the_travel_is_told_also_when_its_stop_is_not_confirmed() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        drive.start_velocity(200.0)
+
+        quick_stop = drive.quick_stop
+
+        def unconfirmed() -> None:
+            quick_stop()
+            raise NoAnswerError("no answer")
+
+        drive.quick_stop = unconfirmed  # type: ignore[method-assign]
+        with pytest.raises(LimitError) as caught:
+            drive.wait_for(lambda _sample: False, 5.0, "never")
+        assert caught.value.__notes__ == ["not seen to stop: no answer"]
+        r.clock.sleep_s(1.0)
+        assert drive.sample().position_load_mm <= LIMITS.travel_max_mm
+
+
+# -- coming to rest ------------------------------------------------------------------------------------------------------
+def unsteady(r: Rig, counts: int) -> None:
+    """A drive whose velocity is never 0, and whose position jumps by so many counts."""
+    assert isinstance(r.face, Cia402Registers)
+    sign = itertools.cycle((0, 1))
+    r.face.dictionary.set_number(0x605A, 0, 6)  # it stays in "quick stop active"
+    r.face.dictionary.on_read(0x606C, 0, lambda: 777)
+    r.face.dictionary.on_read(0x6064, 0, lambda: r.servo.position_actual_counts + counts * next(sign))
+
+
+def test_an_axis_whose_velocity_is_never_zero_is_known_to_stand_by_its_position() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        drive.start_move(100.0, 100.0)
+        r.clock.sleep_s(0.5)
+        unsteady(r, 1)
+        start_ns = r.clock.now_ns()
+        drive.disable()
+        assert not r.servo.powered
+        assert r.clock.now_ns() - start_ns < 500_000_000
+        assert stops(r) == 0
+
+
+def test_a_velocity_register_that_is_stuck_at_zero_is_not_believed() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        drive.enable()
+        drive.start_move(100.0, 100.0)
+        r.clock.sleep_s(0.5)
+        r.face.dictionary.on_read(0x606C, 0, lambda: 0)
+        speeds = off_at(r)
+        drive.disable()
+        assert len(speeds) == 1
+        assert abs(speeds[0]) < 2500  # 0.25 mm/s
+
+
+def off_at(r: Rig) -> list[int]:
+    """Speeds at which power went, counts/s."""
+    speeds: list[int] = []
+    power_off = r.servo.power_off
+
+    def off() -> None:
+        if r.servo.powered:
+            speeds.append(r.servo.velocity_actual_counts_s)
+        power_off()
+
+    r.servo.power_off = off  # type: ignore[method-assign]
+    return speeds
+
+
+def test_an_axis_not_seen_at_rest_is_quick_stopped_and_disabled_all_the_same() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        unsteady(r, 2000)
+        drive.disable()
+        assert not r.servo.powered
+        assert stops(r) == 1
+
+
+def test_an_axis_not_seen_at_rest_that_would_fall_is_held() -> None:
+    with rig(CIA402) as r:
+        drive = r.drive
+        drive.falls_without_power = True
+        drive.open()
+        drive.enable()
+        drive.start_move(1.0, 10.0)
+        unsteady(r, 2000)
+        with pytest.raises(HeldUnderPowerError, match="gravity can move the axis and no brake is stated"):
+            drive.disable()
+        with pytest.raises(HeldUnderPowerError):
+            drive.close()
+        assert r.servo.powered
+        assert r.face.profile.state is DriveState.QUICK_STOP  # type: ignore[union-attr]
+        assert r.face.dictionary.number(0x6060) == 1  # type: ignore[union-attr]
+
+
+def set_off(drive: ModbusDrive, how: str) -> None:
+    if how == "velocity":
+        drive.start_velocity(100.0)
+    elif how == "homing":
+        drive.start_homing()
+    else:
+        drive.start_move(200.0, 100.0)
+
+
+@pytest.mark.parametrize("how", ["homing", "velocity", "move"])
+def test_disabling_brings_the_axis_to_rest_in_the_time_that_braking_needs(how: str) -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        drive.enable()
+        drive.start_move(100.0, 200.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        for index, value in ((0x6098, 1), (0x609A, 20_000_000)):
+            r.face.dictionary.set_number(index, 0, value)
+        r.face.dictionary.set_number(0x6099, 1, 500_000)
+        set_off(drive, how)
+        r.clock.sleep_s(0.4)
+        assert abs(r.servo.velocity_actual_counts_s) > 100_000
+        speeds, start_ns = off_at(r), r.clock.now_ns()
+        drive.disable()
+        assert r.clock.now_ns() - start_ns < 2_000_000_000
+        assert speeds == [0]
+        assert drive.sample().homed is not True
+
+
+def test_disabling_in_a_stream_brings_the_axis_to_rest_first() -> None:
+    with rig(CIA402) as r, r.drive as drive:
+        drive.enable()
+        settings = SetPointSettings(0.02, following_error_mm=5.0)
+        with drive.stream(settings) as stream:
+            for step in range(30):
+                stream.cycle(0.5 * step)
+            speeds, start_ns = off_at(r), r.clock.now_ns()
+            drive.disable()
+            assert r.clock.now_ns() - start_ns < 2_000_000_000
+            assert speeds == [0]
+        assert not r.servo.powered
+
+
+def test_a_stream_that_cannot_be_entered_or_left_leaves_the_axis_without_power() -> None:
+    for nth, what in ((1, "entered"), (2, "left")):
+        with rig(CIA402) as r, r.drive as drive:
+            assert isinstance(r.face, Cia402Registers)
+            drive.enable()
+            r.face.profile.defects |= {Defect.MODE_STUCK} if nth == 1 else set()
+            with pytest.raises(MotionTimeoutError, match="change of mode"), drive.stream(SetPointSettings(0.02)):  # noqa: PT012
+                assert what == "left"
+                r.face.profile.defects.add(Defect.MODE_STUCK)
+            assert not r.servo.powered
+
+
+# -- leaving -------------------------------------------------------------------------------------------------------------
+def test_a_drive_that_falls_silent_for_a_while_is_disabled_and_put_back_by_closing(each: Rig) -> None:
+    names = ("profile_velocity",) if isinstance(each.face, Cia402Registers) else ("target_speed",)
+    with each.drive as drive:
+        before = drive.parameters.read_many(names)
+    drive.open()
+    drive.enable()
+    drive.start_move(200.0, 10.0)
+    each.server.faults.add(WireFault(WireFaultKind.LOST_REQUEST, count=3))  # one request and its repeats
+    drive.close()
+    assert not each.servo.powered
+    with each.drive as drive:
+        assert drive.parameters.read_many(names) == before
+
+
+def test_a_drive_that_cannot_be_disabled_is_stopped_put_back_and_told_by_closing() -> None:
+    with rig(CIA402) as r:
+        drive = r.drive
+        drive.open()
+        drive.enable()
+        drive.start_move(200.0, 10.0)
+        r.clock.sleep_s(0.2)
+        assert isinstance(r.face, Cia402Registers)
+        r.face.dictionary.set_number(0x605A, 0, 6)  # it does not take power off by itself
+
+        def refused(_state: DriveState) -> None:
+            raise AbortError("device failure", 4)
+
+        drive.power.disable = refused  # type: ignore[method-assign, assignment]
+        with pytest.raises(AbortError, match="device failure"):
+            drive.close()
+        assert r.servo.velocity_actual_counts_s == 0
+        assert stops(r) >= 1
+        assert r.face.dictionary.number(0x6081) != 100_000  # put back
+
+
+def test_all_that_fails_when_closing_is_told_together() -> None:
+    with rig(CIA402) as r:
+        drive = r.drive
+        drive.open()
+        drive.enable()
+        drive.start_move(20.0, 10.0)
+        assert isinstance(r.face, Cia402Registers)
+        r.face.dictionary.set_number(0x605A, 0, 6)
+
+        def refused(_state: DriveState) -> None:
+            raise AbortError("device failure", 4)
+
+        drive.power.disable = refused  # type: ignore[method-assign, assignment]
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, function=16, count=100, code=4))
+        with pytest.raises(
+            UndoError, match=r"^device failure; profile_velocity not put back: .*device failure"
+        ) as caught:
+            drive.close()
+        assert isinstance(caught.value.errors[0], AbortError)
 
 
 def test_closing_on_a_dead_wire_does_not_raise(each: Rig) -> None:
@@ -441,6 +774,18 @@ def test_a_dead_server_is_a_lost_link() -> None:
     drive.close()
 
 
+def test_a_fault_is_reset_although_a_stop_was_sent_in_it(each: Rig) -> None:
+    with each.drive as drive:
+        drive.enable()
+        each.servo.raise_fault(0x5112)
+        each.clock.sleep_s(0.1)
+        drive.quick_stop()
+        drive.reset_fault()
+        assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
+        drive.enable()
+        assert each.servo.powered
+
+
 def test_a_fault_that_stays_is_named_and_not_reset_into_an_enable(each: Rig) -> None:
     with each.drive as drive:
         drive.enable()
@@ -467,7 +812,9 @@ def test_a_drive_that_does_not_come_up_says_where_it_is_stuck(defect: Defect, wh
         r.face.profile.defects.add(defect)
         with pytest.raises(MotionTimeoutError, match=what):
             drive.enable()
-        assert drive.sample().state is not DriveState.ENABLED
+        r.face.profile.defects.clear()  # and the brake opens at last
+        r.clock.sleep_s(5.0)
+        assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_a_fault_on_the_way_up_ends_enabling(each: Rig) -> None:
@@ -591,3 +938,27 @@ def test_the_order_of_a_wide_register_is_found_from_what_the_display_shows(each:
             (0, Layout(kind, order)) for kind in (RegisterType.I32, RegisterType.U32)
         }
         assert drive.parameters.probe_order(name, known + 3, tolerance=5.0) == matches
+
+
+# -- its zero ----------------------------------------------------------------------------------------------------------
+def test_what_the_zero_rests_on_is_in_the_map(each: Rig) -> None:
+    with each.drive as drive:
+        zero = drive.zero()
+        cia402 = isinstance(each.face, Cia402Registers)
+        assert (zero.method, zero.home_position_mm) == (37 if cia402 else 35, 0.0)
+        assert zero.identity["map"] == each.drive.registers.name
+        assert ("serial_number" in zero.identity) is cia402
+
+
+def test_whether_the_drive_has_kept_its_zero(each: Rig) -> None:
+    """A flag that is always there is believed at once; one of the homing mode is asked for in it, and forgotten with the mode here."""
+    with each.drive as drive:
+        assert not drive.says_homed()
+        drive.enable()
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        assert drive.says_homed() is True
+    with each.drive as drive:
+        kept = drive.says_homed()
+        assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
+    assert kept is (None if isinstance(each.face, Cia402Registers) else True)

@@ -5,6 +5,7 @@ Servers that nobody here wrote are met in test_modbus_interop.py.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from pathlib import Path
 
@@ -12,9 +13,10 @@ import pytest
 from support.modbus_parameters import COUNT, NEW, OLD, Fault, FaultyLine, FortyFace, connect, write_map
 from support.parameter_faults import KilledError
 
-from drivers.errors import AbortError
+from drivers.errors import AbortError, NoAnswerError
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Request
+from drivers.raw_parameters import Pause, Steps
 from hil.params.download import Target, download
 from hil.params.journal import Journal
 from hil.params.predict import predict
@@ -119,10 +121,10 @@ def test_a_refused_neighbour_is_named(forty: Path, tmp_path: Path) -> None:
 
     refused = drive.map.registers["p7"].span.start
 
-    def exchange(unit: int, request: Request) -> tuple[int, ...]:
+    def exchange(unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
         if request.function.is_write and request.address <= refused < request.address + request.count:
             raise AbortError("illegal data value", 3)
-        return honest(unit, request)
+        return honest(unit, request, within_s)
 
     line.exchange = exchange  # type: ignore[method-assign]
     report = download([Target(drive, NEW, Journal(tmp_path))])[0]
@@ -169,3 +171,22 @@ def test_a_backup_of_a_modbus_drive(forty: Path) -> None:
         entry.address: entry.raw for entry in OLD.entries
     }
     assert len(backup.entries) >= COUNT
+
+
+def test_a_pause_of_one_drive_is_the_others_time(forty: Path) -> None:
+    line = FaultyLine(FortyFace(), SimClock(), Fault())
+    drive, clock = connect(forty, line), line.clock
+
+    def after(pauses_s: tuple[float, ...]) -> Steps[float]:
+        for pause_s in pauses_s:
+            yield Pause(pause_s)
+        yield from drive.read([NEW.entries[0].address])
+        if not pauses_s:
+            raise NoAnswerError("at the end")
+        return clock.now_ns() * 1e-9
+
+    slow, failing, quick = drive.line.run([after((1.0, 4.0)), after(()), after((0.5,))])
+    assert slow == pytest.approx(5.0, abs=0.05)
+    assert isinstance(failing, NoAnswerError)
+    assert quick == pytest.approx(0.5, abs=0.05)
+    assert clock.now_ns() * 1e-9 == slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from drivers.correction_table import RawTable
 from hil.axis import AxisConfig
 from hil.cli.main import main
 from hil.procedures.drive_table import Snapshot
+from hil.zero import Zero, write_zero
 from sim_backends.virtual_table import VirtualCorrectionTable
 
 OLD = RawTable((5, 6), (7, 8), (), 100, 200)
@@ -197,3 +199,32 @@ def test_the_example_as_it_is_shipped(kept: Kept, axis: AxisConfig, capsys: pyte
     assert kept.enabled
     assert kept.raw != OLD
     assert "the drive corrects as the bridge does" in capsys.readouterr().out
+
+
+def test_a_drives_table_remembers_the_zero_it_was_made_in(
+    kept: Kept, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis, tables = lay_out_table_axis(tmp_path, "in process")
+    first = Zero("ab" * 16, "X", "2026-03-01T08:00:00+00:00", {"model": "virtual"}, True, 21, -2.0)
+    second = replace(first, id="cd" * 16, made="2026-04-01T08:00:00+00:00")
+    write_zero(axis.zero_path, first)
+    store(axis, tables)
+    assert run(axis, "download", "--prove-by", "nothing") == 0
+    assert run(axis, "show") == 0
+    assert "abababab of 2026-03-01, homing method 21 to -2 mm" in capsys.readouterr().out
+
+    write_zero(axis.zero_path, second)  # the axis got another zero
+    before = kept.raw
+    for job in (("download", "--prove-by", "nothing"), ("prove", "--prove-by", "drive")):
+        assert run(axis, *job) == 2
+        assert "the tables were made in another zero" in capsys.readouterr().err
+    store(axis, tables)  # and was calibrated in it, but the drive's table is the old one
+    assert run(axis, "prove", "--prove-by", "drive", "--positions", "3") == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "made in another zero (abababab of 2026-03-01" in line
+    assert kept.raw == before
+    assert run(axis, "download", "--prove-by", "nothing") == 0
+    assert run(axis, "show") == 0
+    assert "cdcdcdcd of 2026-04-01" in capsys.readouterr().out
+    assert run(axis, "remove") == 0
+    assert not list(axis.store.directory.glob("*.drive-table.json"))

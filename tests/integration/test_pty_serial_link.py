@@ -1,13 +1,15 @@
 """The serial link over a real terminal: takes what is there, waits for nothing, says when it is gone."""
 
 import os
+import threading
 import tty
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 
 from drivers.errors import LinkLostError
-from drivers.instruments.serial_link import SerialLink
+from drivers.instruments.serial_link import MAX_READ_BYTES, SerialLink
 
 
 @pytest.fixture
@@ -61,3 +63,39 @@ def test_a_port_is_opened_by_one_only(ends: tuple[int, str]) -> None:
     first.close()
     second.open()
     second.close()
+
+
+def test_a_port_that_takes_no_bytes_is_gone_at_once(ends: tuple[int, str]) -> None:
+    """pyserial's own write would spin until its time-out, in which nobody hears the operator."""
+    link = SerialLink(ends[1])
+    link.open()
+
+    def fill() -> None:
+        for _ in range(10_000):
+            link.write(bytes(100))
+
+    with pytest.raises(LinkLostError, match=r"takes no bytes|is gone"):
+        fill()
+    link.close()
+
+
+def test_a_babbling_device_holds_nobody(ends: tuple[int, str]) -> None:
+    device, path = ends
+    link = SerialLink(path)
+    link.open()
+    os.set_blocking(device, False)
+    over = threading.Event()
+
+    def babble() -> None:
+        while not over.is_set():
+            with suppress(BlockingIOError):
+                os.write(device, b"\x55" * 4096)
+
+    babbler = threading.Thread(target=babble)
+    babbler.start()
+    try:
+        assert all(len(link.read_waiting()) <= MAX_READ_BYTES for _ in range(200))
+    finally:
+        over.set()
+        babbler.join()
+        link.close()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -166,11 +167,12 @@ class FaultyLine:
         self.busy_s = 0.0
         self._gone_until_ns = 0
 
-    def connect(self) -> None: ...
+    def connect(self, within_s: float = math.inf) -> None: ...
     def disconnect(self) -> None: ...
     def discard(self, silence_s: float) -> None: ...
+    def post(self, unit: int, requests: Sequence[Request]) -> None: ...
 
-    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
         self.exchanges += 1
         struck = self.fault.kind if self.exchanges == self.fault.at else ""
         if struck == "process killed":

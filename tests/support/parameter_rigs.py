@@ -80,7 +80,7 @@ class ParameterRig:
         self.bench = CanBench(
             nodes,
             bitrate,
-            {node: (*slow, *(faults if only in (None, node) else ())) for node in nodes},
+            {node: (*(faults if only in (None, node) else ()), *slow) for node in nodes},
             flash=flash,
             eds=eds,
         )

@@ -49,6 +49,13 @@ class Trouble:
     link_lost_at_s: float = math.inf
     frozen_samples_at_s: float = math.inf  # the drive repeats its last sample
     stuck_at_s: float = math.inf  # the motor does not move any more
+    frozen_readings_at_s: float = math.inf  # the instrument repeats its position; status and count are as before
+    jump_at_s: float = math.inf  # the instrument's zero moves by `jump_mm`
+    jump_mm: float = 0.0
+    instrument_sense: int = 1  # -1: readings fall when the axis advances
+    faster: float = 1.0  # than the drive was told
+    torque_percent: float | None = None
+    limited: bool | None = None
     false_arrival: bool = False  # target reached at once, wherever the motor is
     at_call: int = -1
     error: Callable[[], BaseException] = KeyboardInterrupt
@@ -84,6 +91,7 @@ class ToyMachine:
         self.readings: list[Reading] = []
         self.sequence = 0
         self.arrival_um = 0.0
+        self.seen_mm = OFFSET_MM
         self._random = np.random.default_rng(self.seed)
         self._next_reading_ns = 0
         self.clock.attach(self.advance)
@@ -126,7 +134,7 @@ class ToyMachine:
 
     def _move(self, dt_s: float) -> None:
         left = self.target_mm - self.motor_mm
-        step = math.copysign(min(abs(left), self.velocity_mm_s * dt_s), left)
+        step = math.copysign(min(abs(left), self.trouble.faster * self.velocity_mm_s * dt_s), left)
         sign = 1 if step > 0 else -1
         self.travel_since_reversal_mm = abs(step) + (self.travel_since_reversal_mm if sign == self.direction else 0.0)
         self.direction = sign
@@ -144,7 +152,10 @@ class ToyMachine:
             return
         lost = time_ns / NS_PER_S >= self.trouble.beam_lost_at_s
         status = ReadingStatus.BEAM_LOST if lost else ReadingStatus.GOOD
-        position = None if lost else self.table_mm + OFFSET_MM
+        if time_ns / NS_PER_S < self.trouble.frozen_readings_at_s:
+            self.seen_mm = self.trouble.instrument_sense * self.table_mm + OFFSET_MM
+        jumped_mm = self.trouble.jump_mm if time_ns / NS_PER_S >= self.trouble.jump_at_s else 0.0
+        position = None if lost else self.seen_mm + jumped_mm
         self.readings.append(Reading(time_ns, status, position, self.sequence))
         self.sequence += 1
 
@@ -186,7 +197,9 @@ class ToyDrive(ServoDrive):
             machine.state,
             machine.motor_mm,
             target_reached=stands or machine.trouble.false_arrival,
+            torque_percent=machine.trouble.torque_percent,
             homed=machine.homed,
+            limited=machine.trouble.limited,
             fault_code=0x7305 if machine.state is DriveState.FAULT else None,
         )
         return self._last
@@ -203,6 +216,9 @@ class ToyDrive(ServoDrive):
         if machine.state is not DriveState.FAULT:
             machine.state = DriveState.SWITCH_ON_DISABLED
         machine.target_mm = machine.motor_mm
+
+    def send_stop(self) -> None:
+        self.machine.calls.append(("stop frame", self.machine.motor_mm))
 
     def quick_stop(self) -> None:
         machine = self.machine

@@ -13,8 +13,8 @@ from can.interfaces.socketcan import CyclicSendTask
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.node import SYNC
 from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
+from drivers.canopen.sync import SYNC
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.scaling import AxisScaling

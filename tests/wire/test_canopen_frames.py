@@ -137,7 +137,11 @@ def test_a_move_is_a_handshake() -> None:
         "3712",
         "3702",
     ]
-    assert stop[0] == "605#2B40600002000000"
+    # the event-driven RPDO 2 maps 6040h alone and takes effect without SYNC; the same by SDO; then the statusword is looked at
+    assert stop[:3] == ["305#0200", "605#2B40600002000000", "585#6040600000000000"]
+    assert stop[3] == "080#"
+    assert stop[4].startswith("185#")
+    assert int(stop[4][6:8] + stop[4][4:6], 16) & 0x6F == 0x07  # quick stop active
 
 
 def test_a_fault_an_emergency_and_its_reset() -> None:

@@ -129,6 +129,94 @@ def test_no_arrow_but_those_of_the_figure() -> None:
                 assert cia402.next_state(state, cause) is None, (state, cause)
 
 
+def test_bits_of_the_statusword() -> None:
+    """IEC 61800-7-201, table 29, and the modes' own bits 10, 12 and 13."""
+    assert {name: int(bit) for name, bit in cia402.Status.__members__.items()} == {
+        "READY_TO_SWITCH_ON": 1 << 0,
+        "SWITCHED_ON": 1 << 1,
+        "OPERATION_ENABLED": 1 << 2,
+        "FAULT": 1 << 3,
+        "VOLTAGE_ENABLED": 1 << 4,
+        "QUICK_STOP_INACTIVE": 1 << 5,
+        "SWITCH_ON_DISABLED": 1 << 6,
+        "WARNING": 1 << 7,
+        "REMOTE": 1 << 9,
+        "TARGET_REACHED": 1 << 10,
+        "INTERNAL_LIMIT": 1 << 11,
+        "SETPOINT_ACKNOWLEDGE": 1 << 12,
+        "SPEED_ZERO": 1 << 12,
+        "HOMING_ATTAINED": 1 << 12,
+        "FOLLOWS_COMMAND": 1 << 12,
+        "FOLLOWING_ERROR": 1 << 13,
+        "HOMING_ERROR": 1 << 13,
+    }
+
+
+def test_bits_of_the_controlword() -> None:
+    """IEC 61800-7-201, table 27, and the bits 4 to 6 of profile position and homing."""
+    assert {name: int(bit) for name, bit in cia402.Control.__members__.items()} == {
+        "SWITCH_ON": 1 << 0,
+        "ENABLE_VOLTAGE": 1 << 1,
+        "QUICK_STOP_INACTIVE": 1 << 2,
+        "ENABLE_OPERATION": 1 << 3,
+        "NEW_SETPOINT": 1 << 4,
+        "HOMING_START": 1 << 4,
+        "CHANGE_IMMEDIATELY": 1 << 5,
+        "RELATIVE": 1 << 6,
+        "FAULT_RESET": 1 << 7,
+        "HALT": 1 << 8,
+    }
+
+
+def test_numbers_of_the_modes() -> None:
+    assert {mode.name: int(mode) for mode in Mode} == {
+        "NONE": 0,
+        "PROFILE_POSITION": 1,
+        "PROFILE_VELOCITY": 3,
+        "HOMING": 6,
+        "CYCLIC_POSITION": 8,
+        "CYCLIC_VELOCITY": 9,
+        "CYCLIC_TORQUE": 10,
+    }
+
+
+@pytest.mark.parametrize(
+    ("state", "bits"),
+    [
+        (S.UNKNOWN, 0x00),
+        (S.NOT_READY, 0x00),
+        (S.SWITCH_ON_DISABLED, 0x40),
+        (S.READY, 0x21),
+        (S.SWITCHED_ON, 0x23),
+        (S.ENABLED, 0x27),
+        (S.QUICK_STOP, 0x07),
+        (S.FAULT_REACTION, 0x0F),
+        (S.FAULT, 0x08),
+    ],
+)
+def test_bits_that_a_drive_in_a_state_shows(state: S, bits: int) -> None:
+    assert cia402.state_bits(state) == bits
+
+
+def test_the_way_up_and_the_way_down() -> None:
+    """A master's words on the way to operation enabled, 06 07 0F, and back, 07 06 00; out of a fault none leads by itself."""
+    assert {state: step.word for state, step in cia402.ENABLE_STEPS.items()} == {
+        S.SWITCH_ON_DISABLED: 0x06,
+        S.READY: 0x07,
+        S.SWITCHED_ON: 0x0F,
+    }
+    assert {state: step.word for state, step in cia402.DISABLE_STEPS.items()} == {
+        S.ENABLED: 0x07,
+        S.SWITCHED_ON: 0x06,
+        S.READY: 0x00,
+        S.QUICK_STOP: 0x00,
+    }
+
+
+def test_which_homing_has_failed() -> None:
+    assert [status.name for status in HomingStatus if status.failed] == ["ERROR_MOVING", "ERROR_STANDSTILL"]
+
+
 def test_supported_mode_bits() -> None:
     """6502h: pp bit 0, pv bit 2, hm bit 5, csp bit 7, csv bit 8, cst bit 9."""
     assert [mode.supported_bit for mode in Mode] == [0x0, 0x1, 0x4, 0x20, 0x80, 0x100, 0x200]
@@ -145,6 +233,10 @@ def test_supported_mode_bits() -> None:
         (0x2637, HomingStatus.ERROR_STANDSTILL),
         (0x3237, None),
         (0x3637, None),
+        # the internal limit, bit 11, and what is above bit 13 have no say
+        (0x0A37, HomingStatus.IN_PROGRESS),
+        (0x0E37, HomingStatus.INTERRUPTED),
+        (0xDE37, HomingStatus.COMPLETED),
     ],
 )
 def test_homing_bits_13_12_10(statusword: int, homing: HomingStatus | None) -> None:
@@ -155,3 +247,5 @@ def test_quick_stop_endings() -> None:
     """605Ah: 1 to 4 end in switch on disabled, 5 to 8 stay in quick stop active; 0 takes the power away at once."""
     assert [code for code, ending in cia402.QUICK_STOP_ENDINGS.items() if ending.stays] == [5, 6, 7, 8]
     assert [code for code, ending in cia402.QUICK_STOP_ENDINGS.items() if not ending.stays] == [0, 1, 2, 3, 4]
+    ramps = ["NONE", *["SLOW_DOWN", "QUICK_STOP", "CURRENT_LIMIT", "VOLTAGE_LIMIT"] * 2]
+    assert [ending.ramp.name for ending in cia402.QUICK_STOP_ENDINGS.values()] == ramps

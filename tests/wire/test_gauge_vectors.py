@@ -145,6 +145,17 @@ def test_settings_that_cannot_be_are_refused(wrong: dict[str, str], says: str) -
         Nd2xxDecoder(0.0)
 
 
+@pytest.mark.parametrize("pieces", [1, 7])
+def test_a_line_over_the_maximum_is_never_cut_and_believed(pieces: int) -> None:
+    """Its first 200 bytes would be a good number."""
+    decoder = AsciiDecoder(AsciiSettings(request=b"?"))
+    line = b"1.234" + b" " * 195 + b"E3\r\n"
+    step = len(line) // pieces + 1
+    events = [event for at in range(0, len(line), step) for event in decoder.feed(line[at : at + step])]
+    assert [type(event) for event in events] == [BadLine]
+    assert decoder.feed(b"5.678\r\n") == [Value(5.678)]
+
+
 LINES = (b"-      5.23  =A\r\n", b"\x02+123456789\r\n", b"01A+0000.123\r", b"12.5 mm\r\n", b"\x15", b"\x06", b"9" * 300)
 noise = st.lists(st.one_of(st.sampled_from(LINES), st.binary(max_size=40)), max_size=12)
 

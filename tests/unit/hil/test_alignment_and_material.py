@@ -49,6 +49,27 @@ def test_the_worst_that_two_readings_of_each_spot_allow() -> None:
     assert beam.lateral_mm(500.0) == pytest.approx(math.hypot(1.0, 1.0))
 
 
+def test_both_worst_cases_add_up() -> None:
+    """Seen 1 mm over 500 mm, 2 mrad; each spot within 0.5 mm: √2·2·0.5 / 500 = 2.828 mrad more; (4.828)² / 2 = 11.657 ppm.
+
+    Near 500 and far 0, or both on either side of zero, are the same 500 mm.
+    """
+    for near_mm, far_mm in ((0.0, 500.0), (500.0, 0.0), (-200.0, 300.0)):
+        beam = Alignment(near_mm, far_mm, (0.0, 0.8), (0.2, -0.4), read_within_mm=0.5)
+        assert beam.angle_mrad == pytest.approx(2.0)
+        assert beam.readable_mrad == pytest.approx(2.8284271)
+        assert beam.short_at_most_ppm == pytest.approx(11.656854)
+        assert beam.lateral_mm(1000.0) == pytest.approx(4.8284271)  # 4.828 mrad over a metre
+        assert beam.good
+    returned = Alignment(0.0, 500.0, (0.0, 0.8), (0.2, -0.4), read_within_mm=0.5, returning=True)
+    assert (returned.angle_mrad, returned.readable_mrad) == pytest.approx((1.0, 1.4142136))
+    assert not Alignment(0.0, 500.0, (0.0, 0.8), (0.2, -0.4), read_within_mm=0.3).good  # 1.697 mrad would be seen
+    assert Alignment(0.0, 500.0, (0.0, 1.0), (0.0, 0.0)).read_within_mm == 0.5
+    assert Alignment(-5.0, 5.0, (0.0, 0.0), (0.0, 0.0)).angle_mrad == 0.0  # just far enough apart
+    with pytest.raises(InputError, match="10 mm apart"):
+        Alignment(100.0, 109.9, (0.0, 0.0), (0.0, 0.0))
+
+
 @pytest.mark.parametrize(("height_mm", "good"), [(1.4, True), (1.5, False)])
 def test_a_beam_that_could_be_seen_to_be_off_is_not_good(height_mm: float, good: bool) -> None:
     """Each spot within 0.5 mm in two directions: 1.414 mm apart they may stand without being told apart."""

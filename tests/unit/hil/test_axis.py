@@ -169,6 +169,7 @@ def test_a_byte_order_mark_and_crlf_do_not_matter(tmp_path: Path) -> None:
         ({"port": '"/dev/ttyUSB1"'}, True),
         ({"channel": '"can1"'}, True),
         ({"builder_key": '"other.key"'}, True),
+        ({"instrument_agrees_within_um": "300.0", "largest_reversal_um": "50.0"}, True),
     ],
 )
 def test_the_purpose_of_a_campaign_changes_with_what_decides_its_rows(

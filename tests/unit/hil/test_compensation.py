@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import InputError, StateError
 from hil.axis import CorrectionConfig
-from hil.compensation import LONG_STROKE_MM, Columns, Compensation, MotionHistory
+from hil.compensation import Columns, Compensation, MotionHistory
+from hil.correction_bound import CorrectionBound
 from hil.procedures.calibrate import as_stored
 from hil.records import Floats, Records
 from hil.tables import (
@@ -27,6 +28,8 @@ from hil.tables import (
 )
 
 amounts = st.floats(-300, 300)
+ANY = CorrectionBound(1e9, 1e9)
+"""These tables are as wild as they come; what a bound refuses is tested with the bound."""
 
 
 @dataclass(frozen=True)
@@ -102,16 +105,16 @@ def test_at_rest_on_a_target_the_correction_is_the_tables_value_for_its_directio
             continue
         if event == "restart":
             with pytest.raises(StateError, match="unknown"):
-                engine.command(here, MotionHistory(here), {})
+                engine.command(here, MotionHistory(here), {}, ANY)
             history, direction = MotionHistory(here), 0
             continue
         target = data.draw(st.sampled_from(machine.sections_mm) | st.floats(-10, 510))
         if target == here and direction == 0:
             with pytest.raises(StateError, match="unknown"):
-                engine.command(target, history, {})
+                engine.command(target, history, {}, ANY)
             continue
         direction = direction if target == here else 1 if target > here else -1
-        command = engine.command(target, history, {})
+        command = engine.command(target, history, {}, ANY)
         history, here = command.history, target
         assert history.direction == direction
         assert command.command_mm == pytest.approx(target + command.correction_um / 1000, abs=1e-12)
@@ -124,9 +127,9 @@ def test_at_rest_on_a_target_the_correction_is_the_tables_value_for_its_directio
 def test_commanding_the_same_target_again_adds_nothing(machine: Machine, direction: int, times: int) -> None:
     engine = Compensation(machine.tables)
     target = machine.sections_mm[-1]
-    command = engine.command(target, MotionHistory(target - direction), {})
+    command = engine.command(target, MotionHistory(target - direction), {}, ANY)
     for _ in range(times):
-        again = engine.command(target, command.history, {})
+        again = engine.command(target, command.history, {}, ANY)
         assert again == command
 
 
@@ -182,7 +185,7 @@ def test_a_machine_with_play_stands_on_its_targets_after_any_sequence(
 
 def test_history_after_strokes_and_reversals() -> None:
     start = MotionHistory(10.0)
-    assert start.stroke_or_long_mm == LONG_STROKE_MM
+    assert start.stroke_or_long_mm == 1e6
     up = start.moved_to(12.0).moved_to(15.0)
     assert (up.direction, up.since_reversal_mm, up.stroke_mm) == (1, 5.0, None)
     down = up.moved_to(14.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.errors import InputError
 from hil.compensation import Compensation
 from hil.effects import ALL, Term, term_from_json
-from hil.fold import FINE_UM, folded
+from hil.fold import folded
 from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 
 NODES = np.arange(0.0, 401.0, 20.0)
@@ -64,7 +64,7 @@ def test_the_folded_correction_is_the_same(
     at = rng.uniform(0.0, 400.0, 500)
     columns = {"target_mm": at, "direction": rng.choice([1.0, -1.0], 500), "velocity_mm_s": rng.uniform(0, 100, 500)}
     # the lines are compared at seven places of each stretch: between them an effect may be off by a little more
-    assert after.correction_um(columns) == pytest.approx(before.correction_um(columns), abs=1.3 * FINE_UM)
+    assert after.correction_um(columns) == pytest.approx(before.correction_um(columns), abs=0.065)  # 1.3 · 0.05 µm
 
 
 def test_what_depends_on_more_stays_an_effect() -> None:

@@ -45,6 +45,69 @@ def test_published_figures_to_the_printed_digit(name: str) -> None:
     assert {key: f"{figures[key]:.2f}" for key in PUBLISHED[name]} == PUBLISHED[name]
 
 
+SAMPLE_LIN_TARGETS_MM = (
+    6.711,
+    181.1319,
+    355.5528,
+    529.9737,
+    704.3946,
+    878.8155,
+    1053.2364,
+    1227.6573,
+    1402.0782,
+    1576.4991,
+    1750.92,
+)
+SAMPLE_LIN = {
+    1: (
+        (-12, -5, 2, -6, -19, -30, -37, -37, -35, -32, -36),
+        (-17, -9, -6, -12, -23, -35, -43, -44, -43, -38, -40),
+        (-19, -11, -7, -13, -29, -37, -46, -51, -50, -47, -45),
+        (-13, -2, 1, -3, -14, -28, -36, -36, -32, -28, -32),
+        (-19, -8, -7, -13, -23, -37, -45, -46, -45, -41, -45),
+    ),
+    -1: (
+        (23, 36, 35, 30, 17, 4, -4, -2, 2, 3, -1),
+        (21, 35, 33, 27, 15, 2, -7, -6, -2, -1, -6),
+        (19, 31, 30, 24, 10, -2, -10, -10, -10, -9, -12),
+        (28, 37, 38, 32, 19, 9, 0, -2, 5, 5, 4),
+        (22, 32, 35, 26, 11, -1, -9, -11, -5, -4, -9),
+    ),
+}
+"""Errors in 0.1 µm of five runs in each direction: the numbers of Sample.Lin, which comes with Keysight's E1733A."""
+
+
+def sample_lin() -> Records:
+    return simple(
+        [
+            (run, way, target, target + tenths * 1e-4)
+            for way, runs in SAMPLE_LIN.items()
+            for run, errors in enumerate(runs, start=1)
+            for target, tenths in zip(SAMPLE_LIN_TARGETS_MM, errors, strict=True)
+        ]
+    )
+
+
+def test_published_figures_of_sample_lin() -> None:
+    found = iso230(sample_lin())
+    figures = found.figures()
+    assert {name: f"{figures[name]:.2f}" for name in FIGURES} == PUBLISHED["iso230_example.csv"]
+    assert list(figures) == ["A", "A_up", "A_down", "E", "E_up", "E_down", "M", "R", "R_up", "R_down", "B", "B_mean"]
+    assert found.mean_up is not None
+    assert found.s_up is not None
+    # first target forward: -1.2 -1.7 -1.9 -1.3 -1.9, mean -1.6; squares about it .16 .01 .09 .09 .09 = .44; √(.44 / 4)
+    assert (found.mean_up[0], found.s_up[0]) == pytest.approx((-1.6, 0.331662), abs=1e-6)
+    # and backward 2.3 2.1 1.9 2.8 2.2, mean 2.26; squares about it .0016 .0256 .1296 .2916 .0036 = .452; √(.452 / 4), and 4 of it
+    assert found.s_down is not None
+    assert found.R_down_i is not None
+    assert found.mean is not None
+    assert (found.s_down[0], found.R_down_i[0]) == pytest.approx((0.336155, 1.344619), abs=1e-6)
+    assert found.mean[0] == pytest.approx(0.33)
+    assert [note.split(" (")[0] for note in found.notes] == [
+        "targets are evenly spaced"
+    ]  # 174.4209 mm each time, and otherwise as the standard wants it
+
+
 def by_the_text(campaign: dict[tuple[float, int], list[float]]) -> dict[str, float]:
     """ISO 230-2:2014 clause 3, sentence by sentence, in plain Python: campaign[P_i, d] = [P_i1, …, P_in] in mm."""
     targets = sorted({target for target, _ in campaign})
@@ -194,6 +257,77 @@ def test_short_campaigns_are_noted_against_the_standard() -> None:
     assert [note.split(" (")[0] for note in iso230(even).notes] == ["targets are evenly spaced"]
 
 
+def campaign_over(travel_mm: float, targets: int, runs: int, last_step_mm: float = 13.0) -> Records:
+    """Evenly spaced targets but for the last step, which is longer."""
+    places = [(travel_mm - last_step_mm) * i / (targets - 1) for i in range(targets - 1)]
+    places.append(travel_mm)
+    return simple([(run, way, p, p + 1e-3 * run) for run in range(1, runs + 1) for way in (1, -1) for p in places])
+
+
+@pytest.mark.parametrize(
+    ("travel_mm", "targets", "runs", "asked"),
+    [
+        # up to 2 m: five targets per metre and at least five, five runs
+        (300.0, 5, 5, ()),
+        (300.0, 4, 5, ("4 targets over 300 mm; the standard asks for at least 5",)),
+        (1000.0, 5, 5, ()),
+        (1001.0, 5, 5, ("5 targets over 1001 mm; the standard asks for at least 6",)),
+        (2000.0, 10, 5, ()),
+        (2000.0, 9, 5, ("9 targets over 2000 mm; the standard asks for at least 10",)),
+        (300.0, 5, 4, ("4 runs per direction; the standard asks for five on axes up to 2 m",)),
+        (2000.0, 10, 4, ("4 runs per direction; the standard asks for five on axes up to 2 m",)),
+        # beyond: a mean interval of at most 250 mm, so 2500 mm in ten intervals between eleven targets; one run will do
+        (2500.0, 11, 2, ()),
+        (2500.0, 10, 2, ("10 targets over 2500 mm; the standard asks for at least 11",)),
+        (2501.0, 11, 5, ("11 targets over 2501 mm; the standard asks for at least 12",)),
+        (2001.0, 10, 4, ()),
+        (2001.0, 9, 4, ("9 targets over 2001 mm; the standard asks for at least 10",)),
+    ],
+)
+def test_what_the_standard_asks_of_a_campaign(
+    travel_mm: float, targets: int, runs: int, asked: tuple[str, ...]
+) -> None:
+    records = campaign_over(travel_mm, targets, runs)
+    assert iso230(records).notes == asked
+    elsewhere = records.with_column("target_mm", records.target_mm - 700.0)  # wherever the travel begins
+    assert iso230(elsewhere).notes == asked
+
+
+def test_when_targets_count_as_evenly_spaced() -> None:
+    """Within a thousandth of the mean interval; two targets have one interval only."""
+    for last_step_mm, even in ((0.0, True), (0.095, True), (0.105, False)):
+        notes = iso230(campaign_over(500.0, 6, 5, last_step_mm)).notes
+        assert any("evenly spaced (100 mm)" in note for note in notes) is even, last_step_mm
+    assert not any("evenly" in note for note in iso230(campaign_over(500.0, 2, 5)).notes)
+    assert any("evenly spaced (250 mm)" in note for note in iso230(campaign_over(500.0, 3, 5, 0.0)).notes)
+
+
+def test_the_larger_of_both_repeatabilities_counts() -> None:
+    """Forward 0 and 10 µm: s = √50 = 7.0711, 4 s = 28.284; backward 5 and 5: s = 0; B = 0: 2·7.0711 + 0 + 0 = 14.142."""
+    rows = [(run, 1, p, p + e) for p in (0.0, 50.0) for run, e in ((1, 0.0), (2, 0.01))]
+    rows += [(run, -1, p, p + 0.005) for p in (0.0, 50.0) for run in (1, 2)]
+    found = iso230(simple(rows))
+    assert found.figures() == pytest.approx(
+        {"R_up": 28.284271, "R_down": 0.0, "R": 28.284271, "B": 0.0, "B_mean": 0.0, "M": 0.0}
+        | {"E": 0.0, "E_up": 0.0, "E_down": 0.0, "A": 28.284271, "A_up": 28.284271, "A_down": 0.0},
+        abs=1e-6,
+    )
+
+
+def test_rows_in_motion_are_counted_whichever_way_they_move() -> None:
+    columns = {"velocity_mm_s": [-7.0, 0.5, float("nan")] + [0.0] * 15}
+    notes = iso230(simple(GRID, **columns)).notes
+    assert any("2 row(s) were captured in motion (up to 7 mm/s)" in note for note in notes)
+    assert not any("motion" in note for note in iso230(simple(GRID, velocity_mm_s=[0.0] * 18)).notes)
+
+
+def test_it_names_the_odd_target() -> None:
+    """Two targets with three runs, one with four: the odd one out is told, wherever it stands."""
+    extra = [(4, 1, 10.0, 10.0), (4, -1, 10.0, 10.0)]
+    with pytest.raises(InputError, match=r"target 10 mm has 4 run\(s\) in direction -1, expected 3"):
+        iso230(simple([*GRID, *extra]))
+
+
 def test_targets_that_differ_by_float_noise_are_one_target() -> None:
     rows = [(run, d, p + run * 1e-12, p) for run, d, p, _ in GRID]
     assert iso230(simple(rows)).m == 3
@@ -207,3 +341,11 @@ def test_json_form_is_plain_and_complete() -> None:
     assert [target["target_mm"] for target in targets] == [0.0, 10.0, 21.0]
     assert targets[0]["mean_up_um"] == pytest.approx(2)
     assert np.array(targets[0]["B_um"]) == pytest.approx(4)
+    assert (form["m"], form["n"], form["standard"]) == (3, 3, "ISO 230-2:2014")
+    assert {name: value for name, value in targets[2].items() if name != "target_mm"} == pytest.approx(
+        {"mean_up_um": 2, "mean_down_um": -2, "s_up_um": 1, "s_down_um": 1}
+        | {"B_um": 4, "R_up_um": 4, "R_down_um": 4, "R_um": 8}
+    )
+    one_way = iso230(simple([row for row in GRID if row[1] == 1])).as_json()["targets"]
+    assert isinstance(one_way, list)
+    assert (one_way[0]["mean_down_um"], one_way[0]["B_um"], one_way[0]["R_up_um"]) == (None, None, pytest.approx(4))

@@ -65,6 +65,56 @@ def test_a_ball_turned_about_the_spindle_gives_its_place_back(
     assert found.at(37.0) == pytest.approx((turned.real, turned.imag), abs=1e-9)
 
 
+def test_sizes_in_um_and_what_goes_with_them() -> None:
+    """√(10² + 20²) µm; closure 2.990 + 3.010 - 2.930 - 3.020 = 0.050 mm."""
+    found = run_out(FourFeeds(2.990, 2.930, 3.010, 3.020), 5.0)
+    assert found.closure_um == pytest.approx(50.0)
+    assert RunOut(0.010, -0.020, 2.0).size_um == pytest.approx(22.36068)
+    assert RunOut(0.010, -0.020, 2.0).closure_um == 0.0
+
+
+def test_the_mean_of_turns_and_their_limits_to_the_um() -> None:
+    other = FourFeeds(2.991, 2.984, 3.016, 3.023)
+    assert vars(mean_feeds([PUBLISHED, other])) == pytest.approx(
+        {"n_0_mm": 2.9905, "n_90_mm": 2.982, "n_180_mm": 3.013, "n_270_mm": 3.0215}
+    )
+    check_repeat([PUBLISHED, other], 6.001)
+    with pytest.raises(MeasurementRefusedError, match="0° does not repeat"):
+        check_repeat([PUBLISHED, FourFeeds(3.0, 2.98, 3.01, 3.02)], 5.0)
+    for n_90, n_270, angle in ((2.990, 3.020, 90), (2.980, 3.030, 270)):
+        with pytest.raises(MeasurementRefusedError, match=f"at {angle}° does not"):
+            check_repeat([PUBLISHED, FourFeeds(2.990, n_90, 3.010, n_270)], 5.0)
+    found = run_out(PUBLISHED, 5.0)  # 2.000 mm
+    for nominal_mm in (1.9701, 2.0299):
+        check_radius(found, nominal_mm, 30.0)
+    for nominal_mm in (1.9699, 2.0301):
+        with pytest.raises(MeasurementRefusedError):
+            check_radius(found, nominal_mm, 30.0)
+    with pytest.raises(MeasurementRefusedError):
+        check_radius(RunOut(0.0, 0.0, math.nan), 2.0, 30.0)
+    with pytest.raises(MeasurementRefusedError):
+        FourFeeds(2.990, 2.9769, 3.010, 3.020).check_closure(3.0)  # +3.1 µm; the test below has -3.1
+
+
+def test_the_uncertainty_by_hand() -> None:
+    """Two turns 2 µm apart at 0° and equal elsewhere: squares 2 µm², pooled /(4·1), of the mean /2: 0.25; with a step of 1 µm
+    √((0.25 + 1/12)/2) = 0.408248 µm."""
+    turns = [FourFeeds(2.990, 2.980, 3.010, 3.020), FourFeeds(2.992, 2.980, 3.010, 3.020)]
+    assert run_out_std_um(turns, 0.0) == pytest.approx(math.sqrt(0.125))
+    assert run_out_std_um(turns, 0.001) == pytest.approx(0.4082483)
+
+
+def test_the_spindle_turned_and_the_pretravel_in_a_bore() -> None:
+    """At 90° the ball that lay at (10, -20) µm lies at (20, 10); the pretravel is pushed off the radius on both sides."""
+    ball = RunOut(0.010, -0.020, 2.0)
+    assert ball.at(90.0) == pytest.approx((0.020, 0.010))
+    assert ball.correction_mm(CorrectionCode.M93, 90.0) == pytest.approx((0.020, 0.010))
+    centring = Centring((42.0, 58.0), (52.0, 68.0), ball, spindle_deg=90.0, pretravel_mm=0.012)
+    assert centring.centre_mm == pytest.approx((50.020, 60.010))
+    assert centring.diameter_mm == pytest.approx(16.0 + 2 * 1.988)
+    assert Centring((42.0, 58.0), (52.0, 68.0), ball).pretravel_mm == 0.0
+
+
 def test_contacts_that_do_not_close_are_refused_naming_both_sums() -> None:
     with pytest.raises(MeasurementRefusedError, match=r"N0 \+ N180 = 6\.0000 mm, N90 \+ N270 = 5\.9500 mm, \+50\.0 µm"):
         FourFeeds(2.990, 2.930, 3.010, 3.020).check_closure(3.0)

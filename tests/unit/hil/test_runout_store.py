@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import stat
+import threading
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from drivers.errors import InputError, StateError
+from hil import runout_store
+from hil.files import held
 from hil.runout import FourFeeds, RunOut
 from hil.runout_store import HISTORY_COLUMNS, RunOutStore, Seal
-from hil.sealed import DamagedError, ForeignSignatureError, SealedError, new_key
+from hil.sealed import Cost, DamagedError, ForeignSignatureError, SealedError, new_key, seal
 
 WHEN = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 FOUND = RunOut(0.010, -0.020, 2.0, 0.4)
@@ -72,6 +78,67 @@ def test_sealed_values_need_the_builders_key_to_be_changed(tmp_path: Path) -> No
     with pytest.raises(SealedError) as damaged:
         user.load()
     assert isinstance(damaged.value, DamagedError | ForeignSignatureError)
+
+
+def test_what_is_kept_is_locked_with_the_builders_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the slow test does at full cost: the first save seals, the next ones change that file, and only with the key."""
+    monkeypatch.setattr(runout_store, "seal", partial(seal, cost=Cost(2, 1, 1)))
+    key = new_key()
+    builder = RunOutStore(tmp_path, "mill", Seal("secret", key.public_key(), key))
+    builder.save(RunOut(1.0, 1.0, 1.0), WHEN)
+    file_id = builder.path.read_bytes()[12:].split(b'"id":"')[1][:32]
+    builder.save(FOUND, WHEN)
+    assert builder.path.read_bytes()[12:].split(b'"id":"')[1][:32] == file_id  # changed, and not another
+    user = RunOutStore(tmp_path, "mill", Seal("secret", key.public_key()))
+    assert user.load()[0] == FOUND
+    assert user.path.name == "runout.sealed"
+    with pytest.raises(StateError, match="is locked"):
+        user.save(FOUND, WHEN)
+
+
+def test_a_number_that_is_none_is_not_kept(tmp_path: Path) -> None:
+    store = RunOutStore(tmp_path / "a" / "b", "mill")
+    with pytest.raises(ValueError, match="JSON"):
+        store.save(RunOut(float("nan"), 0.0, 1.0), WHEN)
+    store.save(FOUND, WHEN)
+    assert store.path.read_text().splitlines()[1] == ' "format": "hil-runout-1",'
+
+
+def test_who_saves_waits_for_who_is_saving(tmp_path: Path) -> None:
+    store = RunOutStore(tmp_path, "mill")
+    saving = threading.Thread(target=store.save, args=(FOUND, WHEN))
+    with held(tmp_path, wait=True):
+        saving.start()
+        saving.join(0.1)
+        assert saving.is_alive()
+        assert not store.path.exists()
+    saving.join()
+    assert store.load()[0] == FOUND
+
+
+def test_a_line_is_on_the_disk_before_append_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = RunOutStore(tmp_path / "a" / "b", "mill")
+    flushed: list[str] = []
+    fsync = os.fsync
+
+    def spy(handle: int) -> None:
+        flushed.append("directory" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file")
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", spy)
+    open_before = len(os.listdir("/proc/self/fd"))
+    store.append(WHEN, "latch", (TURN,), FOUND, "stored")
+    assert flushed == ["file", "directory"]
+    store.append(WHEN, "latch", (TURN,), FOUND, "stored")
+    assert flushed == ["file", "directory", "file"]
+    assert len(os.listdir("/proc/self/fd")) == open_before
+    last = store.history()[-1]
+    assert (last["verdict"], last["y_um"], last["closure_um"], last["n_0_mm"]) == (
+        "stored",
+        "-20.000",
+        "0.000",
+        "2.990000",
+    )
 
 
 def test_the_history_grows_by_whole_lines(tmp_path: Path) -> None:

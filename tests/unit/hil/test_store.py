@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import base64
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from support import bench_axis
 
 from drivers.errors import InputError, StateError
 from hil.axis import AxisConfig, load_axis
-from hil.sealed import ForeignSignatureError, TruncatedError, WrongPasswordError
+from hil.sealed import ForeignSignatureError, TruncatedError, WrongPasswordError, check
 from hil.store import SealedStore
 from hil.tables import DirectionalTable, TableMode, TableSet
+from hil.zero import Zero, write_zero
 
+VERSION_1 = base64.b64decode(
+    "SElMU0VBTAEAAAGMeyJidWlsZGVyIjoiMDNhMTA3YmZmM2NlMTBiZTFkNzBkZDE4ZTc0YmMwOTk2N2U0ZDYzMDliYTUwZDVmMWRkYzg2NjQxMj"
+    "U1MzFiOCIsImNpcGhlciI6ImNoYWNoYTIwLXBvbHkxMzA1IiwiZW50cmllcyI6W3sibmFtZSI6IlgudGFibGVzIiwibm9uY2UiOiI0N2VmNTVh"
+    "MjkwNDgwYTU5OWQzYzVjYjAiLCJzYWx0IjoiY2RkZDJkMzFlNDdkOGZmYmJjZjI5M2I3ZTMwYmJjMDgifSx7Im5hbWUiOiJYLmVmZmVjdHMiLC"
+    "Jub25jZSI6ImQ5MGU1YzRkOWY5NmFlMDNhMjAzYWZmNSIsInNhbHQiOiJjZGRkMmQzMWU0N2Q4ZmZiYmNmMjkzYjdlMzBiYmMwOCJ9XSwiaWQi"
+    "OiI4MmVmY2RmZDY2Y2YwNzdmM2E4ZTg1MjgzOWM1MmM3NCIsImtkZiI6eyJuIjoyLCJuYW1lIjoic2NyeXB0IiwicCI6MSwiciI6MX19gu/N/W"
+    "bPB386joUoOcUsdAAAAAAA/7wrwpiCfazHymbjIZw38mVnQjAFbDYTmdGFg6qSsDEjNJPwiW6r+4dUWJsxMHOtA6PO4pNMUuXKrSVMxVoUJ9+U"
+    "L+ILeONmAMhb49TeIV9DQB8AF4UG7CwLKFXSWjq3l+9BUWOKTsGD8JG3w1SGUEm5GPKGcvkZdil/6YjBztjgAaCHRhZ4ytRlmXy1ABjLsKEHqo"
+    "IBw+IVhjUR42+CDwP260J9U0/8Gt8vYZT7pKd8to0u+hMFHSQ1XFPdsqugv9cT9x8pTvDD5uCTmwcp8WtqLvt8DfWGWz9+qaWF9+/SqdCapGBz"
+    "G9CKhZchQm6/RudMACIx1GNuKET/HsTQEILvzf1mzwd/Oo6FKDnFLHQAAQAAABJg3T+LtmxIoZUOwTHmNqXG0ORWYfZSOiBCPkPAe4Wta/CwOl"
+    "Dq+/R8SpthLzZq7WqkcU49rby+zV9LDuC8xnx9k1i191qmTm+y49YO+rMxbJsI"
+)
+"""A store of axis X from before sealed files stated a zero; its builder's key is bytes 0 to 31, its password "correct horse"."""
 READING, KEY = bench_axis.PASSWORDS["HIL_PASSWORD"], bench_axis.PASSWORDS["HIL_KEY_PASSWORD"]
 
 
@@ -67,3 +83,49 @@ def test_axes_that_save_at_the_same_moment_lose_nothing(axis: AxisConfig) -> Non
         for level in (1.0, 2.0):
             list(pool.map(lambda store, level=level: store.save_tables(tables(level)), stores))
             assert [store.load().tables for store in stores] == [tables(level)] * len(stores)
+
+
+# -- what it is bound to -----------------------------------------------------------------------------------------------------
+ZERO = Zero("ab" * 16, "X", "2026-03-01T07:59:00+00:00", {"vendor": 1, "product": 2, "serial": 7}, True, 17, -5.0)
+
+
+def test_tables_are_bound_to_the_zero_that_the_axis_has(axis: AxisConfig) -> None:
+    store = SealedStore.of(axis, READING, KEY)
+    store.save_tables(tables(1.0))
+    assert store.load().zero is None
+    warning = store.warning()
+    assert warning is not None
+    assert "states no zero of axis X" in warning
+    write_zero(axis.zero_path, ZERO)
+    store.save_tables(tables(1.0))
+    assert store.load().zero == ZERO
+    assert store.warning() is None
+    binding = check(store.path.read_bytes(), store.builder_public).binding
+    assert binding is not None
+    assert binding.counter == 2
+    assert binding.of["axes"]["X"]["zero"]["drive"] == {"vendor": 1, "product": 2, "serial": 7}
+
+
+def test_what_other_axes_are_bound_to_is_kept(axis: AxisConfig) -> None:
+    write_zero(axis.zero_path, ZERO)
+    ours = SealedStore.of(axis, READING, KEY)
+    ours.save_tables(tables(1.0))
+    SealedStore(ours.path, "Y", "another password", ours.builder_public, ours.builder_key).save_tables(tables(2.0))
+    assert ours.load().zero == ZERO
+    assert SealedStore(ours.path, "Y", "another password", ours.builder_public).load().zero is None
+
+
+def test_a_store_of_before_opens_with_a_warning_and_is_bound_when_it_is_written(tmp_path: Path) -> None:
+    key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+    path = tmp_path / "tables.sealed"
+    path.write_bytes(VERSION_1)
+    store = SealedStore(path, "X", "correct horse", key.public_key(), key, zero_path=tmp_path / "X.zero.json")
+    before = store.load()
+    assert before.tables.correction_um([100.0], 1)[0] == pytest.approx(1.0)
+    assert before.zero is None
+    warning = store.warning()
+    assert warning is not None
+    assert warning.startswith(f"{path}: states no zero")
+    write_zero(tmp_path / "X.zero.json", ZERO)
+    store.save(before)
+    assert (store.load(), store.load().zero, store.warning()) == (before, ZERO, None)

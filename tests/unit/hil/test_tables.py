@@ -374,6 +374,31 @@ def test_runs_measured_with_a_correction_in_force_give_the_same_tables() -> None
     assert corrected.pitch.minus_um == pytest.approx(compute_tables(plain).pitch.minus_um)
 
 
+@pytest.mark.parametrize("mode", TableMode)
+def test_a_straightness_table_takes_its_part_of_the_error(mode: TableMode) -> None:
+    """Errors +2 µm forward and +5 µm backward; straightness adds 0.5 µm: the pitch table adds -2.5 and -5.5, together -2 and -5."""
+    rows = [(1, way, p, p + (0.002 if way > 0 else 0.005)) for p in (0.0, 100.0) for way in (1, -1)]
+    columns = dict(zip(("run", "direction", "target_mm", "measured_mm"), zip(*rows, strict=True), strict=True))
+    straightness = SingleTable(np.array([0.0, 100.0]), np.array([0.5, 0.5]))
+    found = compute_tables(Records.of(columns), mode, straightness)
+    np.testing.assert_allclose(found.pitch.plus_um, [-2.5, -2.5], atol=1e-9)
+    np.testing.assert_allclose(found.pitch.minus_um, [-5.5, -5.5], atol=1e-9)
+    np.testing.assert_allclose(found.correction_um([50.0, 50.0], [1, -1]), [-2.0, -5.0], atol=1e-9)
+    assert found.backlash is not None
+    np.testing.assert_allclose(found.backlash.value_um, [3.0, 3.0], atol=1e-9)
+
+
+def test_targets_are_one_section_to_the_nanometre() -> None:
+    """10 and 10.0000004 mm are one section of mean 2 µm and s² = 2; 10.000002 mm, two nanometres on, is another."""
+    targets = np.array([10.0, 10.0000004, 10.000002])
+    records = Records.of({"run": [1, 2, 3], "direction": [1, 1, 1], "target_mm": targets, "measured_mm": targets})
+    means = section_means(records, np.array([1.0, 3.0, 7.0]))
+    assert means.target_mm == pytest.approx([10.0, 10.000002], abs=1e-9)
+    assert means.plus_um.tolist() == [2.0, 7.0]
+    assert np.isnan(means.minus_um).all()
+    assert means.pooled_std_um == pytest.approx(2**0.5)
+
+
 def test_a_section_measured_in_one_direction_only_is_named() -> None:
     rows = worked_records()
     without = rows.where(~((rows.target_mm == 100.0) & (rows.direction < 0)))

@@ -52,8 +52,59 @@ def test_each_contribution_by_hand() -> None:
             "expansion": 0.6 * 5.0 * 0.5 * 2.0,
             "environment": 0.6 * 2.0,
         },
-        rel=0.05,
+        rel=0.04,  # 0.57735 of 0.6, and half of it 0.28868 of 0.3
     )
+
+
+def test_the_figures_by_hand() -> None:
+    """Five runs, six targets over 0.5 m: device 0.5 µm, misalignment 0.57735·4/(2·0.5) = 2.30940 µm, environment 0.57735·3 = 1.73205.
+
+    U_L² = 0.25 + 5.33333 = 5.58333; u² = 3. E: 5.58333 + 2·3/5 = 6.78333; A: that + 12; M: 5.58333 + 3/5; B: 6/5; B̄: 6/(5·6);
+    R↑: 12; R: 12 + 6/5.
+    """
+    inputs = UncertaintyInputs(device_um=0.5, misalignment_mm=2.0, variation_um=3.0)
+    found = budget(inputs, iso230(FLAT), FLAT)
+    assert [part.name for part in found.contributions] == [
+        "device",
+        "misalignment",
+        "temperature",
+        "expansion",
+        "environment",
+    ]
+    squares = {name: value**2 for name, value in found.figures_um.items()}
+    assert squares == pytest.approx(
+        {"E": 6.783333, "E_up": 6.783333, "E_down": 6.783333, "A": 18.783333, "A_up": 18.783333, "A_down": 18.783333}
+        | {"M": 6.183333, "B": 1.2, "B_mean": 0.2, "R_up": 12.0, "R_down": 12.0, "R": 13.2},
+        rel=1e-6,
+    )
+
+
+def test_misalignment_over_another_length() -> None:
+    """0.57735 · 2² / (2 · 0.199 m) = 5.80253 µm: shorter, and the same play is a larger angle."""
+    near = FLAT.where(FLAT.target_mm < 200.0)
+    parts = budget(UncertaintyInputs(misalignment_mm=2.0), iso230(near), near).contributions
+    assert parts[1].expanded_um == pytest.approx(5.80253, rel=1e-5)
+
+
+def test_without_inputs_nothing_is_uncertain_and_steel_is_assumed() -> None:
+    assert set(budget(UncertaintyInputs(), iso230(FLAT), FLAT).figures_um.values()) == {0.0}
+    thermometer = UncertaintyInputs(temperature_range_c=1.0)
+    parts = {one.name: one.expanded_um for one in budget(thermometer, iso230(FLAT), FLAT).contributions}
+    assert parts["temperature"] == pytest.approx(11.7 * 0.5 / 3**0.5)  # 11.7 µm/(m °C), steel as ISO/TR 230-9 has it
+
+
+def test_how_far_from_20_degrees_the_records_say_where_nobody_else_does() -> None:
+    """0.57735 · 3 °C · 0.5 m · 2 µm/(m °C) = 1.73205 µm."""
+    warm = campaign(np.zeros((1, 2, 6)), temp_screw_c=23.0)
+    inputs = UncertaintyInputs(expansion_range_um_per_m_c=2.0)
+    parts = budget(inputs, iso230(warm), warm).contributions
+    stated = UncertaintyInputs(expansion_range_um_per_m_c=2.0, deviation_c=0.0)  # whatever the records say
+    exact = budget(stated, iso230(warm), warm).contributions
+    assert exact[3].expanded_um == 0.0
+    assert "0.0 °C from 20 °C" in exact[3].how
+    assert "0.0 °C from 20 °C" in budget(UncertaintyInputs(), iso230(FLAT), FLAT).contributions[3].how
+    assert parts[3].expanded_um == pytest.approx(1.7320508)
+    assert "3.0 °C from 20 °C" in parts[3].how
 
 
 def test_a_scale_error_is_in_no_reversal_and_no_repeatability() -> None:
@@ -70,8 +121,10 @@ def test_figures_that_a_campaign_has_not_have_no_uncertainty() -> None:
 def test_how_far_from_20_degrees() -> None:
     assert farthest_from_reference_c(FLAT) is None
     assert farthest_from_reference_c(campaign(np.zeros((1, 2, 6)), air_temp_c=18.0)) == pytest.approx(2.0)
-    both = campaign(np.zeros((1, 2, 6)), air_temp_c=29.0, temp_screw_c=23.5)
-    assert farthest_from_reference_c(both) == pytest.approx(3.5)
+    both = campaign(np.zeros((1, 2, 6)), air_temp_c=29.0, temp_screw_c=23.5, temp_nut_c=15.0)
+    assert farthest_from_reference_c(both) == pytest.approx(5.0)
+    warming = both.with_column("temp_nut_c", np.r_[np.nan, np.linspace(20.0, 26.0, 11)])
+    assert farthest_from_reference_c(warming) == pytest.approx(6.0)
     with pytest.raises(InputError, match="deviation_c"):
         budget(UncertaintyInputs(expansion_range_um_per_m_c=1.0), iso230(FLAT), FLAT)
 

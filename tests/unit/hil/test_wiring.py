@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +15,18 @@ from support import bench_axis
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.clock import WallClock
 from drivers.drive import Capability
-from drivers.errors import InputError, LinkLostError
+from drivers.errors import InputError, LinkLostError, MeasurementLostError
 from drivers.instruments.umd_laser import FixedAir, Optics, UmdLaser, UmdSettings
 from drivers.modbus.drive import ModbusDrive
 from hil.axis import AxisConfig, load_axis
 from hil.journal import Campaign
+from hil.machine.agreement import AgreementLimits
 from hil.procedures.calibrate import calibrate
 from hil.tables import TableSet
-from hil.wiring import connected, connected_drive
+from hil.wiring import bench_parameters, connected, connected_drive
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import served
+from sim_backends.faults import Fault, FaultKind
 from sim_backends.servo import SimulatedServo
 from sim_backends.virtual_drive import VirtualDrive
 
@@ -213,3 +217,35 @@ def test_an_axis_is_connected_once_at_a_time(tmp_path: Path) -> None:
                 pass
     with connected_drive(axis):
         pass
+
+
+def test_an_axis_file_that_is_replaced_meanwhile_is_still_in_use(tmp_path: Path) -> None:
+    """As `sed -i` and editors do it: another file takes the name."""
+    axis = load_axis(bench_axis.lay_out(tmp_path))
+    with connected(axis):
+        new = axis.path.with_suffix(".new")
+        new.write_bytes(axis.path.read_bytes())
+        new.replace(axis.path)
+        with pytest.raises(InputError, match="is in use already"), connected(axis):
+            pass
+    with connected(axis):
+        pass
+
+
+@pytest.mark.parametrize(("within_um", "good"), [(500.0, True), (50.0, False)])
+def test_what_the_instrument_may_differ_by_comes_from_the_axis_file(
+    within_um: float, good: bool, lay_out: LayOut
+) -> None:
+    """A reading that is 0.3 mm beside the others for a second, at rest."""
+    axis = lay_out('face = "virtual"', f"instrument_agrees_within_um = {within_um}\nlatency_s = 0.01")
+    text = axis.path.read_text(encoding="utf-8").replace("[axis]\n", "[axis]\nlargest_reversal_um = 20.0\n")
+    axis.path.write_text(text, encoding="utf-8")
+    axis = load_axis(axis.path)
+    assert axis.agreement == AgreementLimits(within_um, 20.0, 0.01)
+    faults = (Fault(FaultKind.GLITCH, at_s=25.0, duration_s=1.0, size=300.0),)
+    with connected(axis, replace(bench_parameters(axis), laser_faults=faults)) as machine:
+        machine.session.prepare()
+        assert machine.session.elapsed_s() < 24.0
+        beside = nullcontext() if good else pytest.raises(MeasurementLostError, match=r"jumped by 0\.3")
+        with beside:
+            machine.session.watch(30.0 - machine.session.elapsed_s())

@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import pytest
+from support.modbus_direct import DirectWire
 
 from drivers.drive import DriveState
 from drivers.errors import AbortError
@@ -14,10 +15,10 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Access, Memory, RegisterMap
-from drivers.modbus.wire import Endpoint, Request, TcpEndpoint
+from drivers.modbus.wire import Endpoint, TcpEndpoint
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import KEPT, Cia402Registers
-from sim_backends.modbus_registers import Face, Space, answer
+from sim_backends.modbus_registers import Face, Space
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo
 
@@ -28,44 +29,6 @@ class Shaft:
     friction_permille = 12.0
 
     def step(self, motor_rev: float, dt_s: float) -> None: ...
-
-
-class DirectWire:
-    """Requests as PDUs straight into the face, packed and unpacked here by hand."""
-
-    connected = True
-
-    def __init__(self, face: Face) -> None:
-        self.face = face
-
-    def connect(self) -> None: ...
-    def disconnect(self) -> None: ...
-    def discard(self, silence_s: float) -> None: ...
-
-    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
-        pdu = bytes((request.function,)) + request.address.to_bytes(2, "big")
-        if request.function == 5:
-            pdu += b"\xff\0" if request.values[0] else b"\0\0"
-        elif request.function == 6:
-            pdu += request.values[0].to_bytes(2, "big")
-        elif request.function == 15:
-            bits = sum(value << place for place, value in enumerate(request.values))
-            size = (request.count + 7) // 8
-            pdu += request.count.to_bytes(2, "big") + bytes((size,)) + bits.to_bytes(size, "little")
-        elif request.function == 16:
-            pdu += request.count.to_bytes(2, "big") + bytes((2 * request.count,))
-            pdu += b"".join(value.to_bytes(2, "big") for value in request.values)
-        else:
-            assert request.function in (1, 2, 3, 4)
-            pdu += request.count.to_bytes(2, "big")
-        reply = answer(self.face, pdu)
-        if reply[0] & 0x80:
-            raise AbortError("refused", reply[1])
-        if request.function in (1, 2):
-            return tuple(reply[2 + place // 8] >> place % 8 & 1 for place in range(request.count))
-        if request.function in (3, 4):
-            return tuple(int.from_bytes(reply[2 + 2 * n : 4 + 2 * n], "big") for n in range(request.count))
-        return ()
 
 
 def _access(face: Face, registers: RegisterMap) -> RegisterAccess:

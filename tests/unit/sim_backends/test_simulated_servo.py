@@ -1,8 +1,10 @@
 """The firmware: moves, stops, homes, supervises, faults; and does it the same for any step of simulated time."""
 
+import numpy as np
 import pytest
 
 from drivers.errors import InputError
+from sim_backends.bench import BenchParameters
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.plant.axis import FeedAxis
@@ -123,6 +125,31 @@ def test_homing_finds_its_edge_whatever_the_step(method: int, home_counts: float
     shaft = rig.plant.motor_mm / 10.0 * REV
     assert rig.servo.position_actual_counts == pytest.approx(shaft - home_counts + 1234, abs=1)
     assert abs(shaft - home_counts) < 0.3 * REV  # and rests nearby
+
+
+def test_a_switch_trips_a_little_elsewhere_each_time_and_an_index_pulse_does_not() -> None:
+    rig = Rig(ServoParameters(start_counts=3.3 * REV, switch_spread_counts=1e-4 * REV))
+    rig.servo.power_on()
+    found: dict[int, list[float]] = {17: [], 1: []}
+    for method in [17] * 30 + [1] * 3:
+        rig.servo.start_homing(method, 5.0 * REV, 0.5 * REV, 0)
+        rig.until("homed", 60.0)
+        found[method].append(rig.plant.motor_mm / 10.0 * REV - rig.servo.position_actual_counts)
+    assert np.mean(found[17]) == pytest.approx(-0.5 * REV, abs=0.6e-4 * REV)
+    assert np.std(found[17]) == pytest.approx(1e-4 * REV, rel=0.4)
+    assert found[1] == pytest.approx([0.0] * 3, abs=1.0)
+
+
+@pytest.mark.parametrize("method", [1, 2, 5, 17, 18, 21])
+def test_a_bench_leaves_its_builder_homing_to_its_nominal_zero(method: int) -> None:
+    parameters = BenchParameters(homing_method=method)
+    rig = Rig(ServoParameters(start_counts=3.3 * REV))
+    rig.servo.power_on()
+    objects = parameters.objects
+    rig.servo.start_homing(objects[0x6098, 0], 5.0 * REV, 0.5 * REV, objects[0x607C, 0])
+    rig.until("homed", 120.0)
+    assert rig.servo.position_actual_counts == pytest.approx(rig.plant.motor_mm / 10.0 * REV, abs=1)
+    assert parameters.vendor_settings["origin_offset"] == objects[0x607C, 0]
 
 
 def test_homing_from_within_the_switch_only_leaves_it() -> None:

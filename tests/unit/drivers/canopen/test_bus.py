@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import Iterator
+from itertools import pairwise
 
 import can
 import pytest
 
-from drivers.canopen.bus import CanLink
+from drivers.canopen.bus import (
+    POLL_S,
+    SEND_S,
+    STOP_SEND_S,
+    CanLink,
+    bound_sending,
+)
 from drivers.canopen.drive import CanOpenDrive
-from drivers.clock import WallClock
+from drivers.canopen.sync import SYNC_SILENCE_S, SYNC_STEP_S, Sync
+from drivers.clock import IO_SLICE_S, WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import LinkLostError, StateError
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft, CanBench
 from sim_backends.canopen_drive import served
+from sim_backends.clock import SimClock
 from sim_backends.servo import SimulatedServo
 
 
@@ -88,6 +99,147 @@ def test_a_wait_is_bounded(pair: Pair) -> None:
     assert link.wait(lambda: link.frames_received == 1, 5.0)
 
 
+class _Operator:
+    """Presses the stop at the first moment that somebody asks after `press_s`; real time passes as it does."""
+
+    def __init__(self, press_s: float) -> None:
+        self._press_at = time.monotonic() + press_s
+        self.asked = 0
+
+    def real(self, duration_s: float) -> None:
+        self.asked += 1
+        if time.monotonic() >= self._press_at:
+            raise KeyboardInterrupt
+        time.sleep(duration_s)
+
+    def simulated(self, now_ns: int) -> None:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("flood", [False, True], ids=["dead-node", "flood"])
+def test_the_operator_is_heard_while_frames_are_waited_for(channel: str, flood: bool) -> None:
+    """A node that does not answer, alone or beside one that never falls silent."""
+    operator = _Operator(0.05)
+    with (
+        CanLink.open(WallClock(operator), interface="virtual", channel=channel) as link,
+        can.Bus(interface="virtual", channel=channel) as other,
+    ):
+        if flood:
+            link.watch(lambda *_: other.send(_message(0x181)))  # each frame brings the next
+            other.send(_message(0x181))
+        start_s = time.monotonic()
+        with pytest.raises(KeyboardInterrupt):
+            link.wait(lambda: False, 30.0)
+        assert time.monotonic() - start_s < 5.0
+        assert operator.asked > 1
+
+
+def test_a_flood_ends_neither_a_wait_nor_a_look_late(pair: Pair) -> None:
+    link, other = pair
+    link.watch(lambda *_: other.send(_message(0x181)))
+    other.send(_message(0x181))
+    start_ns = link.clock.now_ns()
+    link.poll()
+    assert not link.wait(lambda: False, 0.05)
+    assert link.clock.now_ns() - start_ns < 5e9
+    assert link.frames_received > 10
+
+
+def test_the_operator_is_asked_in_every_slice_of_a_wait_in_simulated_time() -> None:
+    """And a wait lasts as long as without."""
+    asked: list[int] = []
+
+    class Watching:
+        def real(self, duration_s: float) -> None:
+            raise NotImplementedError
+
+        def simulated(self, now_ns: int) -> None:
+            asked.append(now_ns)
+
+    bench = CanBench((5,))
+    bench.clock._waiting = Watching()
+    with CanLink(bench.port(), bench.clock) as link:
+        start_ns = bench.clock.now_ns()
+        assert not link.wait(lambda: False, 0.1)
+        assert bench.clock.now_ns() - start_ns == 100_000_000
+    gaps = [after - before for before, after in pairwise([start_ns, *asked])]
+    assert max(gaps) <= IO_SLICE_S * 1e9
+
+
+def test_a_bus_that_takes_nothing_holds_a_frame_up_for_a_moment_only(pair: Pair) -> None:
+    link, _ = pair
+    asked: list[float | None] = []
+
+    def full(_message: can.Message, timeout: float | None = None) -> None:
+        asked.append(timeout)
+        raise can.CanOperationError("Transmit buffer full")
+
+    link.bus.send = full  # type: ignore[method-assign]
+    with pytest.raises(LinkLostError, match="Transmit buffer full"):
+        link.send(0x305, b"\x02\x00", STOP_SEND_S)
+    with pytest.raises(LinkLostError, match="Transmit buffer full"):
+        link.send(0x205, b"\x0f\x00")
+    assert asked == [STOP_SEND_S, SEND_S]
+    assert STOP_SEND_S <= 0.02
+
+
+def test_a_server_that_no_longer_reads_does_not_hold_a_frame_up_for_ever() -> None:
+    """Behind a TCP connection python-can ignores the time-out; the socket itself is given one."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ours = socket.create_connection(server.getsockname())
+        theirs, _ = server.accept()  # and never reads
+
+        class OverTcp(can.BusABC):
+            channel_info = "over TCP"
+
+            def __init__(self) -> None:
+                super().__init__(channel=None)
+
+            def fileno(self) -> int:
+                return ours.fileno()
+
+            def send(self, msg: can.Message, timeout: float | None = None) -> None:
+                del msg, timeout
+                ours.sendall(bytes(65536))
+
+        bus = OverTcp()
+        bound_sending(bus)
+        with ours, theirs, CanLink(bus, WallClock()) as link:
+
+            def fill() -> None:
+                for _ in range(10_000):
+                    link.send(0x305, b"\x02\x00")
+
+            with pytest.raises(LinkLostError, match="cannot be sent"):
+                fill()
+
+
+class _Follower:
+    specs = ()
+
+    def __init__(self, node_id: int) -> None:
+        self.node_id = node_id
+
+    def leave_sync(self) -> bool:
+        return True
+
+
+def test_of_two_that_wait_for_the_same_silence_one_takes_sync_up_first() -> None:
+    """Both heard each other at the same moment: the link with the lower node id is first by more than a look takes."""
+    clock = SimClock()
+    low, high = Sync(clock), Sync(clock)
+    low.followers += [_Follower(9), _Follower(5)]
+    high.followers += [_Follower(6)]
+    for sync in (low, high):
+        sync.heard(clock.now_ns(), b"")
+    clock.sleep_s(SYNC_SILENCE_S)
+    assert (low.taken, high.taken) == (True, True)
+    clock.sleep_s(SYNC_STEP_S * 5 + 0.001)
+    assert (low.taken, high.taken) == (False, True)
+    clock.sleep_s(SYNC_STEP_S)
+    assert high.taken is False
+
+
 def test_a_closed_link_says_so(channel: str) -> None:
     link = CanLink.open(WallClock(), interface="virtual", channel=channel)
     link.close()
@@ -129,8 +281,8 @@ def test_back_after_the_bus_was_lost(channel: str) -> None:
 
 HEARTBEAT_OF_A_DEAD_BUS = """
 import time, can
-from drivers.canopen.bus import CanLink
-from drivers.clock import WallClock
+from drivers.canopen.bus import POLL_S, SEND_S, CanLink, bound_sending
+from drivers.clock import IO_SLICE_S, WallClock
 
 class Dying(can.BusABC):
     channel_info, sent = "dying", 0
@@ -159,3 +311,43 @@ def test_a_heartbeat_on_a_dead_bus_ends_without_a_word_on_the_terminal() -> None
     """Its sender is a thread of python-can's; who works with the bus is told by an error, in one line."""
     run = subprocess.run([sys.executable, "-c", HEARTBEAT_OF_A_DEAD_BUS], capture_output=True, text=True, check=True)
     assert (run.stdout, run.stderr) == ("3\n", "")
+
+
+class Endless(can.BusABC):
+    """There is always another frame; each takes `takes_s` to dispatch."""
+
+    channel_info = "endless"
+
+    def __init__(self, clock: SimClock, takes_s: float) -> None:
+        super().__init__(channel=None)
+        self._clock = clock
+        self._takes_s = takes_s
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        self._clock.sleep_s(self._takes_s)
+        return _message(0x185)
+
+
+def test_frames_without_end_do_not_keep_poll() -> None:
+    clock = SimClock()
+    link = CanLink(Endless(clock, 3e-5), clock)
+    link.poll()
+    assert clock.now_ns() == pytest.approx(POLL_S * 1e9, abs=1e5)
+    assert link.frames_received == pytest.approx(POLL_S / 3e-5, abs=2)
+    link.close()
+
+
+def test_the_operator_is_heard_while_frames_without_end_are_polled() -> None:
+    class Stopping(SimClock):
+        def check_interrupt(self) -> None:
+            raise KeyboardInterrupt
+
+    clock = Stopping()
+    link = CanLink(Endless(clock, 3e-5), clock)
+    with pytest.raises(KeyboardInterrupt):
+        link.poll()
+    assert clock.now_ns() <= 1.1 * IO_SLICE_S * 1e9
+    link.close()

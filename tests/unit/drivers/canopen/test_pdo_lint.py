@@ -118,6 +118,27 @@ def test_the_dictionary_is_asked() -> None:
     ]
 
 
+def test_a_stop_rpdo_may_map_the_controlword_beside_the_other_one() -> None:
+    """It carries nothing but stops, so that a stale one cannot drop or start the axis."""
+    stop = PdoSpec(2, False, 0x301, EVENT, (objects.CONTROLWORD,), only_stops=True)
+    assert lint({1: [*_streaming(1), stop]}) == []
+    assert _codes(lint({1: [*_streaming(1), replace(stop, only_stops=False)]})) == ["mapped-twice"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"kind": 1},  # would wait for SYNC
+        {"entries": (objects.CONTROLWORD, objects.MODE)},
+        {"entries": ()},
+        {"transmit": True, "cob_id": 0x281},
+    ],
+)
+def test_a_stop_rpdo_that_is_none_is_refused(wrong: dict[str, object]) -> None:
+    stop = PdoSpec(2, False, 0x301, EVENT, (objects.CONTROLWORD,), only_stops=True)
+    assert "stop-pdo" in _codes(lint({1: [*_streaming(1), replace(stop, **wrong)]}))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("axes", "period_us"), [(2, 1000), (5, 2000)])
 def test_published_limits_fit(axes: int, period_us: int) -> None:
     """At most 70 % load: two axes at 1 ms, five at 2 ms; T <= 55 + 230 N µs."""

@@ -7,8 +7,8 @@ import pytest
 from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
 from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.pdo import EVENT, SYNC_EVERY, PdoSpec, configure, read_image
-from drivers.canopen.pdo_setup import PdoSetup, entry_of
+from drivers.canopen.pdo import EVENT, SYNC_EVERY, PdoSpec
+from drivers.canopen.pdo_setup import PdoSetup, configure, entry_of, read_image
 from drivers.canopen.sdo import SdoClient
 from drivers.errors import AbortError, InputError
 from sim_backends.canopen_bench import CanBench

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -34,11 +35,12 @@ class Wire:
         self.face = face
         self.seen: list[tuple[int, int]] = []
 
-    def connect(self) -> None: ...
+    def connect(self, within_s: float = math.inf) -> None: ...
     def disconnect(self) -> None: ...
     def discard(self, silence_s: float) -> None: ...
+    def post(self, unit: int, requests: Sequence[Request]) -> None: ...
 
-    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
         self.seen.append((request.function, request.count))
         pdu = bytes((request.function,)) + request.address.to_bytes(2, "big")
         words = b"".join(value.to_bytes(2, "big") for value in request.values)

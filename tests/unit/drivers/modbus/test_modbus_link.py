@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import math
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import pytest
 
 from drivers.clock import NS_PER_S
-from drivers.errors import AbortError, BridgeError, InputError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.errors import AbortError, InputError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.wire import Endpoint, Request, RtuEndpoint, TcpEndpoint
@@ -19,7 +21,7 @@ TCP = TcpEndpoint("nowhere", timeout_s=0.2)
 RTU = RtuEndpoint("nowhere", baud=9600)
 HOLDING = Table.HOLDING
 
-Answer = tuple[int, ...] | BridgeError | Callable[[Request], "tuple[int, ...]"]
+Answer = tuple[int, ...] | BaseException | Callable[[Request], "tuple[int, ...]"]
 
 
 @dataclass
@@ -34,8 +36,9 @@ class ScriptedWire:
     refuse_connects: int = 0
     takes_s: float = 0.0
     discards: int = 0
+    posted: list[Request] = field(default_factory=list)
 
-    def connect(self) -> None:
+    def connect(self, within_s: float = math.inf) -> None:
         if self.refuse_connects:
             self.refuse_connects -= 1
             raise LinkLostError("refused")
@@ -49,14 +52,17 @@ class ScriptedWire:
         assert silence_s > 0
         self.discards += 1
 
-    def exchange(self, unit: int, request: Request) -> tuple[int, ...]:
+    def post(self, unit: int, requests: Sequence[Request]) -> None:
+        self.posted += requests
+
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
         assert self.connected
         self.asked.append((self.clock.now_ns(), unit, request))
         self.clock.sleep_s(self.takes_s)
         answer = self.script.pop(0) if self.script else (() if request.function.is_write else (0,) * request.count)
         if isinstance(answer, LinkLostError):
             self.connected = False
-        if isinstance(answer, BridgeError):
+        if isinstance(answer, BaseException):
             raise answer
         return answer(request) if callable(answer) else answer
 
@@ -322,6 +328,102 @@ def test_tcp_needs_no_parting_as_its_replies_are_numbered() -> None:
     r = rig(no_answer())
     read(r.link)
     assert [request.count for request in r.wire.requests] == [2, 2]
+
+
+# -- stops and the operator ----------------------------------------------------------------------------------------------
+STOP = Request.write(HOLDING, 0, (2,))
+
+
+@pytest.mark.parametrize(("endpoint", "discards"), [(RTU, 1), (TCP, 0)])
+def test_the_answer_to_a_posted_stop_is_taken_off_a_serial_line_before_the_next_request(
+    endpoint: Endpoint, discards: int
+) -> None:
+    r = rig(endpoint=endpoint)
+    r.link.post(1, [STOP])
+    assert (r.wire.posted, r.wire.asked, r.wire.discards) == ([STOP], [], 0)
+    read(r.link)
+    assert r.wire.discards == discards
+
+
+def test_a_stop_passes_by_back_off_and_silence() -> None:
+    r = rig(no_answer(), no_answer(), endpoint=RTU)
+    with pytest.raises(NoAnswerError):
+        read(r.link)
+    with pytest.raises(NoAnswerError, match="not tried again"):
+        read(r.link)
+    before_ns = r.clock.now_ns()
+    r.link.post(1, [STOP])
+    assert r.wire.posted == [STOP]
+    assert r.clock.now_ns() == before_ns
+    r.link.close()
+    r.link.post(1, [STOP])
+    assert r.wire.posted == [STOP]
+
+
+def test_a_reply_that_the_operator_broke_off_is_still_to_come() -> None:
+    r = rig(KeyboardInterrupt(), (9,), (1, 2), endpoint=RTU)
+    with pytest.raises(KeyboardInterrupt):
+        read(r.link)
+    assert read(r.link) == (1, 2)
+    assert [request.count for request in r.wire.requests] == [2, 1, 2]
+    assert r.wire.discards == 1
+
+
+def test_the_operator_is_heard_before_each_request_in_simulated_time_too() -> None:
+    class Pressed:
+        def real(self, duration_s: float) -> None: ...
+        def simulated(self, now_ns: int) -> None:
+            raise KeyboardInterrupt
+
+    clock = SimClock(waiting=Pressed())
+    wire = ScriptedWire(clock)
+    link = ModbusLink(TCP, clock, make_wire=lambda _endpoint: wire)
+    link.open()
+    with pytest.raises(KeyboardInterrupt):
+        read(link)
+    assert not wire.asked
+
+
+@pytest.mark.parametrize("code", [5, 6])
+def test_a_read_of_a_unit_that_is_busy_for_ever_ends(code: int) -> None:
+    r = rig(*[AbortError("busy", code)] * 99, policy=LinkPolicy(busy_retries=4))
+    with pytest.raises(AbortError):
+        read(r.link)
+    assert len(r.wire.asked) == 5
+
+
+def test_an_acknowledged_write_is_looked_for_and_never_sent_again() -> None:
+    r = rig(AbortError("acknowledge", 5), (0, 0), (3, 4))
+    r.link.write(1, HOLDING, 10, (3, 4))
+    assert [request.function.is_write for request in r.wire.requests] == [True, False, False]
+    assert r.link.statistics.resolved_writes == 1
+    r = rig(AbortError("acknowledge", 5), policy=LinkPolicy(busy_retries=2))
+    with pytest.raises(NoAnswerError, match="still reads 0, 0, expected 3, 4"):
+        r.link.write(1, HOLDING, 10, (3, 4))
+    assert [request.function.is_write for request in r.wire.requests] == [True, False, False, False]
+    r = rig(AbortError("acknowledge", 5))
+    with pytest.raises(NoAnswerError, match="whether it was carried out is unknown"):
+        r.link.write(1, HOLDING, 10, (1,), doubt=Doubt.RAISE)
+    assert len(r.wire.asked) == 1
+
+
+def test_a_line_that_others_keep_is_not_waited_for_without_end() -> None:
+    r = rig(policy=LinkPolicy(turn_s=0.05))
+    held, over = threading.Event(), threading.Event()
+
+    def hold(request: Request) -> tuple[int, ...]:
+        held.set()
+        over.wait(10.0)
+        return (0,) * request.count
+
+    r.wire.script = [hold]
+    holder = threading.Thread(target=read, args=(r.link,))
+    holder.start()
+    held.wait(10.0)
+    with pytest.raises(NoAnswerError, match=r"in use by others for 0.05 s, nothing was sent"):
+        read(r.link)
+    over.set()
+    holder.join()
 
 
 # -- users and mistakes ------------------------------------------------------------------------------------------------

@@ -1,10 +1,15 @@
 """Endpoints from text, requests told apart by their replies, and the name this pymodbus has for the unit id."""
 
+import time
+from unittest.mock import Mock
+
 import pytest
 from pymodbus.client import ModbusTcpClient
 
+from drivers.clock import IO_SLICE_S
 from drivers.errors import CapabilityError, InputError, LinkLostError
 from drivers.modbus.plan import Span, Table
+from drivers.modbus.ports import slices
 from drivers.modbus.wire import (
     Endpoint,
     Function,
@@ -95,3 +100,15 @@ def test_every_function_has_its_method() -> None:
 def test_a_port_that_cannot_be_opened_says_why() -> None:
     with pytest.raises(LinkLostError, match=r"Modbus /dev/no-such-port cannot be opened: .*No such file"):
         PymodbusWire(RtuEndpoint("/dev/no-such-port")).connect()
+
+
+def test_traffic_that_never_pauses_keeps_nobody_from_being_heard() -> None:
+    """Whoever receives something in each first slice asks for the next receive, and never for a second slice."""
+    check = Mock()
+    for _ in range(3):
+        assert 0.0 < next(slices(time.monotonic() + 60.0, check)) <= IO_SLICE_S
+    assert check.call_count == 3
+
+
+def test_after_the_last_slice_there_is_a_last_look() -> None:
+    assert list(slices(time.monotonic() - 1.0, lambda: None)) == [0.0]

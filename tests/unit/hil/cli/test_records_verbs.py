@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,8 +15,9 @@ import pytest
 from hil.cli.main import main
 from hil.formats import wide_iso
 from hil.history import find_campaigns, history, trend
-from hil.journal import CHECKSUMS, Campaign
+from hil.journal import CHECKSUMS, MARKER, Campaign
 from hil.records import read_csv
+from hil.row_chain import CHAIN, adopt
 
 COLUMNS = ("run", "direction", "target_mm", "measured_mm", "time_s", "temp_screw_c")
 TARGETS = (0.0, 100.0, 210.0)
@@ -43,8 +46,10 @@ def measured(
         lines = path.read_text().splitlines()
         lines[1] = f"# begun {begun.isoformat(timespec='seconds')}"
         path.write_text("\n".join(lines) + "\n")
-        with campaign.rows(name, COLUMNS):
-            pass  # closed again, so that its checksum is this file's
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        (directory / CHECKSUMS).write_text(f"{digest}  {name}.csv\n")
+        (directory / CHAIN).unlink()
+        adopt(directory, (directory / MARKER).read_bytes())
     return campaign
 
 
@@ -65,6 +70,26 @@ def test_a_pass_says_when_it_was_begun_and_is_as_it_was_left(place: Path) -> Non
     form = json.loads(Path("i.json").read_text())
     assert form["passes"][0]["sha256"] in (place / "c" / CHECKSUMS).read_text()
     assert form["passes"][0]["rows"] == 12
+
+
+def test_inspect_names_the_first_line_that_its_chain_does_not_know(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured(place / "c", 5.0)
+    assert main(["records", "inspect", "c"]) == 0
+    assert "rows: as they were written, 14 lines by their chain" in capsys.readouterr().out
+    path = place / "c" / "verify.csv"
+    text = path.read_text()
+    path.write_text(text.replace("1,+1,100.0,", "1,+1,100.5,", 1))
+    (place / "c" / CHECKSUMS).unlink()  # nothing but the chain knows
+    assert main(["records", "inspect", "c", "--json", "i.json"]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"verify\.csv:4: is not as it was written", said)
+    assert json.loads(Path("i.json").read_text())["chain_good"] is False
+    path.write_text(text)
+    (place / "c" / CHAIN).unlink()
+    assert main(["records", "inspect", "c"]) == 0
+    assert "not chained" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,21 @@ def test_seal_check_open(place: Path, capfdbinary: pytest.CaptureFixture[bytes])
     with pytest.raises(InputError, match="exists already; --force"):
         call("open", "axis.sealed", "--builder", "builder.pub", "--out", "out")
     assert call("open", "axis.sealed", "--builder", "builder.pub", "--out", "out", "--force") == 0
+
+
+def test_check_and_open_print_the_header(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("seal", "pitch.json", "--out", "axis.sealed", "--key", "builder.key") == 0
+    assert call("seal", "backlash.json", "--out", "axis.sealed", "--key", "builder.key", "--update") == 0
+    capsys.readouterr()
+    assert call("check", "axis.sealed", "--builder", "builder.pub", "--json", "check.json") == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"counter +2\n", shown)
+    assert re.search(r"resealed +20\d\d-", shown)
+    assert re.search(r"bound to +nothing\n", shown)
+    assert json.loads(Path("check.json").read_text())["binding"]["counter"] == 2
+    assert call("open", "axis.sealed", "--builder", "builder.pub", "--entry", "pitch.json", "--json", "open.json") == 0
+    assert "counter: 2\n" in capsys.readouterr().err
+    assert json.loads(Path("open.json").read_text())["binding"]["of"] == {}
 
 
 def test_individual_passwords_and_update(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

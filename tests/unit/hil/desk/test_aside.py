@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from hil.desk.aside import Aside, Computed, ComputingError
+from hil.error_log import ErrorLog
 
 ECHO = "import json, sys; json.dump({'made': [json.load(sys.stdin)['work'], sys.argv[1]]}, sys.stdout)"
 REFUSES = "import json, sys; sys.stdin.read(); print(json.dumps({'error': 'holds no rows'})); sys.exit(1)"
@@ -14,8 +15,13 @@ CRASHES = "import sys; sys.stdin.read(); sys.exit('no memory left')"
 NEVER_ENDS = "import sys, threading; sys.stdin.read(); threading.Event().wait()"
 
 
-def aside(text: str) -> Aside:
-    return Aside(Path("X.toml"), (sys.executable, "-c", text))
+@pytest.fixture
+def log(tmp_path: Path) -> ErrorLog:
+    return ErrorLog(tmp_path / "errors.log")
+
+
+def aside(text: str, errors: ErrorLog | None = None) -> Aside:
+    return Aside(Path("X.toml"), errors or ErrorLog(Path("errors.log")), (sys.executable, "-c", text))
 
 
 def ended(one: Aside) -> Computed:
@@ -43,6 +49,26 @@ def test_what_went_wrong_is_told_in_one_line(text: str, said: str) -> None:
     one = aside(text)
     one.start({"work": "diagnose"})
     assert ended(one).error == said
+
+
+def test_a_mistake_of_the_program_leaves_its_traceback_in_a_file(log: ErrorLog) -> None:
+    one = aside("import sys; sys.stdin.read(); 1 / 0", log)
+    one.start({"work": "diagnose"})
+    assert ended(one).error == f"ZeroDivisionError: division by zero; the traceback is in {log.path}"
+    assert "Traceback (most recent call last)" in log.path.read_text()
+
+
+def test_an_answer_that_cannot_be_waited_for_is_an_error_and_not_computed_for_ever(
+    log: ErrorLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mistaken(*_: object) -> None:
+        raise LookupError("in the waiting thread")
+
+    monkeypatch.setattr("hil.desk.aside._answer", mistaken)
+    one = aside(ECHO, log)
+    one.start({"work": "history"})
+    done = ended(one)
+    assert (done.running, done.error) == (False, f"LookupError: in the waiting thread; the traceback is in {log.path}")
 
 
 def test_one_at_a_time_and_it_can_be_given_up() -> None:

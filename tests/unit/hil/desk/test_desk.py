@@ -21,7 +21,8 @@ from hil.desk.progress import Phase, Progress
 from hil.desk.roles import LockedError
 from hil.jobs.job import Job, Workplace
 from hil.jobs.plan import Plan
-from hil.procedures.bare_axis import BareAxis
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from hil.procedures.events import Event, Measured, Point
 from sim_backends.clock import BEAT_NS
 
@@ -80,9 +81,9 @@ def at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, until: Until) -> It
 
 
 def long_way(place: Workplace) -> None:
-    with BareAxis(place.drive) as axis:
+    with Supervisor([WatchedAxis(place.drive)]) as axis:
         axis.get_ready(home=False)
-        axis.move_to(END_MM, SPEED_MM_S)
+        axis.move(END_MM, SPEED_MM_S)
 
 
 # -- stop ------------------------------------------------------------------------------------------------------------------
@@ -300,7 +301,10 @@ def test_a_job_that_fails_says_why_and_the_axis_stays(at_work: Watched) -> None:
         raise ZeroDivisionError
 
     assert (at_work.run(wrong).phase, at_work.now().error) == (Phase.FAILED, "two lines")
-    assert (at_work.run(mistaken).phase, at_work.now().error) == (Phase.FAILED, "ZeroDivisionError")
+    log = at_work.desk.errors.path
+    failed = (at_work.run(mistaken).phase, at_work.now().error)
+    assert failed == (Phase.FAILED, f"ZeroDivisionError; the traceback is in {log}")
+    assert "raise ZeroDivisionError" in log.read_text()
     assert at_work.run(long_way).phase is Phase.DONE
 
 

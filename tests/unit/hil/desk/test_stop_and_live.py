@@ -32,6 +32,21 @@ def test_a_stop_wakes_a_real_wait_at_once() -> None:
     clock.sleep_s(0.0)
 
 
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_stop_is_heard_where_input_or_output_asks_for_it(simulated: bool) -> None:
+    stop = Stop()
+    clock = SimClock(0.001, Pacing(stop, 0.0)) if simulated else WallClock(Pacing(stop))
+    clock.check_interrupt()
+    stop.press()
+    with pytest.raises(StoppedByOperator):
+        clock.check_interrupt()
+    stop.press()
+    clock.check_interrupt()  # the first is being carried out
+    stop.rearm()
+    with pytest.raises(StoppedByOperator):
+        clock.check_interrupt()
+
+
 def test_simulated_time_goes_no_further_than_a_beat_beyond_a_stop() -> None:
     stop = Stop()
     clock = SimClock(0.001, Pacing(stop, 0.0))

@@ -11,10 +11,11 @@ import pytest
 
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, TableDescription
 from drivers.drive import DriveLimits
-from drivers.errors import InputError
+from drivers.errors import CorrectionBoundError, InputError
 from drivers.scaling import AxisScaling
 from hil.compensation import Columns, Compensation
-from hil.drive_tables import DriveTable, drive_table, largest_deviation_um, wanted_of
+from hil.correction_bound import CAREFUL, CorrectionBound
+from hil.drive_tables import DriveCurve, DriveTable, check_curve, drive_table, largest_deviation_um, wanted_of
 from hil.records import Floats
 from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from sim_backends.own_table import OwnTable, TableForm
@@ -200,3 +201,99 @@ def test_an_effect_that_no_table_holds_is_refused_or_left_out() -> None:
         wanted_of(warm)
     left_out = wanted_of(warm, leave_out_effects=True)
     assert float(left_out.at(100.0, -1)) == pytest.approx(float(machine().at(100.0, -1)))
+
+
+def test_what_a_drive_would_add_is_held_against_the_axis_bound() -> None:
+    large = DirectionalTable(machine().position_mm, machine().plus_um + 600.0, machine().minus_um + 600.0)
+    with pytest.raises(CorrectionBoundError, match="pitch table: what the drive would add by its table: "):
+        drive_table(large, PLAIN, scaling(), LIMITS)
+    made = drive_table(large, PLAIN, scaling(), LIMITS, bound=CorrectionBound(700.0))
+    with pytest.raises(CorrectionBoundError):
+        check_curve(made.curve, LIMITS, CAREFUL)
+    ends = DriveCurve(replace(PLAIN, outside=Outside.ZERO), made.raw, scaling())
+    with pytest.raises(CorrectionBoundError, match=r"changes by \d{3}\.?\d* µm between"):  # it ends inside the travel
+        check_curve(ends, LIMITS, CorrectionBound(700.0))
+
+
+RAMP = DirectionalTable(np.array([0.0, 100.0]), np.array([0.0, 10.0]), np.array([0.0, 10.0]))
+"""A µm every 10 mm."""
+SHORT = DriveLimits(0.0, 100.0, 200.0, 2000.0)
+STAIRS = replace(PLAIN, nodes=Nodes.EQUIDISTANT, interpolation=Interpolation.STEP, value=TENTHS)
+
+
+def level(plus_um: float, minus_um: float, *, to_plus_um: float | None = None) -> DirectionalTable:
+    plus = np.array([plus_um, plus_um if to_plus_um is None else to_plus_um])
+    return DirectionalTable(np.array([0.0, 100.0]), plus, np.full(2, minus_um))
+
+
+def test_stairs_by_hand() -> None:
+    """0.6 µm less half a value of 0.05: steps up to 11.5 mm are 0.575 µm off at either end; a ninth of 100 mm, rounded up, is 11.1112.
+
+    Values in the middle of each: 0.55556 µm are 11 raw, 1.66668 33; the last node, 100.0008 mm, has the whole 10 µm.
+    """
+    found = drive_table(RAMP, replace(STAIRS, points=10), scaling(), SHORT, deviation_um=0.6)
+    assert (found.raw.origin, found.raw.step, len(found.raw.plus)) == (0, 111_112, 10)
+    assert found.raw.plus[:3] == (11, 33, 56)
+    assert found.raw.plus[-2:] == (189, 200)
+    assert found.raw.plus == found.raw.minus
+    assert found.deviation_um == pytest.approx(0.575, abs=0.006)
+    with pytest.raises(InputError, match=r"with the 9 points that suit it best it is 0.625 µm off"):
+        drive_table(RAMP, replace(STAIRS, points=9), scaling(), SHORT, deviation_um=0.6)
+    later = replace(RAMP, position_mm=RAMP.position_mm + 5.00005)
+    limits = DriveLimits(5.00005, 105.00005, 200.0, 2000.0)
+    assert (
+        drive_table(later, STAIRS, scaling(), limits, deviation_um=0.6).raw.origin == 50_000
+    )  # not after the first node
+    even = replace(PLAIN, nodes=Nodes.EQUIDISTANT)
+    assert drive_table(later, even, scaling(), limits).raw.origin == 50_000
+
+
+def test_one_curve_is_the_middle_of_both() -> None:
+    one = replace(PLAIN, directions=Directions.ONE)
+    found = drive_table(level(10.0, 9.4), one, scaling(), SHORT)
+    assert (found.raw.plus, found.raw.minus, found.raw.backlash) == ((194, 194), (), 0)
+    # half a µm is allowed where nothing else is said, and half a step of a value is taken off
+    drive_table(level(0.94, 0.0), one, scaling(), SHORT)
+    with pytest.raises(InputError, match=r"ours differ by up to 0.960 µm"):
+        drive_table(level(0.96, 0.0), one, scaling(), SHORT)
+    with pytest.raises(InputError, match=r"ours differ by up to 1.200 µm"):
+        drive_table(level(0.2, 0.0, to_plus_um=1.2), one, scaling(), SHORT)
+
+
+def test_a_backlash_of_its_own_is_beside_the_curve() -> None:
+    """10 and 8 µm: 2 µm less for falling counts, 40 steps."""
+    beside = replace(PLAIN, directions=Directions.BACKLASH)
+    found = drive_table(level(10.0, 8.0), beside, scaling(), SHORT)
+    assert (found.raw.plus, found.raw.minus, found.raw.backlash) == ((200, 200), (), 40)
+    subtracted = drive_table(level(10.0, 8.0), replace(beside, sign=-1), scaling(), SHORT)
+    assert (subtracted.raw.plus, subtracted.raw.backlash) == ((-200, -200), -40)
+
+
+def test_by_how_much_rounding_has_moved_values() -> None:
+    """0.07 µm becomes 0.05, 0.11 becomes 0.10: 0.02 at most. A backlash of 0.5 in steps of 0.4 becomes 0.4: 0.1."""
+    found = drive_table(level(0.07, 0.11), PLAIN, scaling(), SHORT)
+    assert (found.raw.plus, found.raw.minus) == ((1, 1), (2, 2))
+    assert (found.rounding_um, found.deviation_um) == pytest.approx((0.02, 0.02))
+    coarse = replace(PLAIN, directions=Directions.BACKLASH, backlash=Quantity("um", 0.4, *I16))
+    found = drive_table(level(1.0, 0.5), coarse, scaling(), SHORT)
+    assert found.raw.backlash == 1
+    assert found.rounding_um == pytest.approx(0.1)
+
+
+def test_values_that_may_be_as_far_off_as_is_allowed_are_refused() -> None:
+    whole = replace(PLAIN, value=Quantity("um", 1.0, *I16))
+    with pytest.raises(InputError, match=r"in steps of 1 µm, which alone may be 0.5 µm off"):
+        drive_table(level(1.0, 1.0), whole, scaling(), SHORT)
+    assert drive_table(level(1.0, 1.0), whole, scaling(), SHORT, deviation_um=0.51).raw.plus == (1, 1)
+
+
+def test_the_ends_of_what_it_holds_belong_to_it() -> None:
+    narrow = replace(PLAIN, value=Quantity("um", 0.05, -128, 127))
+    found = drive_table(level(6.35, -6.4), narrow, scaling(), SHORT)
+    assert (found.raw.plus, found.raw.minus) == ((127, 127), (-128, -128))
+
+
+def test_a_drive_that_adds_nothing_outside_has_nodes_just_beyond_the_travel() -> None:
+    """Travel -2 to 502 mm, a tenth of a µm further on either side."""
+    found = drive_table(machine(), replace(PLAIN, outside=Outside.ZERO), scaling(), LIMITS)
+    assert (found.raw.position[0], found.raw.position[-1]) == (-20_001, 5_020_001)

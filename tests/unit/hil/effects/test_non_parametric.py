@@ -11,7 +11,17 @@ import pytest
 from drivers.errors import InputError
 from hil.effects import ALL, BESIDE, Term, survey_of, term_from_json
 from hil.effects.history import complete
-from hil.effects.non_parametric import FINE, ONE, TURNED, TWO, NonParametric, fine_form, smooth_form, spread_of
+from hil.effects.non_parametric import (
+    FINE,
+    ONE,
+    TURNED,
+    TWO,
+    NonParametric,
+    fine_form,
+    smooth_form,
+    spread_of,
+    without_cause,
+)
 from hil.user_effects import catalogue_with
 
 COLUMNS = complete(
@@ -61,6 +71,81 @@ def test_fine_position_is_straight_between_its_places() -> None:
     at = np.array([0.0, 25.0, 50.0, 120.0, 200.0, 400.0, -30.0])
     expected = np.interp(np.clip(at, 0.0, 200.0), [0, 50, 100, 150, 200], [1, 3, 2, -1, 0])
     np.testing.assert_allclose(held.error_um({"target_mm": at}), expected, atol=1e-12)
+
+
+SPREADS = [
+    {f"{name}.low": -1.0, f"{name}.high": 1.0, f"{name}.least": -3.0, f"{name}.most": 3.0} for name in ("a", "b")
+]
+"""Columns that are their own v."""
+
+
+def design(*names: str, turned: bool, **values: float) -> list[float]:
+    form = smooth_form(names, SPREADS[: len(names)], turned=turned)
+    rows: list[list[float]] = NonParametric().basis(form, (), {k: np.array([v]) for k, v in values.items()}).tolist()
+    return rows[0]
+
+
+def test_every_column_of_the_smooth_forms_by_hand() -> None:
+    """v = 0.5: P1 … P4 = 0.5, -0.125, -0.4375, -0.2890625; w = -0.4: -0.4, -0.26, 0.44."""
+    p, q = [0.5, -0.125, -0.4375, -0.2890625], [-0.4, -0.26, 0.44]
+    assert design("a", turned=False, a=0.5) == pytest.approx(p)
+    assert design("a", turned=True, a=0.5, direction=-1.0) == pytest.approx([*p[:3], *[-v for v in p[:3]]])
+    products = [0.5 * -0.4, -0.125 * -0.4, 0.5 * -0.26, -0.125 * -0.26]
+    assert design("a", "b", turned=False, a=0.5, b=-0.4) == pytest.approx([*p[:3], *q, *products])
+    with_direction = design("a", "b", turned=True, a=0.5, b=-0.4, direction=-1.0)
+    assert with_direction == pytest.approx([*p[:3], *q, *products, 0.2, -0.5, 0.4])
+
+
+def test_outliers_are_held_at_1_2_half_spans_and_at_the_range_measured() -> None:
+    """P2(1.2) = (3·1.44 - 1)/2 = 1.66; beyond 3, the largest that was measured, nothing is extrapolated either."""
+    for value, v in ((3.0, 1.2), (-3.0, -1.2), (99.0, 1.2)):
+        assert design("a", turned=False, a=value)[:2] == pytest.approx([v, 1.66])
+    narrow = smooth_form(("a",), [SPREADS[0] | {"a.most": 0.5}], turned=False)
+    assert NonParametric().basis(narrow, (), {"a": np.array([2.0])})[0, 0] == pytest.approx(0.5)
+
+
+def test_fine_position_between_places_that_do_not_begin_at_zero() -> None:
+    form = fine_form(100.0, 300.0, 3, {"target_mm": np.array([100.0, 300.0])}, turned=True)
+    rows = NonParametric().basis(form, (), {"target_mm": np.array([150.0, 275.0]), "direction": np.array([1.0, -1.0])})
+    assert rows.tolist() == [[0.5, 0.5, 0.0], [0.0, -0.25, -0.75]]
+    for places, first_mm, good in (
+        (2, 0.0, True),
+        (1, 0.0, False),
+        (1000, 0.0, True),
+        (1001, 0.0, False),
+        (5, 200.0, False),
+    ):
+        fine = fine_form(first_mm, 200.0, places, COLUMNS, turned=False)
+        if good:
+            assert NonParametric().basis(fine, (), COLUMNS).shape[1] == places
+        else:
+            with pytest.raises(ValueError, match="places from"):
+                NonParametric().basis(fine, (), COLUMNS)
+
+
+def test_the_extremes_are_looked_for_in_both_directions() -> None:
+    """d·v over v = -1 … 1 (beyond it is held at the range measured): from -1 to 1 µm, and it says that the direction counts."""
+    spread = SPREADS[0] | {"a.least": 0.2, "a.most": 1.0}
+    form = smooth_form(("a",), [spread], turned=True)
+    held = Term(NonParametric(), form, (), (0.0, 0.0, 0.0, 1.0, 0.0, 0.0), tuple(map(tuple, np.eye(6).tolist())))
+    found = held.parameters
+    assert (found["smallest_um"].value, found["largest_um"].value) == pytest.approx((-1.0, 1.0))
+    # one of 1000 places alone, at 100.1 mm: looked for every 0.1 mm
+    fine = fine_form(0.0, 200.0, 1000, COLUMNS, turned=False)
+    peak = Term(
+        NonParametric(),
+        fine,
+        (),
+        tuple(float(k == 500) for k in range(1000)),
+        tuple(map(tuple, np.zeros((1000, 1000)))),
+    )
+    assert peak.parameters["largest_um"].value == pytest.approx(1.0, abs=0.01)
+    assert "a (0.2 to 1) and direction: the cause" in held.effect.explain(held)
+    plain = term([1.0, 0.0, 0.0, 0.0], "coolant_l_min")
+    assert "direction" not in plain.effect.explain(plain)
+    assert without_cause([held]) == (held,)
+    other = Term(ALL[0], form, (), (), ())
+    assert without_cause([other, held]) == (held,)
 
 
 def test_it_says_that_the_cause_is_unknown_and_over_which_range() -> None:

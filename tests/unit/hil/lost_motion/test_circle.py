@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.lost_motion.circle import AFTER_DEG, QUADRANTS_DEG, Circle, Trace, trace_of
+from hil.lost_motion.circle import Circle, Trace, trace_of
 
 CENTRE = (120.0, 80.0)
 
@@ -79,6 +79,6 @@ def test_what_is_no_circle_or_has_no_samples_is_refused() -> None:
             Circle(CENTRE, **values)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="to be reached"):
         Circle(CENTRE, feed_mm_s=50.0)
-    half = Trace(np.linspace(0.0, 90.0 + AFTER_DEG / 4.0, 500), np.zeros(500))
+    half = Trace(np.linspace(0.0, 92.5, 500), np.zeros(500))
     with pytest.raises(InputError, match="no samples around 180°"):
-        half.bump_um(QUADRANTS_DEG[2])
+        half.bump_um(180.0)

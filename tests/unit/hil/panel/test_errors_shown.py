@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, cast
@@ -121,31 +120,30 @@ def test_a_field_that_was_cleared_is_named(draw: Draw, fields: tuple[str, ...], 
     inside(work)
 
 
-def test_what_nobody_foresaw_is_told_and_logged(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_nobody_foresaw_is_told_with_the_file_of_its_traceback(desk: Desk) -> None:
     def fail() -> None:
         raise ZeroDivisionError("nobody foresaw this")
 
     async def work() -> None:
         screen = Screen(desk, lambda view: view.button("button.yes", fail))
-        with caplog.at_level(logging.ERROR):
-            await screen.presses("button.yes")
-        assert screen.told() == ["nobody foresaw this"]
-        assert [record.exc_info[0] for record in caplog.records if record.exc_info] == [ZeroDivisionError]
+        await screen.presses("button.yes")
+        assert screen.told() == [f"ZeroDivisionError: nobody foresaw this; the traceback is in {desk.errors.path}"]
+        assert 'raise ZeroDivisionError("nobody foresaw this")' in desk.errors.path.read_text()
 
     inside(work)
 
 
-def test_a_folder_that_cannot_be_read_is_told_once(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_folder_that_cannot_be_read_is_told_once(desk: Desk) -> None:
     def read() -> None:
         raise ValueError("no such thing was ever written here")
 
     async def work() -> None:
         screen = Screen(desk, lambda view: Reading(view, read))
-        with caplog.at_level(logging.ERROR):
-            for _ in range(3):
-                await screen.refreshes()
-        assert screen.told() == ["no such thing was ever written here"]
-        assert len(caplog.records) == 1
+        for _ in range(3):
+            await screen.refreshes()
+        (told,) = screen.told()
+        assert told.startswith("ValueError: no such thing was ever written here; ")
+        assert desk.errors.path.read_text().count("Traceback") == 1
 
     inside(work)
 

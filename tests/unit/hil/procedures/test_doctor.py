@@ -16,7 +16,7 @@ from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.scaling import AxisScaling
 from hil.axis import MeasurementConfig
-from hil.procedures.doctor import Check, doctor, explain_ratio
+from hil.procedures.doctor import Check, doctor, explain_ratio, explain_speed
 from hil.procedures.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.canopen_drive import attach_to_wire
@@ -69,7 +69,7 @@ class Reach:
 def test_a_drive_that_agrees_is_asked_and_then_proven() -> None:
     with Bench(PARAMETERS) as bench, canopen(bench, {}) as drive:
         checks = examine(bench, drive)
-    assert list(checks) == ["drive", "limits", "scaling", "instrument", "units"]
+    assert list(checks) == ["drive", "limits", "scaling", "zero", "instrument", "speed", "units"]
     assert all(check.good for check in checks.values())
     assert "100000 counts/mm: as the axis file" in checks["scaling"].detail
 
@@ -136,6 +136,53 @@ def test_the_move_tells_each_mistake_by_its_factor_and_gross_ones_move_little(
         assert words in checks["units"].detail
         assert checks["units"].good is (scaling == PARAMETERS.scaling)
         assert reach.mm < reach_mm
+
+
+class Faster(VirtualDrive):
+    """Its unit of velocity is another one than it was told in."""
+
+    factor = 1.0
+
+    def __init__(self, bench: Bench, factor: float) -> None:
+        super().__init__(bench.servo, PARAMETERS.scaling, PARAMETERS.limits, bench.clock)
+        self.factor = factor
+        self.told_mm_s: list[float] = []
+
+    def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
+        self.told_mm_s.append(velocity_mm_s)
+        super()._start_move(position_load_mm, self.factor * velocity_mm_s)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words", "stopped"),
+    [
+        (60.0, "runs too fast: ", True),
+        (1.5, "runs too fast: ", True),
+        (1.15, "wrong by that factor", False),
+        (0.5, "wrong by that factor; or an override, or a speed limit", False),
+        (0.1, "likely still under way, slower than the 2.5 mm/s asked for", True),
+        (0.2, "the drive's unit of velocity is wrong", False),
+        (1.0, "the motor moved at 2.5 mm/s when 2.5 mm/s were commanded", False),
+    ],
+)
+def test_the_speed_is_proven_by_the_clock_before_anything_moves_fast(factor: float, words: str, stopped: bool) -> None:
+    with Bench(PARAMETERS) as bench:
+        reach, drive = Reach(bench), Faster(bench, factor)
+        checks = examine(bench, drive)
+        assert words in checks["speed"].detail
+        assert checks["speed"].good is (factor == 1.0)
+        assert ("units" in checks) is (factor == 1.0)
+        assert reach.mm < 4.1
+    slowly = 0.01 * PARAMETERS.limits.max_velocity_mm_s
+    assert set(drive.told_mm_s[:4]) == {slowly}
+    assert (HOW.velocity_mm_s in drive.told_mm_s) is (factor == 1.0)
+    assert checks["speed"].detail.endswith("the axis was stopped") is stopped
+
+
+def test_seconds_and_minutes_are_told() -> None:
+    assert "seconds taken for minutes" in explain_speed(1.0, 60.0)
+    assert "a wrong power of ten" in explain_speed(0.1, 1.0)
+    assert "minutes taken for seconds" in explain_speed(60.0, 1.0)
 
 
 def test_what_a_drive_found_worth_noting_is_told() -> None:

@@ -396,7 +396,7 @@ def test_an_order_whose_answer_was_lost_is_stopped_at_once() -> None:
     machine = ToyMachine()
     with toy_session(machine) as session:
         session.prepare()
-        machine.trouble = Trouble(at_call=machine.counted + 3, error=lambda: NoAnswerError("late"))
+        machine.trouble = Trouble(at_call=machine.counted + 4, error=lambda: NoAnswerError("late"))
         with pytest.raises(NoAnswerError):
             session.move_to(100.0)
         assert machine.told("move")[-1] == 100.0, "the drive had taken the order"

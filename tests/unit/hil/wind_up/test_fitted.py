@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.wind_up.fitted import HIDDEN_SHARE, fit_wind_up
+from hil.wind_up.fitted import fit_wind_up
 from hil.wind_up.result import Reversal, fitted_lost_motion, mean_um
 from hil.wind_up.trace import ReversalTrace
 
 LEVEL = 8.0
+HIDDEN_SHARE = 0.006
+"""What torque cannot show, by the study of machines with known guideways."""
 
 
 def made(

@@ -1,0 +1,381 @@
+"""One verb against one misbehaving peer, judged by the plant's truth: how it ended and when, where the axis was, what was kept.
+
+Runs in simulated time. What no simulated time can end (a loop that waits for nothing) is ended by a real timer, and is a hang.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+from hostile.can_kinds import CAN_KINDS
+from hostile.instrument_kinds import INSTRUMENT_KINDS, InstrumentPeer
+from hostile.modbus_kinds import MODBUS_KINDS, ModbusPeer
+from hostile.modbus_kinds import stand_in as behind_proxy
+from hostile.peer import Kind, Peer
+from hostile.places import TRAVEL_MM, VERBS, WITH_INSTRUMENT, NotGoodError, Place
+from hostile.servo_kinds import SERVO_KINDS
+
+import hil.probe_wiring
+import hil.wiring
+from drivers.clock import Waiting
+from hil.desk.stop import StoppedByOperator
+from hil.journal import RowJournal
+from sim_backends.bench import Bench
+from sim_backends.probe_bench import ProbeBench
+
+WITHIN_S = 10.0
+"""From the fault to the end, simulated."""
+HOMING_S = 30.0 + (TRAVEL_MM[1] - TRAVEL_MM[0]) / 2.0
+"""What the bridge gives a homing: at a hundredth of the axis's speed over all of its travel. A drive that does not home is found out
+after it, and a fault that comes before the axis is homed has so much longer."""
+GIVEN_UP_S = 60.0
+"""So long after the fault simulated time is ended, and the run is a hang; in a run without a fault after so long without its end."""
+WALL_S = 60.0
+"""Real time after which a run that makes no simulated time pass is a hang."""
+REACH_MM = 5.0
+"""Beyond the travel that is not held against anybody: homing goes to the limit switch, 3 mm outside, and past it as it brakes."""
+NOTICED_MM = 1.0
+"""A fault after which the axis moves no further than this may go unnoticed."""
+STILL_MM_S = 0.01
+ANSWERED_S = 0.5
+"""Waiting for a Modbus reply takes real time and no simulated one: the axis gets this much of it for its stop."""
+COASTED_S = 3.0
+"""A drive that goes without power by itself coasts: 100 mm/s at 80 mm/s²."""
+GUARDED_S = 4.0
+"""A drive that nobody reaches has this long to notice (its guard time is 1 s) and to come to rest."""
+ROW_MM = 0.02
+"""A row's place may be so far from the plant's truth; the machines' own errors are not in it, heat and noise are."""
+DATUM_MM = 0.15
+"""The same between the frame of all rows and that of the machine: errors of the machine at the reference position."""
+BENCH_SILENCE_S = 0.3
+"""Of the simulated Modbus drive, in real time, in place of the patience that the bench has for busy hosts."""
+
+WIRES: Mapping[str, tuple[Mapping[str, Kind], tuple[str, ...], tuple[str, ...]]] = {
+    "canopen": (CAN_KINDS, tuple(VERBS), ("canopen",)),
+    "modbus": (MODBUS_KINDS, tuple(VERBS), ("modbus-tcp",)),
+    "drive": (SERVO_KINDS, tuple(VERBS), ("canopen", "virtual", "modbus-tcp")),
+    "instrument": (INSTRUMENT_KINDS, WITH_INSTRUMENT, ("virtual", "canopen")),
+}
+"""Kinds, verbs that can meet them, and faces of the drive, which the seeds take in turn."""
+
+
+@dataclass(frozen=True)
+class Case:
+    wire: str
+    kind: str
+    verb: str
+    seed: int
+
+    @property
+    def face(self) -> str:
+        faces = WIRES[self.wire][2]
+        return faces[self.seed % len(faces)]
+
+    def __str__(self) -> str:
+        return f"{self.wire}: {self.kind} x {self.verb} x {self.seed}"
+
+
+@dataclass
+class Outcome:
+    """complaints: what was wrong, empty for a good end; ended: name of the error, or what else came of it."""
+
+    case: Case
+    ended: str = ""
+    error: str = ""
+    seconds: float = 0.0
+    complaints: list[str] = field(default_factory=list)
+
+
+class HangError(BaseException):
+    """Raised into a run that does not end."""
+
+
+class Truth:
+    """What the plant of one bench went through. Attached after everything that moves it."""
+
+    def __init__(self, bench: Bench | ProbeBench) -> None:
+        self.bench, self.clock = bench, bench.clock
+        self.low_mm = self.high_mm = 0.0
+        self.ends: Callable[[], int | None] = lambda: None  # when simulated time is over, ns
+        self.limits_mm = TRAVEL_MM if isinstance(bench, Bench) else (-2.0, 200.0)
+        self._fresh = True
+        self.homed_ns: int | None = None  # when every axis was homed
+        self.way_mm = 0.0  # of all axes
+        self._last: list[float] = []
+        self.clock.attach(self._look, bearable=lambda _now_ns: 60_000_000_000)
+
+    def places(self) -> list[tuple[float, float]]:
+        """Place in mm and velocity in mm/s of each axis's shaft, in the frame of the machine."""
+        if isinstance(self.bench, Bench):
+            servo, lead = self.bench.servo, self.bench.parameters.plant.screw.lead_mm
+            return [(servo.motor_rev * lead, servo.velocity_actual_counts_s * lead / servo.parameters.counts_per_rev)]
+        scalings = {name: self.bench.axes[name].scaling for name in self.bench.servos}
+        return [
+            (scaling.load_mm(servo._actual), scaling.load_mm(servo._actual_velocity))
+            for (name, scaling), servo in zip(scalings.items(), self.bench.servos.values(), strict=True)
+            if name != "spindle"
+        ]
+
+    @property
+    def powered(self) -> bool:
+        servos = [self.bench.servo] if isinstance(self.bench, Bench) else self.bench.servos.values()
+        return any(servo.powered for servo in servos)
+
+    def _homed(self) -> bool:
+        servos = [self.bench.servo] if isinstance(self.bench, Bench) else self.bench.servos.values()
+        return all(servo.homed for servo in servos)
+
+    def speed_mm_s(self) -> float:
+        return max(abs(velocity) for _, velocity in self.places())
+
+    def _look(self, now_ns: int, _dt_s: float) -> None:
+        places = [place for place, _ in self.places()]
+        self.way_mm += sum(abs(now - before) for now, before in zip(places, self._last or places, strict=True))
+        self._last = places
+        if self._fresh:
+            self.low_mm, self.high_mm, self._fresh = min(places), max(places), False
+        if self.homed_ns is None and self._homed():
+            self.homed_ns = now_ns
+        self.low_mm, self.high_mm = min(self.low_mm, *places), max(self.high_mm, *places)
+        end_ns = self.ends()
+        if end_ns is not None and now_ns > end_ns:
+            raise HangError(f"simulated time is at {now_ns * 1e-9:.1f} s")
+
+
+class Rows:
+    """Every row that a journal takes, with where the table of the machine truly was."""
+
+    def __init__(self) -> None:
+        self.off_mm: list[float] = []
+        self.truth: Truth | None = None
+
+    def catch(self) -> Any:
+        append, rows = RowJournal.append, self
+
+        def appended(journal: RowJournal, row: Mapping[str, float]) -> None:
+            append(journal, row)
+            if rows.truth is not None and isinstance(rows.truth.bench, Bench) and "measured_mm" in row:
+                rows.off_mm.append(row["measured_mm"] - rows.truth.bench.plant.position_mm)
+
+        return patch.object(RowJournal, "append", appended)
+
+    def complaints(self) -> Iterator[str]:
+        if not self.off_mm:
+            return
+        spread = max(self.off_mm) - min(self.off_mm)
+        if spread > ROW_MM:
+            yield f"rows wrong by {1e3 * spread:.1f} µm against each other"
+        if max(map(abs, self.off_mm)) > DATUM_MM:
+            yield f"rows in another frame, {max(self.off_mm, key=abs):.3f} mm off"
+
+
+class Press(Waiting):
+    """The operator's stop, pressed once at a simulated moment."""
+
+    def __init__(self, at_ns: int) -> None:
+        self._at_ns: int | None = at_ns
+
+    def over(self) -> None:
+        """What comes now is no longer the run's."""
+        self._at_ns = None
+
+    def real(self, duration_s: float) -> None:
+        time.sleep(duration_s)
+
+    def simulated(self, now_ns: int) -> None:
+        if self._at_ns is not None and now_ns >= self._at_ns:
+            self._at_ns = None
+            raise StoppedByOperator("stopped by the operator")
+
+
+@contextmanager
+def ended_after(wall_s: float) -> Iterator[None]:
+    """A real timer that raises HangError, again and again, as one may be swallowed."""
+
+    def ring(_number: int, _frame: object) -> None:
+        raise HangError(f"no end within {wall_s:g} s of real time")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, wall_s, 1.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@cache
+def undisturbed_s(face: str, verb: str) -> float:
+    """How long a verb takes with nothing wrong, simulated."""
+    truths: list[Truth] = []
+    with TemporaryDirectory() as directory:
+        place = Place(Path(directory), face, on_bench=lambda bench: truths.append(Truth(bench)))
+        with place.wired():
+            VERBS[verb](place)
+    return truths[0].clock.now_ns() * 1e-9
+
+
+def moment_s(case: Case) -> float:
+    """Seeds are spread over the verb's duration."""
+    if WIRES[case.wire][0][case.kind].at_start:
+        return 0.001
+    random = Random(str(case))
+    return undisturbed_s(case.face, case.verb) * (case.seed % 10 + random.random()) / 10.0
+
+
+def run(case: Case) -> Outcome:
+    """One case; never raises."""
+    kind = WIRES[case.wire][0][case.kind]
+    at_ns = round(moment_s(case) * 1e9)
+    truths: list[Truth] = []
+    peers: list[Peer] = []
+    rows = Rows()
+
+    def armed(peer: Peer) -> None:
+        if not peers:
+            peers.append(peer)
+            peer.on_strike = lambda: setattr(peer, "way_mm", truths[0].way_mm)
+            peer.arm(at_ns, kind.begin, case.seed)
+
+    def on_bench(bench: Any) -> None:
+        truths.append(Truth(bench))
+        if len(truths) > 1:
+            return
+        rows.truth = truths[0]
+        truths[0].ends = lambda: _given_up_ns(case, truths, peers)
+        if case.wire == "instrument":
+            armed(InstrumentPeer(bench))
+        elif case.wire == "drive":
+            armed(Peer(bench.clock, bench.servo if isinstance(bench, Bench) else bench.servos["x"]))
+
+    waiting = None if kind.stop_after_s is None else Press(at_ns + round(1e9 * kind.stop_after_s))
+    with TemporaryDirectory() as directory, ExitStack() as stack:
+        place = Place(Path(directory), case.face, waiting, on_bench=on_bench)
+        place.on_can = armed if case.wire == "canopen" else None
+        stack.enter_context(place.wired())
+        stack.enter_context(rows.catch())
+        if case.wire == "modbus":
+            for module in (hil.wiring, hil.probe_wiring):
+                stack.enter_context(patch.object(module, "BENCH_PATIENCE_S", BENCH_SILENCE_S))
+                stack.enter_context(patch.object(module, "tcp_server", behind_proxy(armed)))
+        began_s, error = time.monotonic(), None
+        try:
+            with ended_after(WALL_S):
+                VERBS[case.verb](place)
+        except BaseException as raised:  # noqa: BLE001 - it is what is judged
+            error = raised
+        wall_s = time.monotonic() - began_s
+        if waiting is not None:
+            waiting.over()
+        peer = next((peer for peer in peers if peer.struck_ns is not None), None)
+        ended = Outcome(case, "unmet" if peer is None else "got over" if error is None else type(error).__name__)
+        ended.error = "" if error is None else " ".join(str(error).split())[:300]
+        if not truths:
+            ended.complaints.append(f"nothing was connected: {error!r}")
+            return ended
+        for truth in truths:
+            truth.ends = lambda: None
+        if peer is not None and peer.struck_ns is not None:
+            ended.seconds = (truths[0].clock.now_ns() - peer.struck_ns) * 1e-9 + (
+                wall_s if case.wire == "modbus" else 0.0
+            )
+        ended.complaints += _how_it_ended(kind, error, truths, peer, ended)
+        ended.complaints += _what_the_plant_shows(kind, truths, peer, ended)
+        ended.complaints += rows.complaints()
+    return ended
+
+
+def _allowed_s(truths: list[Truth], struck_ns: int) -> float:
+    """How long after the fault a run may take."""
+    homed_ns = [truth.homed_ns for truth in truths]
+    return WITHIN_S + HOMING_S * any(homed is None or homed >= struck_ns for homed in homed_ns)
+
+
+def _given_up_ns(case: Case, truths: list[Truth], peers: list[Peer]) -> int:
+    struck_ns = next((peer.struck_ns for peer in peers if peer.struck_ns is not None), None)
+    if struck_ns is not None:
+        return struck_ns + round(1e9 * (GIVEN_UP_S + _allowed_s(truths, struck_ns)))
+    return round(1e9 * (2.0 * undisturbed_s(case.face, case.verb) + GIVEN_UP_S))
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    """An error, and each of those that are reported together in it."""
+    yield error
+    for one in getattr(error, "errors", ()):
+        yield from _causes(one)
+
+
+def _how_it_ended(
+    kind: Kind, error: BaseException | None, truths: list[Truth], peer: Peer | None, ended: Outcome
+) -> Iterator[str]:
+    if isinstance(error, HangError):
+        yield f"hangs: {error}"
+        return
+    if peer is None or peer.struck_ns is None:
+        if error is not None and not isinstance(error, StoppedByOperator):
+            yield f"fails before the fault: {error!r}"
+        return
+    if error is None and not kind.passes and truths[0].way_mm - peer.way_mm > NOTICED_MM:
+        yield "ends as if nothing had been"
+    if error is not None and not any(isinstance(one, (*kind.errors, NotGoodError)) for one in _causes(error)):
+        yield f"ends by {type(error).__name__}: {ended.error}"
+    if error is not None and ended.seconds > _allowed_s(truths, peer.struck_ns) + (kind.stop_after_s or 0.0):
+        yield f"ends {ended.seconds:.1f} s after the fault"
+
+
+def _what_the_plant_shows(kind: Kind, truths: list[Truth], peer: Peer | None, ended: Outcome) -> Iterator[str]:
+    clock, met = truths[0].clock, peer is not None
+    if isinstance(peer, ModbusPeer):
+        clock.sleep_s(ANSWERED_S)
+    if kind.unreachable and met:
+        clock.sleep_s(GUARDED_S)
+    if kind.coasts and met and not any(truth.powered for truth in truths):
+        clock.sleep_s(COASTED_S)
+    for truth in truths:
+        if (speed := truth.speed_mm_s()) > STILL_MM_S:
+            yield f"the axis still moves, at {speed:.2f} mm/s, {'under' if truth.powered else 'without'} power"
+    before = [truth.places() for truth in truths]
+    clock.sleep_s(5.0)
+    for truth, was in zip(truths, before, strict=True):
+        moved = max(abs(now[0] - then[0]) for now, then in zip(truth.places(), was, strict=True))
+        if moved > STILL_MM_S:
+            yield f"the axis moves by {moved:.3f} mm after the end"
+        if truth.powered:
+            ended.ended += ", held"
+        low_mm, high_mm = truth.limits_mm
+        off_mm = max(low_mm - truth.low_mm, truth.high_mm - high_mm)
+        if off_mm > REACH_MM + kind.disobeys_mm:
+            yield f"{off_mm:.2f} mm outside the limits"
+
+
+def cases(seeds: int = 10, wires: Sequence[str] | None = None) -> list[Case]:
+    """All of them."""
+    return [
+        Case(wire, kind, verb, seed)
+        for wire in (wires or WIRES)
+        for kind in WIRES[wire][0]
+        for verb in WIRES[wire][1]
+        for seed in range(seeds)
+    ]
+
+
+def sample(verbs_each: int, among: Sequence[str]) -> list[Case]:
+    """Every kind with so many of these verbs, which the kinds take in turn, as they do the seeds."""
+    found = []
+    for wire, (kinds, met_by, _) in WIRES.items():
+        verbs = [verb for verb in among if verb in met_by]
+        for number, kind in enumerate(kinds):
+            for turn in range(verbs_each):
+                verb = verbs[(number + turn * (len(verbs) // verbs_each)) % len(verbs)]
+                found.append(Case(wire, kind, verb, (7 * number + 3 * turn) % 10))
+    return found

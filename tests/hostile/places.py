@@ -1,0 +1,272 @@
+"""Every verb that moves an axis, on a bench as small as it can be: what the hostile suite, the stop table and the kills run on.
+
+A verb is a function of a `Place`; it connects, does its work and leaves, as the command of that name does, and raises what it raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from hostile.can_peer import CanPeer, stand_in
+from support import probe_files
+from support.bench_axis import AXIS, PASSWORDS
+
+import hil.axes_wiring
+import hil.probe_wiring
+import hil.wiring
+from drivers.clock import Waiting
+from drivers.errors import BridgeError
+from hil.axes_wiring import connected_axes
+from hil.axis import AxisConfig, load_axis
+from hil.backlash_settings import backlash_settings
+from hil.compensation import Compensation
+from hil.drive_tables import drive_table, wanted_of
+from hil.effects import ALL
+from hil.jobs.calibrate import run_calibration, run_verification
+from hil.jobs.close_loop import run_loop
+from hil.jobs.lost_motion import run_lost_motion
+from hil.journal import Campaign
+from hil.lost_motion.circle import Circle
+from hil.probe_machine import load_probe_machine
+from hil.probe_wiring import connected_probe, probe_bench
+from hil.procedures.circle import drive_circle, prepare
+from hil.procedures.close_loop import Turning
+from hil.procedures.doctor import doctor
+from hil.procedures.drive_table import held_table
+from hil.procedures.explore import Exploration
+from hil.procedures.probe_runout import measure_run_out
+from hil.procedures.prove_drive_table import prove_by_instrument
+from hil.procedures.torque_backlash import measure_backlash
+from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.store import SealedStore
+from hil.tables import DirectionalTable, TableMode, TableSet
+from hil.wiring import connected, connected_drive
+from sim_backends.bench import Bench, BenchParameters
+
+TRAVEL_MM = (-2.0, 160.0)
+MEASUREMENT = """
+[drive]
+backend = "bench"
+machine = "{machine}"
+seed = 5
+{face}
+[instrument]
+place_temps = {{ screw = 4 }}
+
+[measurement]
+targets_mm = [20.0, 45.0, 70.0]
+runs = {runs}
+velocity_mm_s = 100.0
+dwell_s = 0.1
+reading_s = 0.1
+home = {home}
+
+[lost_motion]
+stroke_mm = 4.0
+places = 10
+runs = 2
+proof_moves = 4
+
+[backlash]
+reference_plus_mm = 15.0
+reference_minus_mm = 15.0
+travel_velocity_mm_s = 100.0
+step_um = 4.0
+settle_s = 0.02
+readings = 2
+velocity_mm_s = 2.0
+run_in_mm = 0.2
+runs = 1
+{backlash}
+"""
+FACES = {
+    "virtual": 'face = "virtual"\n',
+    "canopen": 'face = "canopen"\n',
+    "modbus-tcp": 'face = "modbus-tcp"\n',
+    "modbus-rtu": 'face = "modbus-rtu"\n',
+}
+BACKLASH = {"canopen": 'parameter = "2201h"\nacceleration = "2202h"\nparameter_um = 0.01\n'}
+
+
+class NotGoodError(BridgeError):
+    """A verb ended without an error and said that not all is well."""
+
+
+@dataclass
+class Place:
+    """Where a verb runs. resume: take up what was broken off; homing: lines of [drive]; parameters: of the benches.
+
+    on_bench hears of each bench, and on_can of each drive's man in the middle, before anything moves.
+    """
+
+    directory: Path
+    face: str
+    waiting: Waiting | None = None
+    resume: bool = False
+    homing: str = ""
+    home: bool = True
+    corrected: bool = True  # what verify verifies
+    guard_s: float | None = 1.0
+    parameters: Callable[[AxisConfig], BenchParameters] | None = None
+    on_bench: Callable[[Any], None] = lambda _bench: None
+    on_can: Callable[[CanPeer], None] | None = None
+    _axes: dict[str, AxisConfig] = field(default_factory=dict)
+
+    def axis(self, name: str = "X", *, machine: str = "geometric", table: str = "", runs: int = 1) -> AxisConfig:
+        """Write an axis file, and the builder's keys, and read it."""
+        if name in self._axes:
+            return self._axes[name]
+        path = self.directory / f"{name}.toml"
+        face = FACES[self.face] + (
+            f'correction_table = "{table}"\n' if table and self.face in ("virtual", "canopen") else ""
+        )
+        backlash = BACKLASH.get(self.face, "")
+        text = AXIS.replace("502.0", f"{TRAVEL_MM[1]}").replace('"X"', f'"{name}"') + MEASUREMENT.format(
+            machine=machine, home=str(self.home).lower(), face=face + self.homing, runs=runs, backlash=backlash
+        )
+        self.directory.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        key_path = path.with_name("builder.key")
+        if not key_path.exists():
+            key = new_key()
+            save_private_key(key_path, key, PASSWORDS["HIL_KEY_PASSWORD"], cost=Cost(n=2, r=8, p=1))
+            save_public_key(path.with_name("builder.pub"), key.public_key())
+        axis = load_axis(path)
+        guarded = replace(axis, drive=replace(axis.drive, guard_s=self.guard_s))
+        self._axes[name] = guarded
+        return guarded
+
+    def bench(self, axis: AxisConfig) -> BenchParameters | None:
+        return None if self.parameters is None else self.parameters(axis)
+
+    @contextmanager
+    def wired(self) -> Iterator[None]:
+        """The product's wiring, with a man in the middle on its buses."""
+
+        place = self
+
+        class SeenBench(Bench):
+            def __init__(self, *arguments: Any, **settings: Any) -> None:
+                super().__init__(*arguments, **settings)
+                place.on_bench(self)
+
+        with ExitStack() as stack:
+            for module in (hil.wiring, hil.axes_wiring, hil.probe_wiring):
+                stack.enter_context(patch.object(module, "drives_in_turn", stand_in(self.on_can)))
+            for module in (hil.wiring, hil.axes_wiring):
+                stack.enter_context(patch.object(module, "Bench", SeenBench))
+            yield
+
+
+def store_of(axis: AxisConfig) -> SealedStore:
+    return SealedStore.of(axis, PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"])
+
+
+def some_tables(axis: AxisConfig) -> TableSet:
+    places = np.array(axis.measurement.targets_mm)
+    return TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(places, 0.05 * places, 0.05 * places - 4.0))
+
+
+# -- the verbs -----------------------------------------------------------------------------------------------------------
+def calibrate(place: Place) -> None:
+    axis = place.axis()
+    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+        run_calibration(machine, store_of(axis), resume=place.resume)
+
+
+def verify(place: Place) -> None:
+    axis = place.axis()
+    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+        run_verification(machine, Compensation(some_tables(axis)) if place.corrected else None, resume=place.resume)
+
+
+def lost_motion(place: Place) -> None:
+    axis = place.axis(machine="worn")
+    how = axis.lost_motion
+    assert how is not None
+    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+        run_lost_motion(machine, how, None, resume=place.resume)
+
+
+def backlash(place: Place) -> None:
+    axis = place.axis(machine="worn")
+    how = axis.backlash
+    assert how is not None
+    with connected_drive(axis, place.bench(axis), waiting=place.waiting) as drive:
+        measure_backlash(drive, how, backlash_settings(axis, how, drive))
+
+
+def close_loop(place: Place) -> None:
+    axis = place.axis()
+    turning = Turning(Exploration(runs=2, rows=6, warm_up_s=1.0), effects=ALL[:1])
+    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+        run_loop(machine, store_of(axis), turning, resume=place.resume)
+
+
+def circle(place: Place) -> None:
+    axes = [place.axis(name) for name in ("X", "Y")]
+    period_s = 0.004 if place.face in ("virtual", "canopen") else 0.03
+    with connected_axes(
+        axes, None if place.parameters is None else [place.parameters(a) for a in axes], place.waiting
+    ) as machines:
+        sessions = [machine.session for machine in machines]
+        prepare(sessions)
+        drive_circle(sessions, Circle((45.0, 45.0), 6.0, 15.0, ramp_mm_s2=100.0), (None, None), period_s=period_s)
+
+
+def doctor_check(place: Place) -> None:
+    axis = place.axis()
+    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+        wrong = [check for check in doctor(machine.session, trust_file=True) if not check.good]
+    if wrong:
+        raise NotGoodError("; ".join(f"{check.name}: {check.detail}" for check in wrong))
+
+
+def table_proof(place: Place) -> None:
+    axis = place.axis(table="simulated_array")
+    compensation = Compensation(some_tables(axis))
+    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+        table = held_table(machine.session.drive)
+        table.write(drive_table(wanted_of(compensation), table.description, axis.scaling, axis.limits).raw)
+        campaign = Campaign.numbered(axis.store.directory, {"kind": "proof"}, resume=False)
+        proof = prove_by_instrument(machine.session, campaign, compensation, [45.0], runs=1)
+    if not proof.good:
+        raise NotGoodError(proof.verdict)
+
+
+def probe(place: Place) -> None:
+    drive = {"virtual": probe_files.VIRTUAL, "canopen": probe_files.CANOPEN, "modbus-tcp": probe_files.MODBUS}[
+        place.face
+    ]
+    config = load_probe_machine(probe_files.lay_out(place.directory, drive=drive, block="turns = 1"))
+    guarded: dict[str, Any] = {
+        name: replace(axis, drive=replace(axis.drive, guard_s=place.guard_s)) for name, axis in config.axes.items()
+    }
+    config = replace(config, **guarded)
+    bench = probe_bench(config, waiting=place.waiting)
+    place.on_bench(bench)
+    with connected_probe(config, bench=bench) as session:
+        measured = measure_run_out(session)
+    if (refusal := measured.refusal(config)) is not None:
+        raise NotGoodError(refusal)
+
+
+Verb = Callable[[Place], None]
+VERBS: dict[str, Verb] = {
+    "calibrate": calibrate,
+    "verify": verify,
+    "lost-motion": lost_motion,
+    "backlash": backlash,
+    "close-loop": close_loop,
+    "circle": circle,
+    "doctor": doctor_check,
+    "table proof": table_proof,
+    "probe": probe,
+}
+WITH_INSTRUMENT = tuple(name for name in VERBS if name not in ("backlash", "probe"))

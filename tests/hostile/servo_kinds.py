@@ -1,0 +1,97 @@
+"""Kinds of drive that does as nobody told it, whatever wire it is on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hostile.peer import Kinds, Peer
+
+from drivers.errors import (
+    DriveFaultError,
+    HeldUnderPowerError,
+    MeasurementLostError,
+    ProtocolError,
+    SafetyError,
+    StateError,
+)
+from hil.desk.stop import StoppedByOperator
+from sim_backends.faults import Fault, FaultKind
+
+MOTION = (SafetyError, ProtocolError, DriveFaultError, StateError)
+SERVO_KINDS = kinds = Kinds()
+
+
+@kinds("acknowledged, but it never moves", *MOTION)
+def _(peer: Peer) -> None:
+    peer.instead("move_absolute", lambda *_: None)
+    peer.instead("cyclic_position", lambda *_: None)
+
+
+@kinds("it moves the wrong way", *MOTION, disobeys_mm=20.0)
+def _(peer: Peer) -> None:
+    servo, move, cyclic = peer.servo, peer.servo.move_absolute, peer.servo.cyclic_position
+    here = servo.position_actual_counts
+    peer.instead("move_absolute", lambda target, v, a: move(2 * servo.position_actual_counts - target, v, a))
+    peer.instead("cyclic_position", lambda target: cyclic(2 * here - target))
+
+
+@kinds("it goes twice as far", *MOTION, disobeys_mm=20.0)
+def _(peer: Peer) -> None:
+    servo, move, cyclic = peer.servo, peer.servo.move_absolute, peer.servo.cyclic_position
+    here = servo.position_actual_counts
+    peer.instead("move_absolute", lambda target, v, a: move(2 * target - servo.position_actual_counts, v, a))
+    peer.instead("cyclic_position", lambda target: cyclic(2 * target - here))
+
+
+@kinds("it runs away", *MOTION, disobeys_mm=40.0)
+def _(peer: Peer) -> None:
+    move = peer.servo.move_velocity
+
+    def run(target: int, *_: Any) -> None:
+        move(-12e6 if target < peer.servo.position_actual_counts else 12e6, 100e6)
+
+    peer.instead("move_absolute", run)
+    peer.instead("cyclic_position", run)
+
+
+@kinds("it moves three times as fast", *MOTION, disobeys_mm=20.0)
+def _(peer: Peer) -> None:
+    move = peer.servo.move_absolute
+    peer.instead("move_absolute", lambda target, v, a: move(target, 3 * v, 3 * a))
+
+
+@kinds("a fault in mid-move", DriveFaultError)
+def _(peer: Peer) -> None:
+    peer.strike()
+    peer.servo.raise_fault(0x3210)
+
+
+@kinds("the shaft jams", *MOTION, MeasurementLostError)
+def _(peer: Peer) -> None:
+    peer.strike()
+    peer.servo.schedule((Fault(FaultKind.JAM, peer.clock.now_ns() * 1e-9 + 0.001, 1e6),))
+
+
+@kinds("quick stop is ignored", StoppedByOperator, stop_after_s=0.3, coasts=True, disobeys_mm=5.0)
+def _(peer: Peer) -> None:
+    peer.strike()
+    peer.instead("quick_stop", lambda *_: None)
+
+
+@kinds(
+    "quick stop and halt are ignored",
+    StoppedByOperator,
+    HeldUnderPowerError,
+    stop_after_s=0.3,
+    coasts=True,
+    disobeys_mm=5.0,
+)
+def _(peer: Peer) -> None:
+    peer.strike()
+    peer.instead("quick_stop", lambda *_: None)
+    peer.instead("halt", lambda *_: None)
+
+
+@kinds("the operator stops, nothing is wrong", StoppedByOperator, stop_after_s=0.05)
+def _(peer: Peer) -> None:
+    peer.strike()

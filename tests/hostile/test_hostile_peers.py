@@ -1,0 +1,25 @@
+"""A sample of the hostile peers; all of them by `python tests/study/hostile_peers.py --all`."""
+
+from __future__ import annotations
+
+import pytest
+from hostile.judge import WIRES, Case, run, sample
+from hostile.places import VERBS
+
+FEW, MORE = sample(1, ("verify", "doctor", "circle", "calibrate")), sample(2, tuple(VERBS))
+LEAST = {"canopen": 40, "modbus": 15, "drive": 8, "instrument": 15}
+
+
+def test_there_are_enough_kinds() -> None:
+    assert {wire: len(kinds) >= LEAST[wire] for wire, (kinds, _, _) in WIRES.items()} == dict.fromkeys(WIRES, True)
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in FEW])
+def test_it_ends_in_time_with_the_right_error_and_nothing_wrong(case: Case) -> None:
+    assert run(case).complaints == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in MORE if case not in FEW])
+def test_more_of_them_do(case: Case) -> None:
+    assert run(case).complaints == []

@@ -1,0 +1,171 @@
+"""One slow drive of a download holds up no other: four simulated drives on a bus at 1 Mbit/s, in simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
+
+from drivers.canopen.eds import EdsFile, load_eds
+from drivers.canopen.raw_parameters import START_S, address_of
+from drivers.errors import NoAnswerError
+from drivers.raw_parameters import RawParameters, Steps
+from hil.params.download import Target, download
+from hil.params.report import Ending
+from hil.params.transaction import DriveJob
+from hil.params.works import run_together
+from sim_backends.canopen_faults import CanFault, CanFaultKind
+
+COUNT = 12
+KEYS = maker_keys(COUNT)
+NEW = maker_set(COUNT)
+NODES = (5, 6, 7, 8)
+SLOW = 6
+SLOW_S = 5.0
+TURNAROUND_S = 0.01  # of every drive, so that all of them are at work for as long as one waits
+K = CanFaultKind
+Make = Callable[..., ParameterRig]
+Times = dict[str, float]
+"""When each drive was done, s from the beginning."""
+
+
+@pytest.fixture(scope="module")
+def parsed(tmp_path_factory: pytest.TempPathFactory) -> EdsFile:
+    return load_eds(maker_eds(tmp_path_factory.mktemp("eds"), COUNT), 5)
+
+
+@pytest.fixture
+def make(parsed: EdsFile, tmp_path: Path) -> Iterator[Make]:
+    rigs: list[ParameterRig] = []
+
+    def build(**options: object) -> ParameterRig:
+        folder = tmp_path / str(len(rigs))
+        rigs.append(ParameterRig(Path(parsed.path), folder, **{"nodes": NODES, "file": parsed, **options}))  # type: ignore[arg-type]
+        return rigs[-1]
+
+    yield build
+    for rig in rigs:
+        rig.stack.close()
+
+
+def shows_late(rig: ParameterRig, node: int, delay_s: float) -> None:
+    """This drive takes a value at once and shows it `delay_s` after the first look: until then it shows what it held."""
+    dictionary, clock = rig.bench.slaves[node].dictionary, rig.bench.clock
+    since: dict[tuple[int, int], int] = {}
+    for key in KEYS:
+        held = dictionary.raw(key)
+
+        def shown(key: tuple[int, int] = key, held: bytes = held) -> int:
+            now = dictionary.raw(key)
+            if now != held:
+                since.setdefault(key, clock.now_ns())
+            late = now != held and clock.now_ns() - since[key] < delay_s * 1e9
+            codec = dictionary.item(*key).codec
+            assert codec is not None
+            return int(codec.unpack(held if late else now)[0])
+
+        dictionary.on_read(*key, shown)
+
+
+def finished(rig: ParameterRig, steps: Callable[[RawParameters], Steps[None]]) -> Times:
+    clock, start_ns = rig.bench.clock, rig.bench.clock.now_ns()
+    times: Times = {}
+
+    def timed(drive: RawParameters) -> Steps[None]:
+        yield from steps(drive)
+        times[drive.name] = (clock.now_ns() - start_ns) * 1e-9
+
+    errors = run_together(rig.drives, lambda drive: drive, timed)
+    assert errors == [None] * len(rig.drives)
+    return times
+
+
+def goals() -> dict[str, bytes]:
+    sizes = [4, 2, 1, 4, 2, 1]
+    return {
+        address_of(key): int(entry.raw).to_bytes(sizes[number % 6], "little")  # type: ignore[arg-type]
+        for number, (key, entry) in enumerate(zip(KEYS, NEW.entries, strict=True))
+    }
+
+
+def proves(drive: RawParameters) -> Steps[None]:
+    job = DriveJob(drive, settle_s=2 * SLOW_S)
+    present = yield from job.show(list(goals()))
+    yield from job.bring(goals(), present, {}, starts=drive.restarts)
+
+
+def settles(drive: RawParameters) -> Steps[None]:
+    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, patience_s=4 * SLOW_S)
+
+
+@pytest.mark.parametrize("steps", [proves, settles])
+def test_a_drive_that_shows_its_values_late_holds_up_no_other(
+    make: Make, steps: Callable[[RawParameters], Steps[None]]
+) -> None:
+    alone = finished(make(nodes=[node for node in NODES if node != SLOW]), steps)
+    rig = make()
+    shows_late(rig, SLOW, SLOW_S)
+    together = finished(rig, steps)
+    assert together.pop(f"X{SLOW}") > SLOW_S
+    assert together.keys() == alone.keys()
+    for name, took_s in together.items():  # the slow one's frames take their share of the bus
+        assert took_s <= 4 / 3 * alone[name] + 0.001
+    assert all(rig.values(KEYS, node) == [entry.raw for entry in NEW.entries] for node in range(len(NODES)))
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        [CanFault(K.SDO_LATE, size=0.04)],  # the time-out is 0.05 s
+        [CanFault(K.SDO_LOST, skip=20 + 7 * number, count=1) for number in range(10)],
+        [CanFault(K.SDO_LATE, size=0.2, skip=20 + 5 * number, count=1) for number in range(8)],
+    ],
+    ids=["every answer late", "answers lost", "answers behind the time-out"],
+)
+def test_a_drive_that_answers_late_or_not_holds_up_no_other_in_any_stage(make: Make, faults: list[CanFault]) -> None:
+    def times(rig: ParameterRig) -> tuple[dict[str, float], set[Ending]]:
+        clock = rig.bench.clock
+        first: dict[str, int] = {}
+        last: dict[tuple[str, str], int] = {}
+
+        def progress(stage: str, drive: str, done: int, total: int) -> None:
+            first.setdefault(stage, clock.now_ns())
+            if done == total:
+                last.setdefault((stage, drive), clock.now_ns())
+
+        targets = [Target(drive, NEW, journal) for drive, journal in zip(rig.drives, rig.journals, strict=True)]
+        reports = download(targets, progress=progress)
+        spans = {
+            drive: sum(1e-9 * (time_ns - first[stage]) for (stage, name), time_ns in last.items() if name == drive)
+            for drive in (drive.name for drive in rig.drives)
+        }
+        return spans, {report.ending for report in reports}
+
+    alone, endings = times(make(nodes=[node for node in NODES if node != SLOW], turnaround_s=TURNAROUND_S))
+    assert endings == {Ending.WRITTEN}
+    rig = make(faults=faults, only=SLOW, turnaround_s=TURNAROUND_S)
+    together, endings = times(rig)
+    assert endings == {Ending.WRITTEN}
+    slow_s = together.pop(f"X{SLOW}")
+    assert slow_s > 1.5 * max(alone.values())
+    for name, took_s in together.items():
+        assert took_s <= alone[name] + 0.02
+
+
+def test_a_drive_whose_boot_up_does_not_come_holds_up_no_other(make: Make) -> None:
+    rig = make(faults=[CanFault(K.NODE_DEAD)], only=SLOW)
+    clock, start_ns = rig.bench.clock, rig.bench.clock.now_ns()
+    times: Times = {}
+
+    def restarts_or_reads(drive: RawParameters) -> Steps[None]:
+        if drive.name == f"X{SLOW}":
+            yield from drive.restart()
+        yield from DriveJob(drive).show(list(goals()))
+        times[drive.name] = (clock.now_ns() - start_ns) * 1e-9
+
+    errors = run_together(rig.drives, lambda drive: drive, restarts_or_reads)
+    assert [type(error) for error in errors] == [type(None), NoAnswerError, type(None), type(None)]
+    assert (clock.now_ns() - start_ns) * 1e-9 == pytest.approx(START_S, abs=0.01)
+    assert max(times.values()) < 0.1

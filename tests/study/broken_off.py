@@ -1,0 +1,48 @@
+"""Verbs killed, interrupted and left without power at random moments, then resumed: `python tests/study/broken_off.py`.
+
+Four verbs, four ways to home, 200 moments each, which the three ways to break off take in turn. Prints each run that was not right,
+and what became of the second lives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+    sys.path[0] = str(Path(__file__).parents[1])
+
+from hostile.kills import BROKEN_OFF, HOMING, WAYS, breaks, run
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--moments", type=int, default=200)
+    parser.add_argument("--verb", action="append", choices=BROKEN_OFF)
+    parser.add_argument("--homing", action="append", choices=HOMING)
+    parser.add_argument("--processes", type=int, default=2)
+    args = parser.parse_args()
+    chosen = breaks(args.moments, tuple(args.verb or BROKEN_OFF), tuple(args.homing or HOMING))
+    began_s, found = time.monotonic(), []
+    with ProcessPoolExecutor(args.processes) as pool:
+        for one in pool.map(run, chosen, chunksize=4):
+            found.append(one)
+            if one.complaints:
+                print(f"{one.case}: {one.ended}; {'; '.join(one.complaints)}", flush=True)
+    print(f"{'homing':8} {'broken off by':14} {'runs':>5} {'bad':>5}  second life")
+    for method in args.homing or HOMING:
+        for way in WAYS:
+            these = [one for one in found if (one.case.method, one.case.way) == (method, way)]
+            ends = ", ".join(f"{name} {count}" for name, count in Counter(one.ended for one in these).most_common())
+            print(f"{method:8} {way:14} {len(these):5} {sum(bool(one.complaints) for one in these):5}  {ends}")
+    bad = sum(bool(one.complaints) for one in found)
+    print(f"{len(found)} runs in {time.monotonic() - began_s:.0f} s: {bad} were not right")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,525 @@
+"""Mutation test of the modules whose numbers and decisions count: which one-line faults do the matching tests notice?
+
+`python tests/study/mutants.py` runs all rooms of `ROOMS`, `python tests/study/mutants.py effects figures` these. It prints a table
+(module, mutants, killed, survivors by group) and every survivor. `--json FILE` keeps the outcomes; with it a later run tries only
+what survived before (`--all` tries everything again). `--jobs 2` uses two processes. Run it by hand: it takes about an hour.
+
+Each mutant is one changed node of the syntax tree: signs, factors, numbers, comparisons (turned over, or at their boundary),
+boolean decisions, calls left out, min against max and the like. Text for people, type annotations and decorators stay. The tests of
+the room run in forked children, first with the changed function put in place of the old one, then, for what survived that and for
+values of a module, with the module imported from the changed tree. No file is written.
+
+Why not a ready tool (tried with versions of August 2026): mutmut 3.8 changes function bodies only and leaves out decorated functions,
+so that no published coefficient (a value of a module) and no property is ever mutated. cosmic-ray 8.7 makes 4864 mutants of
+hil/effects alone, most of them `*` against each of ten other operators, and starts Python for each: 5 s, so seven hours there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import gc
+import importlib
+import importlib.machinery
+import importlib.util
+import inspect
+import json
+import os
+import pickle
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import types
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+UNIT = "tests/unit/hil"
+
+
+@dataclass(frozen=True)
+class Room:
+    """Modules by pattern, and the tests that are to notice a fault in them."""
+
+    modules: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+ROOMS = {
+    "effects": Room(
+        ("hil/effects/*.py",),
+        (f"{UNIT}/effects/test_reference_values.py", f"{UNIT}/effects", "tests/contract/test_effects.py"),
+    ),
+    "iso230": Room(("hil/iso230.py",), (f"{UNIT}/test_iso230.py",)),
+    "uncertainty": Room(("hil/uncertainty.py",), (f"{UNIT}/test_uncertainty.py",)),
+    "alignment": Room(("hil/alignment.py", "hil/material.py"), (f"{UNIT}/test_alignment_and_material.py",)),
+    "reading": Room(("hil/reading.py",), (f"{UNIT}/test_reading.py",)),
+    "latency": Room(("hil/latency.py",), (f"{UNIT}/test_latency.py",)),
+    "runout": Room(
+        ("hil/runout.py", "hil/runout_store.py"), (f"{UNIT}/test_runout.py", f"{UNIT}/test_runout_store.py")
+    ),
+    "backlash": Room(
+        ("hil/wind_up/*.py", "hil/axis_backlash.py"),
+        (f"{UNIT}/wind_up", f"{UNIT}/test_axis_backlash.py"),
+    ),
+    "lost_motion": Room(("hil/lost_motion/*.py",), (f"{UNIT}/lost_motion",)),
+    "sealed": Room(("hil/sealed/*.py",), (f"{UNIT}/test_sealed.py",)),
+    "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
+    "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
+    "parameters": Room(("hil/params/*.py",), (f"{UNIT}/params", "tests/integration/test_params_download.py")),
+    "tables": Room(("hil/tables.py", "hil/fold.py"), (f"{UNIT}/test_tables.py", f"{UNIT}/test_fold.py")),
+    "compensation": Room(
+        ("hil/compensation.py",), (f"{UNIT}/test_compensation.py", f"{UNIT}/lost_motion/test_engine.py")
+    ),
+    "manual": Room(("hil/manual.py",), (f"{UNIT}/test_manual.py",)),
+    "drive_tables": Room(("hil/drive_tables/*.py",), (f"{UNIT}/drive_tables",)),
+}
+
+SIGN, FACTOR, NUMBER = "sign", "factor or unit", "number"
+TURNED, BOUNDARY, DECISION, SWAP, CALL = (
+    "comparison turned over",
+    "boundary",
+    "decision",
+    "name swapped",
+    "call left out",
+)
+GROUPS = (SIGN, FACTOR, TURNED, DECISION, SWAP, CALL, NUMBER, BOUNDARY)
+
+OPERATORS: dict[type[ast.operator], tuple[str, ast.operator]] = {
+    ast.Add: (SIGN, ast.Sub()),
+    ast.Sub: (SIGN, ast.Add()),
+    ast.Mult: (FACTOR, ast.Div()),
+    ast.Div: (FACTOR, ast.Mult()),
+    ast.FloorDiv: (FACTOR, ast.Mult()),
+    ast.Mod: (FACTOR, ast.Mult()),
+    ast.Pow: (FACTOR, ast.Mult()),
+    ast.LShift: (FACTOR, ast.RShift()),
+    ast.RShift: (FACTOR, ast.LShift()),
+    ast.BitAnd: (DECISION, ast.BitOr()),
+    ast.BitOr: (DECISION, ast.BitAnd()),
+    ast.BitXor: (DECISION, ast.BitOr()),
+}
+COMPARISONS: dict[type[ast.cmpop], tuple[tuple[str, ast.cmpop], ...]] = {
+    ast.Lt: ((BOUNDARY, ast.LtE()), (TURNED, ast.GtE())),
+    ast.LtE: ((BOUNDARY, ast.Lt()), (TURNED, ast.Gt())),
+    ast.Gt: ((BOUNDARY, ast.GtE()), (TURNED, ast.LtE())),
+    ast.GtE: ((BOUNDARY, ast.Gt()), (TURNED, ast.Lt())),
+    ast.Eq: ((TURNED, ast.NotEq()),),
+    ast.NotEq: ((TURNED, ast.Eq()),),
+    ast.In: ((TURNED, ast.NotIn()),),
+    ast.NotIn: ((TURNED, ast.In()),),
+    ast.Is: ((TURNED, ast.IsNot()),),
+    ast.IsNot: ((TURNED, ast.Is()),),
+}
+PAIRS = (
+    ("sin", "cos"),
+    ("min", "max"),
+    ("minimum", "maximum"),
+    ("floor", "ceil"),
+    ("any", "all"),
+    ("argmin", "argmax"),
+)
+NAMES = dict(PAIRS) | {after: before for before, after in PAIRS}
+TEXTS = {"NFC": "NFKC", "big": "little", "little": "big"}
+TIMED_OUT = "timed out"
+"""Counts as noticed, and is tried again by a later run: the host may have been busy."""
+PARTS = (ast.operator, ast.cmpop, ast.boolop, str)
+"""What has no text of its own: the whole expression is shown."""
+MULTIPLIES = (ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow, ast.LShift, ast.RShift)
+NO_DECISION = {"strict", "frozen", "slots", "kw_only", "repr", "compare"}
+"""Keywords that guard against a programmer's slip and decide nothing on good code."""
+
+
+@dataclass
+class Mutant:
+    """One change of a syntax tree; `put(True)` makes it, `put(False)` takes it back."""
+
+    line: int
+    group: str
+    change: str
+    put: Callable[[bool], None]
+
+
+class Finder:
+    """All mutants of one module's tree, in the order of its text."""
+
+    def __init__(self) -> None:
+        self.found: list[Mutant] = []
+
+    def offer(self, holder: ast.AST, name: str, index: int | None, group: str, new: object) -> None:
+        """Keep the change of `holder.name` (or of its element `index`) to `new`."""
+        old = getattr(holder, name) if index is None else getattr(holder, name)[index]
+
+        def put(changed: bool) -> None:
+            value = new if changed else old
+            if index is None:
+                setattr(holder, name, value)
+            else:
+                getattr(holder, name)[index] = value
+
+        line_of = next(n for n in (old, holder, *ast.walk(holder)) if hasattr(n, "lineno"))
+        before = ast.unparse(holder if isinstance(old, PARTS) else old)
+        if isinstance(new, ast.AST) and not isinstance(new, PARTS):
+            ast.fix_missing_locations(ast.copy_location(new, line_of))
+        put(True)
+        after = ast.unparse(holder if isinstance(old, PARTS) else new)  # type: ignore[arg-type]
+        put(False)
+        self.found.append(Mutant(line_of.lineno, group, f"{before} → {after}"[:150].replace("\n", " "), put))
+
+    def walk(self, node: ast.AST, factor: bool = False) -> None:
+        """factor: the children are operands of a product or a power."""
+        for name, value in ast.iter_fields(node):
+            if name in ("annotation", "returns", "decorator_list", "type_params", "format_spec", "exc", "type_comment"):
+                continue
+            if isinstance(node, ast.keyword) and node.arg in NO_DECISION:
+                continue
+            for index, child in enumerate(value) if isinstance(value, list) else ((None, value),):
+                if isinstance(child, ast.AST):
+                    self.node(node, name, index, child, factor)
+
+    def node(self, holder: ast.AST, name: str, index: int | None, node: ast.AST, factor: bool) -> None:
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            return
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
+            return
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            return
+        self.in_place(node)
+        self.conditions(node)
+
+        def offer(group: str, new: object) -> None:
+            self.offer(holder, name, index, group, new)
+
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
+            offer(SIGN if isinstance(node.op, ast.USub) else DECISION, node.operand)
+        elif isinstance(node, ast.Constant):
+            self.constant(node, factor, offer)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "abs":
+            offer(SIGN, node.args[0])
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+            offer(CALL, ast.Pass())
+        self.walk(node, factor=isinstance(node, ast.BinOp) and isinstance(node.op, MULTIPLIES))
+
+    def in_place(self, node: ast.AST) -> None:
+        """Changes of an operator or a name within a node."""
+        if isinstance(node, ast.BinOp | ast.AugAssign) and type(node.op) in OPERATORS and not _joins_text(node):
+            self.offer(node, "op", None, *OPERATORS[type(node.op)])
+        elif isinstance(node, ast.BoolOp):
+            self.offer(node, "op", None, DECISION, ast.Or() if isinstance(node.op, ast.And) else ast.And())
+        elif isinstance(node, ast.Compare):
+            for i, comparison in enumerate(node.ops):
+                for group, other in COMPARISONS[type(comparison)]:
+                    self.offer(node, "ops", i, group, other)
+        elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
+            field = "id" if isinstance(node, ast.Name) else "attr"
+            if getattr(node, field) in NAMES:
+                self.offer(node, field, None, SWAP, NAMES[getattr(node, field)])
+
+    def conditions(self, node: ast.AST) -> None:
+        """A condition that is a plain value or call turned over; comparisons and the like change in place."""
+        changed_elsewhere = ast.Compare | ast.BoolOp | ast.UnaryOp | ast.Constant
+        test = getattr(node, "test", None)
+        if test is not None and not isinstance(test, changed_elsewhere):
+            self.offer(node, "test", None, DECISION, ast.UnaryOp(ast.Not(), test))
+        for i, one in enumerate(getattr(node, "ifs", ())):
+            if not isinstance(one, changed_elsewhere):
+                self.offer(node, "ifs", i, DECISION, ast.UnaryOp(ast.Not(), one))
+
+    @staticmethod
+    def constant(node: ast.Constant, factor: bool, offer: Callable[[str, object], None]) -> None:
+        value = node.value
+        if isinstance(value, bool):
+            offer(DECISION, ast.Constant(not value))
+        elif isinstance(value, int | float):
+            changed = value + 1 if isinstance(value, int) else value * 1.1 or 1.0
+            offer(FACTOR if factor else NUMBER, ast.Constant(changed))
+        elif isinstance(value, str) and value in TEXTS:
+            offer(DECISION, ast.Constant(TEXTS[value]))
+
+
+def _joins_text(node: ast.BinOp | ast.AugAssign) -> bool:
+    sides = (node.left, node.right) if isinstance(node, ast.BinOp) else (node.value,)
+    return any(
+        isinstance(s, ast.JoinedStr) or (isinstance(s, ast.Constant) and isinstance(s.value, str)) for s in sides
+    )
+
+
+def mutants_of(path: Path) -> tuple[ast.Module, list[tuple[str, Mutant]]]:
+    """The tree of a module, and its mutants, each with a key that other changes of the file do not move."""
+    tree, finder, seen = ast.parse(path.read_text()), Finder(), Counter[str]()
+    finder.walk(tree)
+    keyed = []
+    for mutant in finder.found:
+        text = f"{path.relative_to(ROOT)}: [{mutant.group}] {mutant.change}"
+        seen[text] += 1
+        keyed.append((f"{text} #{seen[text]}", mutant))
+    return tree, keyed
+
+
+class FromTree(importlib.machinery.SourceFileLoader):
+    """Imports one module from a syntax tree, every other as always."""
+
+    def __init__(self, name: str, path: Path, tree: ast.Module) -> None:
+        super().__init__(name, str(path))
+        self.tree = tree
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> importlib.machinery.ModuleSpec | None:
+        return importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
+
+    def get_code(self, fullname: str) -> object:  # type: ignore[override]
+        return compile(self.tree, self.path, "exec", dont_inherit=True)
+
+
+def run_tests(tests: tuple[str, ...], plugins: tuple[object, ...] = ()) -> int:
+    """pytest over `tests` in this process, first failure ends it, no shrinking of what hypothesis finds."""
+    import pytest  # noqa: PLC0415  (the parent has loaded it before the fork)
+    from hypothesis import HealthCheck, Phase, settings  # noqa: PLC0415
+
+    quick = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
+    settings.register_profile("mutants", derandomize=True, phases=[Phase.explicit, Phase.generate], **quick)
+    settings.load_profile("mutants")
+    late = "ignore::pytest.PytestAssertRewriteWarning"  # hypothesis is loaded before pytest here
+    options = ["-W", late, "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--tb=no"]
+    return int(pytest.main([*options, *tests], plugins=list(plugins)))
+
+
+def child(work: Callable[[], int]) -> int:
+    """Fork; the process id of a child that is silent, leads its own group and ends with work()'s status."""
+    pid = os.fork()
+    if pid:
+        return pid
+    status = 70
+    try:
+        os.setsid()
+        quiet = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(quiet, stream)
+        status = work()
+    except BaseException:  # noqa: BLE001  (nothing may return into the parent's code)
+        traceback.print_exc()
+    finally:
+        os._exit(status)
+
+
+def warm_up(tests: tuple[str, ...]) -> float:
+    """Check that the tests pass as things are, load here what they load from elsewhere; the seconds they take."""
+    kept = Path(os.environ["PYTEST_DEBUG_TEMPROOT"]) / "loaded.pickle"
+
+    def work() -> int:
+        status = run_tests(tests)
+        kept.write_bytes(pickle.dumps([(n, getattr(m, "__file__", None)) for n, m in sys.modules.items()]))
+        return status
+
+    warnings.simplefilter("ignore")  # what a library says of being loaded early
+    for _ in range(2):  # the second time counts: with everything loaded
+        began = time.monotonic()
+        if os.waitstatus_to_exitcode(os.waitpid(child(work), 0)[1]) != 0:
+            raise SystemExit(f"the tests do not pass unchanged: {' '.join(tests)}")
+        loaded = pickle.loads(kept.read_bytes())
+        kept.unlink()
+        for name, file in loaded:
+            if file and "site-packages" in file and not name.startswith(("xdist", "_pytest", "pytest", "__editable__")):
+                try:
+                    importlib.import_module(name)
+                except Exception:  # noqa: BLE001  (an optional part of a library; the child loads it itself)
+                    continue
+    return time.monotonic() - began
+
+
+class Children:
+    """So many processes at a time, each with a time limit; `ended` says which are done."""
+
+    def __init__(self, jobs: int, limit_s: float) -> None:
+        self.jobs, self.limit_s = jobs, limit_s
+        self.running: dict[int, tuple[str, Mutant, float]] = {}
+
+    def start(self, key: str, mutant: Mutant, work: Callable[[], int]) -> Iterator[tuple[str, Mutant, str]]:
+        while len(self.running) >= self.jobs:
+            yield from self.ended()
+        self.running[child(work)] = (key, mutant, time.monotonic() + self.limit_s)
+
+    def ended(self) -> Iterator[tuple[str, Mutant, str]]:
+        pid, status = os.waitpid(-1, os.WNOHANG)
+        if pid in self.running:
+            key, mutant, _ = self.running.pop(pid)
+            yield key, mutant, TIMED_OUT if os.WIFSIGNALED(status) else "survived" if status == 0 else "killed"
+        for late in [p for p, (_, _, until) in self.running.items() if time.monotonic() > until]:
+            os.killpg(late, signal.SIGKILL)
+        if not pid:
+            time.sleep(0.005)
+
+    def rest(self) -> Iterator[tuple[str, Mutant, str]]:
+        while self.running:
+            yield from self.ended()
+
+
+def functions_of(code: types.CodeType) -> dict[tuple[str, int], types.CodeType]:
+    """Code of a module's functions and methods by qualified name and line; what is inside them goes with them."""
+    found = {}
+    for one in code.co_consts:
+        if isinstance(one, types.CodeType):
+            if one.co_flags & inspect.CO_OPTIMIZED:
+                found[one.co_qualname, one.co_firstlineno] = one
+            else:  # a class
+                found |= functions_of(one)
+    return found
+
+
+@dataclass(eq=False)  # pytest keeps plugins in sets
+class InPlace:
+    """pytest plugin: with all tests collected, each mutant of a function's body gets a fork in which the function has its new code.
+
+    Ten times as quick as importing everything anew. What survives here, and what is no function's body, is tried by `try_all`.
+    """
+
+    paths: list[Path]
+    known: dict[str, str]
+    children: Children
+    kept: Path
+
+    def pytest_runtestloop(self, session: Any) -> bool:
+        from _pytest.main import pytest_runtestloop  # noqa: PLC0415  (the parent has loaded it before the fork)
+
+        live: dict[tuple[str, str, int], list[types.FunctionType]] = {}
+        for one in gc.get_objects():
+            if type(one) is types.FunctionType:  # not isinstance: that asks an object for its class, and some raise
+                code = one.__code__
+                live.setdefault((code.co_filename, code.co_qualname, code.co_firstlineno), []).append(one)
+
+        killed: list[str] = []
+
+        def note(outcomes: Iterator[tuple[str, Mutant, str]]) -> None:
+            killed.extend(key for key, _, outcome in outcomes if outcome == "killed")
+
+        def work(swaps: list[tuple[types.FunctionType, types.CodeType]]) -> int:
+            for function, code in swaps:
+                function.__code__ = code
+            try:
+                pytest_runtestloop(session)
+            except (session.Failed, session.Interrupted):
+                return 1
+            return 1 if session.testsfailed else 0
+
+        for path in self.paths:
+            tree, found = mutants_of(path)
+            plain = functions_of(compile(tree, str(path), "exec", dont_inherit=True))
+            for key, mutant in found:
+                if key in self.known:
+                    continue
+                mutant.put(True)
+                changed = functions_of(compile(tree, str(path), "exec", dont_inherit=True))
+                mutant.put(False)
+                swaps = [
+                    (function, code)
+                    for place, code in changed.items()
+                    if code != plain[place]
+                    for function in live.get((str(path), *place), [])
+                    if code.co_freevars == function.__code__.co_freevars
+                ]
+                if swaps:
+                    note(self.children.start(key, mutant, lambda swaps=swaps: work(swaps)))  # type: ignore[misc]
+        note(self.children.rest())
+        self.kept.write_bytes(pickle.dumps(killed))
+        return True
+
+
+def killed_in_place(
+    paths: list[Path], tests: tuple[str, ...], known: dict[str, str], children: Children
+) -> dict[str, str]:
+    kept = Path(os.environ["PYTEST_DEBUG_TEMPROOT"]) / "killed.pickle"
+    os.waitpid(child(lambda: run_tests(tests, (InPlace(paths, known, children, kept),))), 0)
+    killed = pickle.loads(kept.read_bytes())
+    kept.unlink()
+    return known | dict.fromkeys(killed, "killed")
+
+
+def try_all(
+    path: Path, tests: tuple[str, ...], known: dict[str, str], children: Children
+) -> Iterator[tuple[str, Mutant, str]]:
+    """(key, mutant, outcome) of every mutant of one module, imported anew; outcomes in `known` are not tried again."""
+    tree, found = mutants_of(path)
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+    def work() -> int:
+        sys.meta_path.insert(0, FromTree(name, path, tree))  # type: ignore[arg-type]
+        return run_tests(tests)
+
+    for key, mutant in found:
+        if key in known:
+            yield key, mutant, known[key]
+            continue
+        mutant.put(True)
+        yield from children.start(key, mutant, work)
+        mutant.put(False)
+    yield from children.rest()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("rooms", nargs="*", metavar="ROOM", help=f"of {', '.join(ROOMS)}; all where none is named")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="outcomes, kept and taken up again")
+    parser.add_argument("--all", action="store_true", help="try again what was killed before")
+    parser.add_argument("--only", default="", help="only modules whose path contains this")
+    given = parser.parse_args()
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    os.chdir(ROOT)
+    with tempfile.TemporaryDirectory() as directory:  # what the tests leave, and what children tell
+        os.environ["PYTEST_DEBUG_TEMPROOT"] = directory
+        run(given)
+
+
+def run(given: argparse.Namespace) -> None:
+    outcomes: dict[str, str] = {}
+    if given.json and given.json.exists():
+        outcomes = json.loads(given.json.read_text())
+    known = {} if given.all else {key: outcome for key, outcome in outcomes.items() if outcome == "killed"}
+    rows: list[tuple[str, Counter[str], Counter[str]]] = []
+    survivors: list[str] = []
+    for name in given.rooms or ROOMS:
+        room = ROOMS[name]
+        children = Children(given.jobs, 10.0 + 4.0 * warm_up(room.tests))
+        paths = sorted(p for pattern in room.modules for p in ROOT.glob(pattern) if given.only in str(p))
+        known = killed_in_place(paths, room.tests, known, children)
+        for path in paths:
+            every, left = Counter[str](), Counter[str]()
+            outcomes = {k: v for k, v in outcomes.items() if not k.startswith(f"{path.relative_to(ROOT)}: ")}
+            for key, mutant, outcome in try_all(path, room.tests, known, children):
+                every[mutant.group] += 1
+                outcomes[key] = outcome
+                if outcome == "survived":
+                    left[mutant.group] += 1
+                    survivors.append(key.replace(": ", f":{mutant.line}: ", 1))
+            if every:
+                rows.append((str(path.relative_to(ROOT)), every, left))
+                print(
+                    f"{rows[-1][0]}: {every.total() - left.total()} of {every.total()} killed",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            if given.json:
+                given.json.write_text(json.dumps(outcomes, indent=0, ensure_ascii=False))
+    print_table(rows, survivors)
+
+
+def print_table(rows: list[tuple[str, Counter[str], Counter[str]]], survivors: list[str]) -> None:
+    """Markdown: per module mutants, killed, score and survivors of each group; then each survivor."""
+    print("| module | mutants | killed | % |", " | ".join(GROUPS), "|\n|---|" + "---:|" * (3 + len(GROUPS)))
+    whole = ("all", sum((r[1] for r in rows), Counter[str]()), sum((r[2] for r in rows), Counter[str]()))
+    for name, every, left in (*rows, whole):
+        mutants, killed = every.total(), every.total() - left.total()
+        counts = " | ".join(str(left[g] or "") for g in GROUPS)
+        print(f"| {name} | {mutants} | {killed} | {100 * killed / max(mutants, 1):.0f} | {counts} |")
+    print("\nSurvivors:")
+    for key in survivors:
+        print(f"- {key}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,338 @@
+"""From the operator's stop to the stop on the wire, worst of 200 moments: `python tests/study/stop_latency.py`.
+
+Simulated time: every verb that moves, on CANopen with SDO alive and dead, on Modbus TCP. Wall time: real threads, two busy processes,
+a python-can virtual bus, a loopback port, a pseudo-terminal. `--write` puts both tables into hil/docs/stopping.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any
+
+if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+    sys.path[0] = str(Path(__file__).parents[1])
+
+from hostile.places import VERBS
+from hostile.stops import BOUND_S, Stopped, controlword_of, stopped_at, stops
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.clock import WallClock
+from drivers.drive import DriveLimits, ServoDrive
+from drivers.errors import BridgeError
+from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
+from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
+from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.canopen_drive import served
+from sim_backends.modbus_cia402 import Cia402Registers
+from sim_backends.modbus_drive import rtu_slave, tcp_server
+from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.servo import SimulatedServo
+
+PAGE = Path(__file__).parents[2] / "hil" / "docs" / "stopping.md"
+SIMULATED = (("canopen", False), ("canopen", True), ("modbus-tcp", False))
+LIMITS = DriveLimits(-300.0, 300.0, 200.0, 2000.0)
+NODE = 5
+READY_S = 20.0
+"""For a drive to be had again after the stop before."""
+
+
+# -- simulated time --------------------------------------------------------------------------------------------------------
+def simulated_row(face: str, sdo_dead: bool, verb: str, moments: int, pool: ProcessPoolExecutor) -> str:
+    """The moments are spread evenly over the verb."""
+    shares = [(number + 0.37) / moments for number in range(moments)]
+    found: list[Stopped] = list(pool.map(partial(stopped_at, face, verb, sdo_dead=sdo_dead), shares, chunksize=5))
+    under = [one for one in found if one.under_power]
+    worst_ms = 1e3 * max((one.latency_s for one in under), default=0.0)
+    requests = max((one.requests for one in under), default=0)
+    wire = f"CANopen, SDO {'dead' if sdo_dead else 'alive'}" if face == "canopen" else "Modbus TCP"
+    return f"| {wire} | {verb} | {len(under)} | {worst_ms:.1f} ms{'' if face == 'canopen' else f', {requests} requests before it'} |"
+
+
+# -- wall time ---------------------------------------------------------------------------------------------------------------
+@dataclass
+class Rig:
+    """One drive over a real wire in real threads. dead(True): answers are lost from now on; seen: when stops came to the wire, s."""
+
+    drive: ServoDrive
+    stop: Stop
+    dead: Callable[[bool], None]
+    seen: list[float] = field(default_factory=list)
+
+
+def _servo() -> SimulatedServo:
+    return SimulatedServo(BareShaft(), SMALL_SERVO)
+
+
+@contextmanager
+def canopen_rig() -> Iterator[Rig]:
+    stop, channel, servo = Stop(), uuid.uuid4().hex, _servo()
+    clock = WallClock(Pacing(stop))
+    with (
+        served(servo, WallClock(), interface="virtual", channel=channel, node_id=NODE),
+        CanLink.open(clock, interface="virtual", channel=channel) as link,
+    ):
+        settings = CanOpenSettings(homing=HomingSettings(method=37, home_position_mm=0.0), sample_timeout_s=1.0)
+        scaling = AxisScaling(SMALL_SERVO.counts_per_rev, 10.0)
+        is_dead = threading.Event()
+        rig = Rig(
+            CanOpenDrive("X", scaling, LIMITS, clock, link=link, node_id=NODE, settings=settings),
+            stop,
+            lambda dead: is_dead.set() if dead else is_dead.clear(),
+        )
+        send = link.bus.send
+
+        def tapped(message: Any, timeout: float | None = None) -> None:
+            word = controlword_of(message.arbitration_id, bytes(message.data), NODE)
+            if word is not None and stops(word):
+                rig.seen.append(time.monotonic())
+            if not (is_dead.is_set() and message.arbitration_id == 0x600 + NODE):
+                send(message, timeout)
+
+        link.bus.send = tapped  # type: ignore[method-assign]
+        yield rig
+
+
+@contextmanager
+def modbus_rig(*, serial: bool) -> Iterator[Rig]:
+    stop, servo = Stop(), _servo()
+    clock = WallClock(Pacing(stop))
+    face = Cia402Registers(servo, parameters={(0x6098, 0): 37, (0x6085, 0): 20_000_000})
+    with rtu_slave({7: face}, WallClock()) if serial else tcp_server({7: face}, WallClock()) as (server, place):
+        endpoint = RtuEndpoint(str(place), 115_200, "N") if serial else TcpEndpoint("127.0.0.1", int(place))
+        link = ModbusLink(endpoint, clock)
+        scaling = AxisScaling(SMALL_SERVO.counts_per_rev, 10.0)
+        drive = ModbusDrive(
+            "X", scaling, LIMITS, clock, link=link, unit=7, drive_map=load_drive_map("cia402_over_modbus")
+        )
+        silent = WireFault(WireFaultKind.NO_REPLY, count=1 << 30)
+        rig = Rig(drive, stop, lambda dead: server.faults.add(silent) if dead else server.faults.clear())
+        for order in ("quick_stop", "halt", "power_off"):
+            _tap(rig, servo, order)
+        ended = threading.Event()
+
+        def advance() -> None:
+            before_ns = time.monotonic_ns()
+            step = server.guard(servo.advance)
+            while not ended.wait(0.001):
+                now_ns = time.monotonic_ns()
+                step(now_ns, (now_ns - before_ns) * 1e-9)
+                server.advance(now_ns, 0.0)
+                before_ns = now_ns
+
+        thread = threading.Thread(target=advance, daemon=True)
+        thread.start()
+        try:
+            yield rig
+        finally:
+            ended.set()
+            thread.join()
+
+
+def _tap(rig: Rig, servo: SimulatedServo, order: str) -> None:
+    carry_out = getattr(servo, order)
+
+    def noted(*arguments: Any) -> None:
+        rig.seen.append(time.monotonic())
+        carry_out(*arguments)
+
+    setattr(servo, order, noted)
+
+
+def _move(drive: ServoDrive) -> None:
+    here = drive.sample().position_load_mm
+    drive.start_move(-200.0 if here > 0.0 else 200.0, 50.0)
+    drive.wait_for(lambda sample: sample.target_reached, 60.0, "arrived")
+
+
+def _home(drive: ServoDrive) -> None:
+    while True:
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 60.0, "homed")
+
+
+def _stream(drive: ServoDrive) -> None:
+    here = drive.sample().position_load_mm
+    with drive.stream(SetPointSettings(0.05, following_error_mm=50.0, missed_limit=1000)) as stream:
+        while True:
+            stream.cycle(here)
+
+
+def _watch(drive: ServoDrive) -> None:
+    drive.wait_for(lambda _sample: False, 60.0, "nothing")
+
+
+WORKS: dict[str, Callable[[ServoDrive], None]] = {"move": _move, "homing": _home, "stream": _stream, "watching": _watch}
+WIRES: dict[str, Callable[[], Any]] = {
+    "CANopen": canopen_rig,
+    "Modbus TCP": partial(modbus_rig, serial=False),
+    "Modbus RTU, 115 200 baud": partial(modbus_rig, serial=True),
+}
+
+
+def _make_ready(rig: Rig) -> None:
+    """Enabled, whatever the stop before has left behind."""
+    rig.dead(False)
+    rig.stop.rearm()
+    with suppress(StoppedByOperator):
+        rig.stop.check()  # a press that nobody heard
+    rig.stop.rearm()
+    deadline_s = time.monotonic() + READY_S
+    while True:
+        with suppress(BridgeError):
+            rig.drive.close()
+        try:
+            rig.drive.open()
+            rig.drive.disable()
+            rig.drive.enable()
+            return
+        except BridgeError:  # a silent unit is left alone for a while
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(0.05)
+
+
+def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random: Random) -> float | None:
+    """Latency of one stop in s; None where the work ended by itself before it."""
+    _make_ready(rig)
+    pressed: list[float] = []
+
+    def press() -> None:
+        time.sleep(random.uniform(0.05, 0.25))
+        if dead:
+            rig.dead(True)
+            time.sleep(random.uniform(0.0, 0.05))
+        pressed.append(time.monotonic())
+        rig.stop.press()
+
+    presser = threading.Thread(target=press)
+    presser.start()
+    heard = False
+    try:
+        work(rig.drive)
+    except StoppedByOperator:
+        heard = True
+    except BridgeError:
+        pass  # with the answers lost a wait may have ended first
+    rig.drive.send_stop()
+    presser.join()
+    after = [when for when in rig.seen if when >= pressed[0]]
+    return after[0] - pressed[0] if heard and after else None
+
+
+def wall_row(wire: str, name: str, *, dead: bool, moments: int) -> str:
+    random, found = Random(f"{wire} {name} {dead}"), []
+    with WIRES[wire]() as rig:
+        try:
+            while len(found) < moments:
+                latency_s = one_stop(rig, WORKS[name], dead=dead, random=random)
+                found += [] if latency_s is None else [latency_s]
+        finally:
+            rig.dead(False)
+            rig.stop.rearm()
+            with suppress(BridgeError, StoppedByOperator):
+                rig.drive.close()
+    answers = ("SDO" if wire == "CANopen" else "answers") + (" dead" if dead else " alive")
+    ordered = sorted(found)
+    median_ms, worst_ms = 1e3 * ordered[len(ordered) // 2], 1e3 * ordered[-1]
+    return f"| {wire}, {answers} | {name} | {len(found)} | {median_ms:.1f} ms | {worst_ms:.1f} ms |"
+
+
+def _busy() -> None:
+    while True:
+        pass
+
+
+# -- the page ------------------------------------------------------------------------------------------------------------------
+HEAD = f"""# How soon a stop leaves
+
+Measured by `python tests/study/stop_latency.py --write`: from the moment the operator's stop is pressed (`Stop.press`) to the first
+frame that takes the motion or the power away. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed, on Modbus one
+request, the one under way.
+
+"""
+SIMULATED_HEAD = """## In simulated time
+
+Each verb was stopped at moments spread evenly over its duration; those at which the drive was under power count. "SDO dead": the drive
+answers no SDO from 50 ms before the stop. Simulated time moves in steps of 10 ms at most, which is the resolution of the table.
+
+| wire | verb | stops | worst |
+| --- | --- | --- | --- |
+"""
+WALL_HEAD = """
+## In real time, both cores loaded
+
+Real threads, two processes that only compute. The stop is pressed in a thread of its own. "Dead": SDO requests (on Modbus: replies)
+are lost from up to 50 ms before the stop. On RTU a request that was begun is waited for.
+
+| wire | work | stops | median | worst |
+| --- | --- | --- | --- | --- |
+"""
+
+
+def _simulated(args: argparse.Namespace) -> Iterator[str]:
+    if args.only == "wall":
+        return
+    yield SIMULATED_HEAD.rstrip("\n")
+    with ProcessPoolExecutor(2) as pool:
+        for face, sdo_dead in SIMULATED:
+            for verb in VERBS:
+                if args.verb is None or verb in args.verb:
+                    yield simulated_row(face, sdo_dead, verb, args.moments, pool)
+
+
+def _in_real_time(args: argparse.Namespace) -> Iterator[str]:
+    if args.only == "simulated":
+        return
+    yield WALL_HEAD.rstrip("\n")
+    load = [multiprocessing.Process(target=_busy, daemon=True) for _ in range(2)]
+    for process in load:
+        process.start()
+    try:
+        for wire in WIRES:
+            for dead in (False, True):
+                for name in WORKS:
+                    if args.verb is None or name in args.verb:
+                        yield wall_row(wire, name, dead=dead, moments=args.moments)
+    finally:
+        for process in load:
+            process.terminate()
+            process.join()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--moments", type=int, default=200)
+    parser.add_argument("--verb", action="append", choices=[*VERBS, *WORKS])
+    parser.add_argument("--only", choices=("simulated", "wall"))
+    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name} as well")
+    args = parser.parse_args(arguments)
+    parts = [HEAD]
+    for line in (*_simulated(args), *_in_real_time(args)):
+        parts.append(line + "\n")
+        print(line, flush=True)
+    if args.write:
+        PAGE.parent.mkdir(exist_ok=True)
+        PAGE.write_text("".join(parts), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

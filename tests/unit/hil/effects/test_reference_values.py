@@ -1,0 +1,538 @@
+"""Every effect against numbers from outside: hand-computed rows, published coefficients, a calculator's printed table.
+
+Rows are x, d, v, … as columns; what is expected stands beside its arithmetic and uses no constant of the code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputError
+from hil.effects import ALL, Estimate, Form, Term
+from hil.effects.air import refractivity_ppm
+from hil.effects.history import lagged
+
+EFFECTS = {effect.id: effect for effect in ALL}
+TRAVEL = {"centre_mm": 200.0, "half_span_mm": 100.0}
+"""u = (x - 200) / 100."""
+
+
+def basis(
+    effect: str,
+    form: str,
+    columns: Mapping[str, Sequence[float]],
+    theta: Sequence[float] = (),
+    constants: Mapping[str, float] | None = None,
+) -> list[list[float]]:
+    """The design matrix of a form whose inputs are the columns given, in their order."""
+    what = Form(effect, form, tuple(columns), constants or {})
+    given = {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
+    rows: list[list[float]] = EFFECTS[effect].basis(what, theta, given).tolist()
+    return rows
+
+
+def term(
+    effect: str,
+    form: str,
+    inputs: Sequence[str],
+    coefficients: Sequence[float],
+    theta: Sequence[float] = (),
+    *,
+    constants: Mapping[str, float] | None = None,
+    stds: Sequence[float] = (),
+) -> Term:
+    """A fitted term with the given standard uncertainties of coefficients and theta, uncorrelated."""
+    stds = stds or [0.1 * (i + 1) for i in range(len(coefficients) + len(theta))]
+    covariance = tuple(tuple(s * s if i == j else 0.0 for j in range(len(stds))) for i, s in enumerate(stds))
+    what = Form(effect, form, tuple(inputs), constants or {})
+    return Term(EFFECTS[effect], what, tuple(theta), tuple(coefficients), covariance)
+
+
+def values(found: Mapping[str, Estimate]) -> dict[str, tuple[float, float]]:
+    return {name: (round(one.value, 9), round(one.std, 9)) for name, one in found.items()}
+
+
+@pytest.mark.parametrize(
+    ("temp_c", "pressure_hpa", "humidity", "ppm", "within"),
+    [
+        # NIST Engineering Metrology Toolbox, printed values of its modified Edlén calculator at 633 nm: 1.000271799 and so on.
+        (20.0, 1013.25, 0.0, 271.799, 0.002),
+        (20.0, 600.0, 0.0, 160.920, 0.002),
+        (20.0, 1200.0, 0.0, 321.918, 0.002),
+        (50.0, 1000.0, 0.0, 243.270, 0.002),
+        (5.0, 1000.0, 0.0, 282.750, 0.002),
+        (20.0, 1000.0, 100.0, 267.394, 0.005),  # Magnus' vapour pressure is 0.3 % below the calculator's
+    ],
+)
+def test_air_as_nist_prints_it(temp_c: float, pressure_hpa: float, humidity: float, ppm: float, within: float) -> None:
+    found = refractivity_ppm(np.array([temp_c]), np.array([pressure_hpa]), np.array([humidity]))
+    assert found[0] == pytest.approx(ppm, abs=within)
+
+
+@pytest.mark.parametrize(
+    ("temp_c", "pascal"),
+    # WMO-No. 8, annex 4.B: 611.2 Pa · exp(17.62 t / (243.12 + t)), there printed as 6.112 hPa; 20 °C: exp(352.4 / 263.12)
+    [(0.0, 611.2), (20.0, 2332.6), (35.0, 5613.2)],
+)
+def test_vapour_term_of_birch_and_downs(temp_c: float, pascal: float) -> None:
+    """Δn = -p_v · (3.7345 - 0.0401 / λ²) · 1e-10: 1 / 0.6329912² = 2.49577, so 3.63442e-10 per Pa, 3.63442e-4 ppm."""
+    t, p = np.array([temp_c]), np.array([1013.25])
+    wet, dry = refractivity_ppm(t, p, np.array([60.0])), refractivity_ppm(t, p, np.array([0.0]))
+    assert wet[0] - dry[0] == pytest.approx(-0.60 * pascal * 3.63442e-4, rel=2e-4)
+
+
+def test_the_temperature_coefficient_of_the_density() -> None:
+    """0.601 - 0.00972 t of Birch and Downs: at 1e5 Pa and 50 °C (1 + 1e-3 · 0.115) against (1 + 1e-3 · 0.601) at 0 °C."""
+    p, dry = np.array([1000.0]), np.array([0.0])
+    warm, cold = (refractivity_ppm(np.array([t]), p, dry)[0] for t in (50.0, 0.0))
+    assert warm / cold == pytest.approx((1.000115 / 1.000601) / 1.18305, rel=1e-7)
+
+
+AIR = {"air_temp_c": 20.0, "air_pressure_hpa": 1013.25, "air_humidity_percent": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "excess"), [("air_pressure_hpa", 1200.0, 50.119), ("air_pressure_hpa", 600.0, -110.879)]
+)
+def test_air_effects_are_the_excess_times_a_length(name: str, value: float, excess: float) -> None:
+    """From NIST's table at 0 %: 321.918 - 271.799 ppm; standard air is at 50 %, 0.424 ppm lower.
+
+    Half of 2332.6 Pa · 3.63442e-4 ppm/Pa = 0.42388 ppm.
+    """
+    excess += 0.42388
+    others = {key: v for key, v in AIR.items() if key != name}
+    columns = {name: [value, value], "target_mm": [400.0, -100.0]}
+    rows = basis("air_index", "air index", columns, constants=others)
+    assert rows == [[pytest.approx(0.4 * excess, abs=2e-3)], [pytest.approx(-0.1 * excess, abs=2e-3)]]
+    dead = basis("dead_path", "air index", {name: [value]}, constants=others)
+    assert dead == [[pytest.approx(excess * 1e-3, abs=3e-6)]]  # µm per mm of dead path
+    assert basis("dead_path", "air index", {name: [1013.25]}, constants=others | {"air_humidity_percent": 50.0}) == [
+        [0.0]
+    ]
+
+
+def test_cosine_reads_short() -> None:
+    """ppm of x: at 300 mm one ppm is 0.3 µm too short; after the realignment (setup 2) nothing."""
+    assert basis("cosine", "scale", {"target_mm": [300.0, -100.0]}) == [[pytest.approx(-0.3)], [pytest.approx(0.1)]]
+    columns = {"target_mm": [300.0, 300.0, 300.0], "setup": [1.0, 2.0, 3.0]}
+    assert basis("cosine", "scale, gone since the realignment", columns) == [[pytest.approx(-0.3)], [0.0], [0.0]]
+
+
+def test_cosine_error_of_one_milliradian_is_half_a_ppm() -> None:
+    """θ²/2: 1 mrad gives 0.5 ppm; its uncertainty dθ = dscale/θ = 0.01e-6 / 1e-3 rad = 10 µrad."""
+    found = term("cosine", "scale", ["target_mm"], [0.5], stds=[0.01])
+    assert values(found.parameters) == {"scale_ppm": (0.5, 0.01), "angle_urad": (1000.0, 10.0)}
+    assert EFFECTS["cosine"].implausible(found) is None
+    long = term("cosine", "scale", ["target_mm"], [-0.5], stds=[0.01])
+    assert values(long.parameters) == {"scale_ppm": (-0.5, 0.01), "angle_urad": (0.0, 10000.0)}
+    assert "never long" in str(EFFECTS["cosine"].implausible(long))
+    assert "lead error" in long.effect.explain(long)
+    gone = term("cosine", "scale, gone since the realignment", ["target_mm", "setup"], [0.5], stds=[0.01])
+    assert "took that away" in gone.effect.explain(gone)
+
+
+def test_backlash_is_twice_the_coefficient_of_the_direction() -> None:
+    """Forward 2 µm over the middle and backward 2 µm under it: 4 µm of backlash, twice the uncertainty."""
+    assert basis("backlash", "constant", {"direction": [1.0, -1.0]}) == [[1.0], [-1.0]]
+    found = term("backlash", "constant", ["direction"], [2.0], stds=[0.25])
+    assert values(found.parameters) == {"backlash_um": (4.0, 0.5)}
+    assert "differ by 4 ± 0.5 µm" in found.effect.explain(found)
+
+
+def test_backlash_along_the_travel() -> None:
+    """u = 0.5 at 250 mm; from u = -1 to 1 the directions' difference 2·c·u changes by 4 c; at the ends the bow adds 2 c."""
+    columns = {"target_mm": [250.0, 150.0, 300.0], "direction": [1.0, 1.0, -1.0]}
+    assert basis("backlash_position", "linear", columns, constants=TRAVEL) == [[0.5], [-0.5], [-1.0]]
+    assert basis("backlash_position", "quadratic", columns, constants=TRAVEL) == [
+        [0.5, 0.25],
+        [-0.5, 0.25],
+        [-1.0, -1.0],
+    ]
+    line = term("backlash_position", "linear", list(columns), [1.5], stds=[0.1])
+    assert values(line.parameters) == {"change_um": (6.0, 0.4)}
+    assert "changes by 6 ± 0.4 µm" in line.effect.explain(line)
+    assert "bowed" not in line.effect.explain(line)
+    bowed = term("backlash_position", "quadratic", list(columns), [1.5, -1.0], stds=[0.1, 0.2])
+    assert values(bowed.parameters) == {"change_um": (6.0, 0.4), "bow_um": (-2.0, 0.4)}
+    assert "changes by 6 ± 0.4 µm" in bowed.effect.explain(bowed)
+    assert "bowed by -2 ± 0.4 µm" in bowed.effect.explain(bowed)
+
+
+def test_lost_motion_fades_with_the_travel_since_the_reversal() -> None:
+    """e^-1 = 0.36788, 1 - tanh(1) = 1 - 0.76159, e^-2 = 0.13534; with the direction."""
+    columns = {"since_reversal_mm": [0.0, 3.0, 6.0], "direction": [1.0, -1.0, 1.0]}
+    e1, e2 = 0.36787944, 0.13533528
+    assert basis("lost_motion", "exponential", columns, (3.0,)) == [[1.0], [pytest.approx(-e1)], [pytest.approx(e2)]]
+    assert basis("lost_motion", "tanh", columns, (3.0,)) == [
+        [1.0],
+        [pytest.approx(-0.23840584)],
+        [pytest.approx(0.03597242)],  # 1 - tanh(2) = 1 - 0.96402758
+    ]
+    both = basis("lost_motion", "two lengths", columns, (3.0, 6.0))
+    assert both == [[1.0, 1.0], pytest.approx([-e1, -0.60653066]), pytest.approx([e2, e1])]
+    found = term("lost_motion", "two lengths", list(columns), [5.0, -1.0], (3.0, 6.0))
+    assert values(found.parameters) == {
+        "amount_um": (5.0, 0.1),
+        "length_mm": (3.0, 0.3),
+        "second_amount_um": (-1.0, 0.2),
+        "second_length_mm": (6.0, 0.4),
+    }
+    assert "off by 5 ± 0.1 µm" in found.effect.explain(found)
+    assert "over 3 ± 0.3 mm" in found.effect.explain(found)
+    single = term("lost_motion", "tanh", list(columns), [5.0], (3.0,))
+    assert values(single.parameters) == {"amount_um": (5.0, 0.1), "length_mm": (3.0, 0.2)}
+
+
+def test_velocity_lag_takes_its_sign_from_the_direction_alone() -> None:
+    """5 ms at 40 mm/s is 200 µm; with the knee at 40 mm/s half of that, at 120 mm/s 120 / 4 = 30."""
+    columns = {"velocity_mm_s": [40.0, -40.0, 120.0], "direction": [1.0, -1.0, 1.0]}
+    assert basis("velocity_lag", "proportional", columns) == [[40.0], [-40.0], [120.0]]
+    assert basis("velocity_lag", "with square", columns) == [[40.0, 1600.0], [-40.0, -1600.0], [120.0, 14400.0]]
+    assert basis("velocity_lag", "saturating", columns, (40.0,)) == [[20.0], [-20.0], [30.0]]
+    whole = term("velocity_lag", "proportional", list(columns), [5.0])
+    with pytest.raises(InputError, match="needs velocity_mm_s in every row"):
+        whole.error_um({"velocity_mm_s": np.array([1.0, np.nan]), "direction": np.ones(2)})
+    assert whole.error_um({k: np.array(v) for k, v in columns.items()}).tolist() == [200.0, -200.0, 600.0]
+    assert values(whole.parameters) == {"lag_ms": (5.0, 0.1)}
+    assert "direction of motion: 5 ± 0.1 µm per mm/s" in whole.effect.explain(whole)
+    curved = term("velocity_lag", "with square", list(columns), [5.0, 0.5])
+    assert values(curved.parameters) == {"lag_ms": (5.0, 0.1), "curvature_um_s2_per_mm2": (0.5, 0.2)}
+    assert "(with square): 5 ± 0.1" in curved.effect.explain(curved)
+    knee = term("velocity_lag", "saturating", list(columns), [5.0], (40.0,))
+    assert values(knee.parameters) == {"lag_ms": (5.0, 0.1), "knee_mm_s": (40.0, 0.2)}
+
+
+def test_load_gives_way_straight_or_bent() -> None:
+    """F = 30 kg about a mean of 20: bend (30 - 20)² = 100; u = 0.5 at 250 mm."""
+    columns = {"load_kg": [30.0, 15.0], "target_mm": [250.0, 150.0], "direction": [1.0, -1.0]}
+    constants = TRAVEL | {"mean": 20.0}
+    expected = {
+        "offset": [[30.0], [15.0]],
+        "with direction": [[30.0], [-15.0]],
+        "with position": [[15.0], [-7.5]],
+        "with direction and position": [[15.0], [7.5]],
+        "offset and with direction and position": [[30.0, 15.0], [15.0, 7.5]],
+        "curved": [[30.0, 100.0], [15.0, 25.0]],
+        "curved with direction": [[30.0, 100.0], [-15.0, -25.0]],
+    }
+    for form, rows in expected.items():
+        assert basis("load_deflection", form, columns, constants=constants) == rows, form
+    names = {
+        "offset": ["compliance_um_per_kg"],
+        "with direction": ["compliance_with_direction_um_per_kg"],
+        "with position": ["compliance_with_position_um_per_kg"],
+        "with direction and position": ["compliance_with_direction_and_position_um_per_kg"],
+        "offset and with direction and position": [
+            "compliance_um_per_kg",
+            "compliance_with_direction_and_position_um_per_kg",
+        ],
+        "curved": ["compliance_um_per_kg", "curvature_um_per_kg"],
+        "curved with direction": ["compliance_with_direction_um_per_kg", "curvature_um_per_kg"],
+    }
+    for form, known in names.items():
+        found = term("load_deflection", form, list(columns), [0.5, 0.25][: len(known)])
+        assert [(n, e.value) for n, e in found.parameters.items()] == list(zip(known, [0.5, 0.25], strict=False))
+        assert "0.5 ± 0.1 µm per kg." in found.effect.explain(found)
+        assert (", " in found.effect.explain(found)) == (form != "offset")
+    torque = term("load_deflection", "offset", ["torque_percent", "target_mm", "direction"], [0.5])
+    assert list(torque.parameters) == ["compliance_um_per_percent"]
+    assert "µm per %." in torque.effect.explain(torque)
+
+
+def test_abbe_is_arm_times_tilt() -> None:
+    """4 µrad on 250 mm is 1 µm: 1e-3 µm per µrad and mm; u = 0.5 at 250 mm."""
+    columns = {"pitch_urad": [4.0, -2.0], "target_mm": [250.0, 300.0]}
+    assert basis("abbe", "tilt", {"pitch_urad": [4.0, -2.0]}) == [[pytest.approx(4e-3)], [pytest.approx(-2e-3)]]
+    changing = basis("abbe", "arm changing along the travel", columns, constants=TRAVEL)
+    assert changing == [pytest.approx([4e-3, 2e-3]), pytest.approx([-2e-3, -2e-3])]
+    found = term("abbe", "tilt", ["pitch_urad"], [250.0])
+    assert found.error_um({"pitch_urad": np.array([4.0])})[0] == pytest.approx(1.0)
+    assert values(found.parameters) == {"arm_mm": (250.0, 0.1)}
+    assert "on an arm of 250 ± 0.1 mm" in found.effect.explain(found)
+    both = term("abbe", "arm changing along the travel", list(columns), [250.0, 30.0], constants=TRAVEL)
+    assert values(both.parameters) == {"arm_mm": (250.0, 0.1), "arm_change_mm": (30.0, 0.2)}
+    for arm, bad in ((4999.0, False), (5001.0, True), (-5001.0, True)):
+        assert (EFFECTS["abbe"].implausible(term("abbe", "tilt", ["pitch_urad"], [arm])) is not None) is bad
+
+
+def test_abbe_at_a_second_offset_of_the_measuring_line() -> None:
+    """(arm + offset) · 1e-3 · P_k(u): arm 100, offsets 0 and 50 mm, u = 0.5: P = 1, 0.5, -0.125, -0.4375, -0.2891, 0.0898."""
+    columns = {"abbe_offset_mm": [0.0, 50.0], "target_mm": [250.0, 250.0]}
+    legendre = [1.0, 0.5, -0.125, -0.4375, -0.2890625, 0.08984375]
+    for form, count in (("straight tilt, two offsets", 2), ("tilt, two offsets", 4), ("wavy tilt, two offsets", 6)):
+        rows = basis("abbe", form, columns, (100.0,), TRAVEL)
+        assert rows[0] == pytest.approx([0.10 * p for p in legendre[:count]])
+        assert rows[1] == pytest.approx([0.15 * p for p in legendre[:count]])
+    beyond = basis(
+        "abbe", "straight tilt, two offsets", {"abbe_offset_mm": [0.0], "target_mm": [500.0]}, (100.0,), TRAVEL
+    )
+    assert beyond == [pytest.approx([0.10, 0.11])]  # held at 1.1 half spans
+    before = basis(
+        "abbe", "straight tilt, two offsets", {"abbe_offset_mm": [0.0], "target_mm": [-500.0]}, (100.0,), TRAVEL
+    )
+    assert before == [pytest.approx([0.10, -0.11])]
+    found = term("abbe", "straight tilt, two offsets", list(columns), [1.0, 3.0], (100.0,))
+    assert values(found.parameters) == {"arm_mm": (100.0, 0.3), "tilt_to_the_end_urad": (3.0, 0.2)}
+    assert "an arm of 100 ± 0.3 mm" in found.effect.explain(found)
+    assert EFFECTS["abbe"].implausible(found) is None
+    far = term("abbe", "straight tilt, two offsets", list(columns), [1.0, 3.0], (-5001.0,))
+    assert EFFECTS["abbe"].implausible(far) is not None
+
+
+def test_cross_axis_is_per_metre_of_the_other_axis() -> None:
+    """y = 500 mm is 0.5 m, 400 mm above its mean: (0.4 m)² = 0.16; u = 0.5."""
+    columns = {"pos_y_mm": [500.0, -100.0], "target_mm": [250.0, 100.0]}
+    constants = TRAVEL | {"mean_mm": 100.0}
+    expected = {
+        "shift": [[0.5], [-0.1]],
+        "growing along the travel": [[0.25], [0.1]],
+        "shift and growth": [[0.5, 0.25], [-0.1, 0.1]],
+        "curved": [[0.5, 0.16], [-0.1, 0.04]],
+    }
+    names = {
+        "shift": ["slope_um_per_m"],
+        "growing along the travel": ["growth_um_per_m"],
+        "shift and growth": ["slope_um_per_m", "growth_um_per_m"],
+        "curved": ["slope_um_per_m", "curvature_um_per_m2"],
+    }
+    for form, rows in expected.items():
+        found = basis("cross_axis", form, columns, constants=constants)
+        assert found == [pytest.approx(row) for row in rows], form
+        fitted = term("cross_axis", form, list(columns), [7.0, 8.0][: len(rows[0])])
+        assert [(n, e.value) for n, e in fitted.parameters.items()] == list(zip(names[form], [7.0, 8.0], strict=False))
+        assert f"follows pos_y_mm ({form}): 7 ± 0.1 µm per metre" in fitted.effect.explain(fitted)
+
+
+def test_thermal_expansion_of_a_steel_screw() -> None:
+    """11.5 ppm/K · 300 mm · (30 - 20) K = 34.5 µm; below 20 °C it is shorter."""
+    columns = {"temp_screw_c": [30.0, 18.0, 20.0], "target_mm": [300.0, 300.0, 300.0]}
+    steel = term("thermal_expansion", "temperature", list(columns), [11.5])
+    assert steel.error_um({k: np.array(v) for k, v in columns.items()}) == pytest.approx([34.5, -6.9, 0.0])
+    assert values(steel.parameters) == {"coefficient_ppm_per_k": (11.5, 0.1)}
+    assert "position and temp_screw_c: 11.5 ± 0.1 ppm/K" in steel.effect.explain(steel)
+    assert "lag" not in steel.effect.explain(steel)
+    for ppm, bad in ((2.0, False), (35.0, False), (1.9, True), (36.0, True), (-11.5, False)):
+        found = term("thermal_expansion", "temperature", list(columns), [ppm])
+        assert (EFFECTS["thermal_expansion"].implausible(found) is not None) is bad, ppm
+    lag = term("thermal_expansion", "lagged temperature", ["temp_screw_c", "time_s", "target_mm"], [11.5], (600.0,))
+    assert values(lag.parameters) == {"coefficient_ppm_per_k": (11.5, 0.1), "lag_s": (600.0, 0.2)}
+    assert "a lag of 600 ± 0.2 s" in lag.effect.explain(lag)
+
+
+def test_warming_since_the_start() -> None:
+    """1 - e^(-t/τ): 0.63212 at one time constant, and x·e^-x for the second mass; 20 ppm of 500 mm in the end are 10 µm."""
+    columns = {"time_s": [0.0, 600.0, 1200.0], "target_mm": [500.0, 500.0, 500.0]}
+    grown = basis("thermal_expansion", "warming since the start", columns, (600.0,))
+    assert grown == [[0.0], [pytest.approx(0.5 * 0.63212056)], [pytest.approx(0.5 * 0.86466472)]]
+    drift = basis("thermal_drift", "warming since the start", {"time_s": [0.0, 600.0]}, (600.0,))
+    assert drift == [[0.0], [pytest.approx(0.63212056)]]
+    slow = basis(
+        "thermal_drift", "warming since the start through two lags", {"time_s": [0.0, 600.0, 1200.0]}, (600.0,)
+    )
+    assert slow == [[0.0, 0.0], pytest.approx([0.63212056, 0.36787944]), pytest.approx([0.86466472, 0.27067057])]
+    for form in ("warming since the start", "warming since the start through two lags"):
+        found = term("thermal_expansion", form, list(columns), [200.0], (600.0,))
+        assert values(found.parameters) == {"expansion_ppm": (200.0, 0.1), "time_constant_s": (600.0, 0.2)}
+        assert "200 ± 0.1 ppm" in found.effect.explain(found)
+        assert "600 ± 0.2 s" in found.effect.explain(found)
+        assert EFFECTS["thermal_expansion"].implausible(found) is None  # 200 ppm in all, not per kelvin
+        moved = term("thermal_drift", form, ["row_order"], [4.0], (60.0,))
+        assert values(moved.parameters) == {"drift_um": (4.0, 0.1), "time_constant_rows": (60.0, 0.2)}
+        assert "drifts by 4 ± 0.1 µm" in moved.effect.explain(moved)
+        assert "60 ± 0.2 rows" in moved.effect.explain(moved)
+
+
+def test_drift_with_a_temperature_and_along_the_travel() -> None:
+    assert basis("thermal_drift", "temperature", {"temp_head_c": [25.0, 19.0]}) == [[5.0], [-1.0]]
+    plain = term("thermal_drift", "temperature", ["temp_head_c"], [2.0])
+    assert values(plain.parameters) == {"coefficient_um_per_k": (2.0, 0.1)}
+    assert "temp_head_c by 2 ± 0.1 µm/K" in plain.effect.explain(plain)
+    lag = term("thermal_drift", "lagged temperature", ["temp_head_c", "time_s"], [2.0], (90.0,))
+    assert values(lag.parameters) == {"coefficient_um_per_k": (2.0, 0.1), "lag_s": (90.0, 0.2)}
+    assert "a lag of 90 ± 0.2 s by 2 ± 0.1 µm/K" in lag.effect.explain(lag)
+    # u = 0.5: P0 … P3 = 1, 0.5, -0.125, -0.4375, times 1 - e^-1; beyond the travel u is held at 1
+    form, columns = (
+        "warming since the start, unlike along the travel",
+        {"time_s": [60.0, 60.0], "target_mm": [250.0, 900.0]},
+    )
+    rows = basis("thermal_drift", form, columns, (60.0,), TRAVEL)
+    assert rows[0] == pytest.approx([0.63212056 * p for p in (1.0, 0.5, -0.125, -0.4375)])
+    assert rows[1] == pytest.approx([0.63212056] * 4)
+    before = basis("thermal_drift", form, {"time_s": [60.0], "target_mm": [-900.0]}, (60.0,), TRAVEL)
+    assert before == [pytest.approx([0.63212056 * p for p in (1.0, -1.0, 1.0, -1.0)])]
+    uneven = term("thermal_drift", form, list(columns), [4.0, 3.0, 2.0, 1.0], (60.0,))
+    assert values(uneven.parameters) == {
+        "drift_um": (4.0, 0.1),
+        "time_constant_s": (60.0, 0.5),
+        "along_the_travel_1_um": (3.0, 0.2),
+        "along_the_travel_2_um": (2.0, 0.3),
+        "along_the_travel_3_um": (1.0, 0.4),
+    }
+    assert "drifts by 4 ± 0.1 µm on average" in uneven.effect.explain(uneven)
+    assert "60 ± 0.5 s" in uneven.effect.explain(uneven)
+
+
+def test_a_temperature_through_a_lag() -> None:
+    """y' = (v - y)/τ, straight between rows: a ramp of slope k from 0 has the answer k(t - τ(1 - e^(-t/τ))).
+
+    Ramp 0 → 10 in 100 s, τ 50 s: 0.1·(100 - 50·(1 - e^-2)) = 5.67668; then held at 10 for 100 s: 10 - 4.32332·e^-2 = 9.41490.
+    """
+    out = lagged(np.array([0.0, 100.0, 200.0]), np.array([0.0, 10.0, 10.0]), 50.0)
+    assert out == pytest.approx([0.0, 5.676676, 9.414902], abs=1e-6)
+    assert lagged(np.array([0.0, 1.0]), np.array([3.0, 4.0]), 0.0).tolist() == [3.0, 4.0]  # no lag at all
+    assert lagged(np.array([7.0]), np.array([3.0]), 50.0).tolist() == [3.0]
+    assert lagged(np.array([0.0, 0.0]), np.array([3.0, 4.0]), 50.0).tolist() == [3.0, 3.0]  # no time passed
+    columns = {"temp_screw_c": [20.0, 30.0, 30.0], "time_s": [0.0, 100.0, 200.0], "target_mm": [1000.0, 1000.0, 1000.0]}
+    rows = basis("thermal_expansion", "lagged temperature", columns, (50.0,))
+    assert [row[0] for row in rows] == pytest.approx([0.0, 5.676676, 9.414902], abs=1e-6)
+
+
+def test_a_worn_zone_is_a_bell() -> None:
+    """exp(-½ z²): 1 at the centre, 0.60653 one width off, 0.13534 two off; with the direction's sign."""
+    columns = {"target_mm": [100.0, 110.0, 80.0], "direction": [1.0, -1.0, -1.0]}
+    bell = [1.0, 0.60653066, 0.13533528]
+    assert basis("local_wear", "bump", columns, (100.0, 10.0)) == [[pytest.approx(b)] for b in bell]
+    turned = [bell[0], -bell[1], -bell[2]]
+    assert basis("local_wear", "bump with direction", columns, (100.0, 10.0)) == [[pytest.approx(b)] for b in turned]
+    both = basis("local_wear", "bump in each direction", columns, (100.0, 10.0))
+    assert both == [pytest.approx([a, b]) for a, b in zip(bell, turned, strict=True)]
+    found = term("local_wear", "bump in each direction", list(columns), [5.0, 2.0], (100.0, 10.0))
+    assert values(found.parameters) == {
+        "height_um": (5.0, 0.1),
+        "centre_mm": (100.0, 0.3),
+        "width_mm": (10.0, 0.4),
+        "height_with_direction_um": (2.0, 0.2),
+    }
+    assert "Around 100 ± 0.3 mm, over ±10 ± 0.4 mm" in found.effect.explain(found)
+    assert "by 5 ± 0.1 µm:" in found.effect.explain(found)
+    opposed = term("local_wear", "bump with direction", list(columns), [5.0], (100.0, 10.0))
+    assert "opposite sign" in opposed.effect.explain(opposed)
+    assert list(opposed.parameters) == ["height_um", "centre_mm", "width_mm"]
+
+
+def test_pitch_shape_in_legendre_polynomials() -> None:
+    """u = 0.5: P1 … P6 = 0.5, -0.125, -0.4375, -0.28906, 0.08984, 0.32324; 1 µm at the end of a half span of 100 mm is 10 ppm."""
+    known = [0.5, -0.125, -0.4375, -0.2890625, 0.08984375, 0.3232421875]
+    for form, count in (("lead error", 1), ("bow", 3), ("shape", 6)):
+        assert basis("pitch_shape", form, {"target_mm": [250.0]}, constants=TRAVEL) == [pytest.approx(known[:count])]
+    fine = basis("pitch_shape", "fine shape", {"target_mm": [250.0, 300.0, 100.0]}, constants=TRAVEL)
+    assert fine[0][:6] == pytest.approx(known)
+    assert fine[1:] == [pytest.approx([1.0] * 12), pytest.approx([-1.0, 1.0] * 6)]
+    assert basis("pitch_shape", "lead error", {"target_mm": [900.0, -900.0]}, constants=TRAVEL) == [
+        [pytest.approx(1.1)],
+        [pytest.approx(-1.1)],
+    ]
+    bow = term("pitch_shape", "bow", ["target_mm"], [3.0, 4.0, 12.0], constants=TRAVEL)
+    assert values(bow.parameters) == {
+        "lead_error_ppm": (30.0, 1.0),
+        "order_2_um": (4.0, 0.2),
+        "order_3_um": (12.0, 0.3),
+    }
+    assert "about 13 µm" in bow.effect.explain(bow)  # √(9 + 16 + 144)
+    assert "30 ± 1 ppm" in bow.effect.explain(bow)
+
+
+def test_cyclic_waves() -> None:
+    """Period 8 mm: x = 1 is π/4 (0.70711 both), x = 2 is π/2; the second harmonic of π/4 is π/2."""
+    columns = {"target_mm": [1.0, 2.0, -2.0], "direction": [1.0, -1.0, 1.0]}
+    h = math.sqrt(0.5)
+    first = [[h, h], [1.0, 0.0], [-1.0, 0.0]]
+
+    def close(rows: list[list[float]]) -> list[object]:
+        return [pytest.approx(row, abs=1e-12) for row in rows]
+
+    assert basis("cyclic", "fundamental", {"target_mm": [1.0, 2.0, -2.0]}, (8.0,)) == close(first)
+    second = [[1.0, 0.0], [0.0, -1.0], [0.0, -1.0]]
+    joined = [a + b for a, b in zip(first, second, strict=True)]
+    assert basis("cyclic", "with second harmonic", columns, (8.0,)) == close(joined)
+    u = {"centre_mm": -2.0, "half_span_mm": 4.0}  # u = 0.75, 1, 0
+    joined = [row + [f * v for v in row] for row, f in zip(first, (0.75, 1.0, 0.0), strict=True)]
+    assert basis("cyclic", "amplitude changing along the travel", columns, (8.0,), u) == close(joined)
+    joined = [row + [f * v for v in row] for row, f in zip(first, (1.0, -1.0, 1.0), strict=True)]
+    assert basis("cyclic", "different in each direction", columns, (8.0,)) == close(joined)
+
+
+def test_cyclic_amplitude_and_phase() -> None:
+    """3 sin + 4 cos = 5 sin(· + 0.9273); σ 0.1 and 0.2: amplitude √(9·0.01 + 16·0.04)/5 = 0.170880, phase √(16·0.01 + 9·0.04)/25."""
+    found = term("cyclic", "fundamental", ["target_mm"], [3.0, 4.0], (8.0,))
+    assert values(found.parameters) == {
+        "period_mm": (8.0, 0.3),
+        "amplitude_um": (5.0, round(math.sqrt(0.73) / 5, 9)),
+        "phase": (round(math.atan2(4.0, 3.0), 9), round(math.sqrt(0.52) / 25, 9)),
+    }
+    assert "every 8 ± 0.3 mm of travel with an amplitude of 5 ± 0.17 µm:" in found.effect.explain(found)
+    extra = {
+        "with second harmonic": "second_harmonic_um",
+        "amplitude changing along the travel": "change_to_the_ends_um",
+        "different in each direction": "half_difference_um",
+    }
+    for form, name in extra.items():
+        more = term("cyclic", form, ["target_mm", "direction"], [3.0, 4.0, 5.0, 12.0], (8.0,), stds=[0.1] * 5)
+        assert values(more.parameters)[name] == (13.0, 0.1)
+        assert set(more.parameters) == {"period_mm", "amplitude_um", "phase", name}
+        assert "amplitude of 5 ± 0.1 µm, " in more.effect.explain(more)
+
+
+def test_correlated_coefficients_in_amplitude_and_angle() -> None:
+    """a 3, b 4, σ² 0.01 and 0.04, covariance 0.01: (9·0.01 + 2·12·0.01 + 16·0.04)/25 and (16·0.01 - 2·12·0.01 + 9·0.04)/625."""
+    form = Form("cyclic", "fundamental", ("target_mm",))
+    found = Term(EFFECTS["cyclic"], form, (), (3.0, 4.0), ((0.01, 0.01), (0.01, 0.04)))
+    assert found.amplitude(0, 1).std == pytest.approx(math.sqrt(0.97 / 25))
+    assert found.angle(0, 1).std == pytest.approx(math.sqrt(0.28 / 625))
+    nothing = Term(EFFECTS["cyclic"], form, (), (0.0, 0.0), ((0.01, 0.0), (0.0, 0.04)))
+    assert nothing.amplitude(0, 1) == Estimate(0.0, 0.1)
+    assert nothing.angle(0, 1) == Estimate(0.0, math.pi)  # could be any angle
+    assert found.coefficient(0, -2.0) == Estimate(-6.0, 0.2)
+    broken = Term(EFFECTS["cyclic"], form, (1.0,), (3.0, 4.0), ((-0.01, 0, 0), (0, -0.04, 0), (0, 0, -1.0)))
+    every = (broken.coefficient(0), broken.nonlinear(0), broken.amplitude(0, 1), broken.angle(0, 1))
+    assert [one.std for one in every] == [0.0] * 4  # a variance that rounding made negative
+
+
+def test_a_step_begins_after_its_moment() -> None:
+    assert basis("datum_step", "step", {"time_s": [9.0, 10.0, 11.0]}, (10.0,)) == [[0.0], [0.0], [1.0]]
+    for column, name, unit in (("time_s", "moment_s", "s"), ("row_order", "moment_rows", "rows")):
+        found = term("datum_step", "step", [column], [3.0], (10.0,))
+        assert values(found.parameters) == {"step_um": (3.0, 0.1), name: (10.0, 0.2)}
+        assert f"At 10 {unit} all readings jump by 3 ± 0.1 µm" in found.effect.explain(found)
+
+
+def test_a_wandering_beam_in_cosines_of_time() -> None:
+    """Phase 0, ½, 1 of 10 … 30 s: cos(kπ·phase) / k for a random walk, / √k for 1/f noise; held at both ends."""
+    constants = {"start": 10.0, "duration": 20.0, "waves": 3.0}
+    times = {"time_s": [10.0, 20.0, 30.0, 0.0, 99.0]}
+    walk = basis("beam_drift", "random walk", times, constants=constants)
+    ends = [[1.0, 0.5, 1 / 3], [-1.0, 0.5, -1 / 3]]
+    assert walk == [pytest.approx(row, abs=1e-12) for row in (ends[0], [0.0, -0.5, 0.0], ends[1], ends[0], ends[1])]
+    flicker = basis("beam_drift", "flicker", {"time_s": [10.0]}, constants=constants)
+    assert flicker == [pytest.approx([1.0, 0.70710678, 0.57735027])]
+    # RMS of Σ c_k cos over whole half waves: √(Σ c²/2); c = 3, 8/2 = 4 → √12.5; dRMS = √(Σ c²σ²)/(2 RMS), σ 0.1 and 0.2/2
+    found = term("beam_drift", "random walk", ["time_s"], [3.0, 8.0])
+    assert values(found.parameters) == {
+        "wander_rms_um": (round(math.sqrt(12.5), 9), round(0.5 / (2 * math.sqrt(12.5)), 9))
+    }
+    assert "by 3.536 ± 0.071 µm RMS" in found.effect.explain(found)
+
+
+def test_air_effects_say_their_size_and_know_their_bounds() -> None:
+    share = term("air_index", "air index", ["air_temp_c", "target_mm"], [0.9])
+    assert values(share.parameters) == {"uncompensated_share": (0.9, 0.1)}
+    assert "0.9 ± 0.1 of the full effect" in share.effect.explain(share)
+    path = term("dead_path", "air index", ["air_temp_c"], [300.0])
+    assert values(path.parameters) == {"dead_path_mm": (300.0, 0.1)}
+    assert "fixed length of 300 ± 0.1 mm" in path.effect.explain(path)
+    for effect, size, bad in (
+        ("air_index", 3.0, False),
+        ("air_index", 3.1, True),
+        ("air_index", -3.1, True),
+        ("dead_path", 20e3, False),
+        ("dead_path", 21e3, True),
+        ("dead_path", -21e3, True),
+    ):
+        said = EFFECTS[effect].implausible(term(effect, "air index", ["air_temp_c", "target_mm"], [size]))
+        assert (said is not None) is bad, (effect, size)
+    said = EFFECTS["dead_path"].implausible(term("dead_path", "air index", ["air_temp_c"], [-21e3]))
+    assert str(said).startswith("a dead path of 21 m ")

@@ -1,0 +1,231 @@
+"""A session whose instrument or motor lies with a good status: the axis stops within a stated travel, and the figures are told."""
+
+# ruff: noqa: PT012 - leaving the session is part of what raises, so whole sessions stand under raises()
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+
+import pytest
+from support.toy_axis import MEASUREMENT, ToyDrive, ToyInstrument, ToyMachine, Trouble, toy_session
+
+from drivers.clock import NS_PER_S
+from drivers.drive import DriveState
+from drivers.errors import MeasurementLostError, MotionTimeoutError, OverspeedError, SafetyError
+from drivers.instrument import Reading
+from drivers.instruments.serial_link import SerialLink
+from drivers.instruments.umd_laser import UmdLaser
+from drivers.set_points import SetPointSettings
+from hil.machine.agreement import AgreementLimits
+from hil.procedures.session import AxisSession
+from sim_backends.bench import Bench, BenchParameters
+from sim_backends.plant.parameters import geometric_axis
+from sim_backends.virtual_drive import VirtualDrive
+
+
+def stopped_after_mm(
+    trouble: Callable[[float], Trouble], words: str, error: type[SafetyError], *, speed: float = 50.0
+) -> float:
+    """A long move during which it begins: how far the motor went on."""
+    machine = ToyMachine()
+    with pytest.raises(error, match=words), toy_session(machine) as session:
+        session.prepare()
+        begins_s = machine.now_s + 0.5
+        machine.trouble = trouble(begins_s)
+        try:
+            session.move_to(100.0, speed)
+        finally:
+            assert machine.told("quick stop"), "stopped before anybody hears of it"
+            went_mm = machine.motor_mm - speed * 0.5
+    assert machine.state is DriveState.SWITCH_ON_DISABLED
+    return went_mm
+
+
+def test_an_instrument_that_stands_still_while_the_motor_travels_is_lost() -> None:
+    """Status good, samples counted: 0.7 mm allowed, and 0.35 s for what its moments are known to."""
+    went_mm = stopped_after_mm(
+        lambda at: Trouble(frozen_readings_at_s=at), "stands still, whatever", MeasurementLostError
+    )
+    assert 0.7 < went_mm < 0.7 + 0.35 * 50.0
+    slowly_mm = stopped_after_mm(
+        lambda at: Trouble(frozen_readings_at_s=at), "stands still, whatever", MeasurementLostError, speed=2.0
+    )
+    assert 0.7 < slowly_mm < 0.7 + 0.35 * 2.0
+
+
+@pytest.mark.parametrize("jump_mm", [1580.0, -25.0, 6.0, -9.0])
+def test_a_jump_is_told_at_once(jump_mm: float) -> None:
+    went_mm = stopped_after_mm(
+        lambda at: Trouble(jump_at_s=at, jump_mm=jump_mm), "changed by|jumped|runs against", MeasurementLostError
+    )
+    assert went_mm <= 0.06 * 50.0
+
+
+def test_a_jump_at_rest_becomes_no_row() -> None:
+    for jump_mm in (1.0, -1.0):
+        machine = ToyMachine()
+        with (
+            pytest.raises(MeasurementLostError, match=r"jumped by -?1\.0\d\d mm: it saw"),
+            toy_session(machine) as session,
+        ):
+            session.prepare()
+            session.move_to(50.0)
+            machine.trouble = Trouble(jump_at_s=machine.now_s + 0.15, jump_mm=jump_mm)
+            session.read_position()
+
+
+def test_a_jump_that_is_smaller_than_what_the_axis_file_states_is_let_pass_and_none_that_is_larger() -> None:
+    for within_um, good in ((2000.0, True), (300.0, False)):
+        machine = ToyMachine()
+        limits = AgreementLimits(within_um, 50.0)
+        session = AxisSession(ToyDrive(machine), ToyInstrument(machine), MEASUREMENT, agreement=limits)
+        with session:
+            session.prepare()
+            machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=0.6)
+            session.move_to(50.0)
+            if good:
+                session.read_position()
+            else:
+                with pytest.raises(MeasurementLostError, match=r"allowed is a difference of 0\.40\d mm"):
+                    session.read_position()
+
+
+def test_a_direction_that_is_the_wrong_way_round_is_caught_in_the_first_move_after_homing() -> None:
+    machine = ToyMachine(trouble=Trouble(instrument_sense=-1))
+    with (
+        pytest.raises(MeasurementLostError, match=r"runs against the motor \(\[instrument\] direction"),
+        toy_session(machine, reference_mm=60.0) as session,
+    ):
+        session.prepare()
+    assert machine.motor_mm < -2.0 + 0.25 * 50.0, "the way to the reference had just begun"
+
+
+def test_play_within_the_stated_reversal_is_waited_for() -> None:
+    for play_mm, expected in (
+        (0.6, nullcontext()),
+        (0.9, pytest.raises(MeasurementLostError, match="stands still")),
+    ):
+        with expected, toy_session(ToyMachine(play_mm=play_mm, wave_um=0.0)) as session:
+            session.prepare()
+            session.move_to(50.0)
+            session.move_to(20.0)
+            session.read_position()
+
+
+def test_many_small_jumps_are_one_large_one() -> None:
+    machine = ToyMachine()
+    with pytest.raises(MeasurementLostError, match=r"jumped|does not follow"), toy_session(machine) as session:
+        session.prepare()
+        for step in range(1, 12):
+            machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=0.1 * step)
+            session.move_to(10.0 + step)
+            session.read_position()
+    assert machine.motor_mm < 21.0
+
+
+def test_after_a_loss_that_was_acknowledged_travel_counts_anew() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=7.0)
+        with pytest.raises(MeasurementLostError):
+            session.move_to(50.0)
+        session.drive.disable()
+        session.drive.enable()
+        with pytest.raises(MeasurementLostError):
+            session.take_datum()
+        session.acknowledge_loss()
+        session.drive.disable()
+        session.drive.enable()
+        session.take_datum()
+        session.move_to(50.0)
+
+
+# -- speed -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("faster", "reach_mm"), [(10.0, 2.0), (2.0, 3.0), (1.4, 6.0)])
+def test_a_motor_that_is_faster_than_it_was_told_is_stopped(faster: float, reach_mm: float) -> None:
+    machine = ToyMachine()
+    with (
+        pytest.raises(OverspeedError, match=r"runs too fast: .* told were 5 mm/s, allowed are 20 % more"),
+        toy_session(machine) as session,
+    ):
+        session.prepare()
+        machine.trouble = Trouble(faster=faster)
+        session.move_to(100.0, 5.0)
+    assert machine.motor_mm < reach_mm * 5.0
+    assert machine.told("quick stop")
+    assert machine.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_an_overshoot_of_a_tenth_is_none() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        machine.trouble = Trouble(faster=1.1)
+        session.move_to(100.0)
+
+
+# -- not over in time --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("trouble", "words"),
+    [
+        (lambda at: Trouble(stuck_at_s=at, torque_percent=180.0), "likely an end stop or a jam: it stands and pushes"),
+        (lambda at: Trouble(stuck_at_s=at, limited=True), "likely a target beyond a software limit"),
+        (lambda at: Trouble(stuck_at_s=at), "likely it stands, and the drive's set-point too"),
+        (lambda at: Trouble(faster=0.05), r"likely still under way, slower than the 50 mm/s asked for"),
+    ],
+)
+def test_a_move_that_is_not_over_in_time_says_what_is_likely(trouble: Callable[[float], Trouble], words: str) -> None:
+    machine = ToyMachine()
+    with pytest.raises(MotionTimeoutError, match=words) as caught, toy_session(machine) as session:
+        session.prepare()
+        machine.trouble = trouble(machine.now_s + 0.5)
+        session.move_to(100.0)
+    said = str(caught.value)
+    assert "it says: operation enabled, at " in said
+    assert said.count("\n") == 0
+    assert machine.told("quick stop")
+    assert machine.state is DriveState.SWITCH_ON_DISABLED
+
+
+# -- streams -----------------------------------------------------------------------------------------------------------
+class Frozen(UmdLaser):
+    """From a moment on it repeats its position; status and count are as before."""
+
+    at_s = math.inf
+
+    def poll(self) -> list[Reading]:
+        readings = []
+        for reading in super().poll():
+            if reading.time_ns / NS_PER_S < self.at_s:
+                self.last = reading
+            readings.append(replace(reading, position_mm=self.last.position_mm, status=self.last.status))
+        return readings
+
+
+@pytest.mark.parametrize("freezes", [True, False])
+def test_a_stream_is_watched_as_a_move_is(freezes: bool) -> None:
+    parameters = BenchParameters(plant=geometric_axis(3))
+    how = replace(MEASUREMENT, targets_mm=(10.0, 200.0), reference_mm=10.0, velocity_mm_s=100.0)
+    with Bench(parameters) as bench:
+        laser = Frozen(SerialLink(bench.laser_path), bench.clock)
+        drive = VirtualDrive(bench.servo, parameters.scaling, parameters.limits, bench.clock)
+        seen: list[int] = []
+        with AxisSession(drive, laser, how) as session:
+            session.prepare()
+            start_mm, feed_mm_s, period_s = session.commanded_mm, 20.0, 0.004
+            path = [(start_mm + feed_mm_s * period_s * cycle, feed_mm_s) for cycle in range(1, 1000)]
+            laser.at_s = bench.clock.now_ns() / NS_PER_S + 1.0 if freezes else math.inf
+            expected = pytest.raises(MeasurementLostError, match="stands still, whatever") if freezes else nullcontext()
+            with expected:
+                session.stream_along(
+                    path, SetPointSettings(period_s), lambda _stream: seen.append(len(session.readings()))
+                )
+            if freezes:
+                assert drive.sample().state is DriveState.QUICK_STOP
+                assert bench.plant.position_mm < start_mm + feed_mm_s * (1.0 + 0.35) + 0.7
+            else:
+                assert bench.plant.position_mm > start_mm + 79.0
+                assert sum(seen) > 150

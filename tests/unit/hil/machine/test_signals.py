@@ -1,0 +1,140 @@
+"""Ctrl-C twice ends the program with its drives told to stop, whatever hangs: each case in a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hil.machine.signals import ENDED, INTERRUPTED, WAY_OUT_S
+
+PROGRAM = """
+import ctypes, os, signal, sys, threading, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests were started by nohup
+from hil.machine.signals import ending_by_signals
+from hil.machine.drives_to_stop import stopped_by_signals
+
+class Drive:
+    def send_stop(self):
+        os.write(1, b"stop frame\\n")
+        {stop}
+
+def hangs():
+    {hangs}
+
+with ending_by_signals():
+    drive = stopped_by_signals(Drive())
+    try:
+        os.write(1, b"ready\\n")
+        {work}
+    finally:
+        os.write(1, b"way out\\n")
+        {way_out}
+"""
+SWALLOWS = "while True:\n        try:\n            time.sleep(60)\n        except KeyboardInterrupt:\n            pass"
+DEADLOCK = "mutex = ctypes.create_string_buffer(64)\n    lock = ctypes.CDLL(None).pthread_mutex_lock\n    lock(mutex)\n    lock(mutex)"
+
+
+class Program:
+    """The program above, whose signals and lines are counted."""
+
+    def __init__(
+        self, *, hangs: str = "pass", stop: str = "pass", work: str = "time.sleep(60)", way_out: str = "hangs()"
+    ) -> None:
+        text = PROGRAM.format(hangs=hangs, stop=stop, work=work, way_out=way_out)
+        self.process = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self.says(b"ready")
+
+    def __enter__(self) -> Program:
+        return self
+
+    def __exit__(self, *_exc: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.communicate()
+
+    def says(self, line: bytes) -> None:
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline().strip() == line
+
+    def asked(self, number: int = signal.SIGINT) -> None:
+        self.process.send_signal(number)
+
+    def ended(self) -> tuple[int, float, bytes]:
+        """Exit status, seconds until then, and stderr."""
+        began_s = time.monotonic()
+        _, errors = self.process.communicate(timeout=60.0)
+        return self.process.returncode, time.monotonic() - began_s, errors
+
+
+@pytest.mark.parametrize("hangs", [SWALLOWS, DEADLOCK], ids=["swallows interrupts", "deadlocked outside Python"])
+def test_the_second_signal_stops_the_drives_and_ends_a_way_out_that_hangs(hangs: str) -> None:
+    with Program(hangs=hangs) as program:
+        program.asked()
+        program.says(b"way out")
+        program.asked(signal.SIGTERM)
+        program.says(b"stop frame")
+        status, seconds, errors = program.ended()
+        assert (status, errors) == (INTERRUPTED, ENDED)
+        assert seconds >= 0.9 * WAY_OUT_S, "the way out had its time"
+
+
+def test_the_third_signal_ends_it_at_once() -> None:
+    with Program(hangs=DEADLOCK) as program:
+        program.asked()
+        program.says(b"way out")
+        program.asked()
+        program.says(b"stop frame")
+        program.asked(signal.SIGHUP)
+        status, seconds, errors = program.ended()
+        assert (status, errors) == (INTERRUPTED, ENDED)
+        assert seconds < 0.9 * WAY_OUT_S
+
+
+def test_work_that_never_hears_the_first_one_is_ended_by_the_second() -> None:
+    deaf = "\n            ".join(
+        ["while True:", "try:", "    os.write(1, b'hangs\\n'); hangs()", "except KeyboardInterrupt:", "    pass"]
+    )
+    with Program(hangs=DEADLOCK, work=deaf) as program:
+        program.says(b"hangs")
+        program.asked()
+        program.asked(signal.SIGTERM)
+        assert program.ended()[0] == INTERRUPTED
+
+
+def test_a_drive_that_cannot_be_told_holds_nothing_up() -> None:
+    with Program(hangs=DEADLOCK, stop="time.sleep(60)") as program:
+        program.asked()
+        program.says(b"way out")
+        program.asked(signal.SIGTERM)
+        assert program.ended()[0] == INTERRUPTED
+
+
+def test_a_way_out_that_ends_in_time_is_not_cut_off_and_the_second_signal_does_not_disturb_it() -> None:
+    with Program(way_out="time.sleep(0.5); os.write(1, b'all put back\\n')") as program:
+        program.asked()
+        program.says(b"way out")
+        program.asked(signal.SIGTERM)
+        program.says(b"stop frame")
+        program.says(b"all put back")
+        status, _, errors = program.ended()
+        assert status in (1, -signal.SIGINT)
+        assert errors.rstrip().endswith(b"KeyboardInterrupt")
+        assert ENDED not in errors
+
+
+def test_signals_that_another_handler_answers_are_not_counted() -> None:
+    own = "import signal; seen = []; before = signal.signal(signal.SIGINT, lambda *_: seen.append(1)); os.write(1, b'own\\n')"
+    again = "signal.signal(signal.SIGINT, before); signal.raise_signal(signal.SIGINT)"
+    serve = f"{own}\n        while len(seen) < 2: time.sleep(0.01)\n        time.sleep(1.0)\n        {again}"
+    with Program(work=serve, way_out="time.sleep(2.5); os.write(1, b'all put back\\n')") as program:
+        program.says(b"own")
+        program.asked()
+        time.sleep(0.2)  # two signals at once are one; in the program, a second later both have been looked at
+        program.asked()
+        program.says(b"way out")
+        program.says(b"all put back")
+        assert ENDED not in program.ended()[2]

@@ -1,0 +1,57 @@
+"""Each reason for a motion that is not over in its time, by what the drive shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from support.toy_axis import ToyMachine, toy_session
+
+from drivers.drive import DriveSample, DriveState
+from drivers.errors import MotionTimeoutError
+from hil.machine.time_out import Motion, likely_reason, what_it_says
+from hil.machine.watched_axis import STALLED_S
+
+MOVE = Motion("the move", 100.0, 50.0)
+STANDS = DriveSample(0, DriveState.ENABLED, 40.0, False, 0.0, 5.0, 0.001, True)
+
+
+@pytest.mark.parametrize(
+    ("sample", "speed_mm_s", "words"),
+    [
+        (replace(STANDS, torque_percent=-120.0, following_error_mm=3.0), 0.0, "end stop or a jam"),
+        (replace(STANDS, following_error_mm=-3.0), 0.0, "a following error"),
+        (replace(STANDS, limited=True, torque_percent=120.0), 0.0, "software limit"),
+        (replace(STANDS, position_load_mm=99.99), 0.01, "the drive does not say that it arrived"),
+        (replace(STANDS, position_load_mm=99.99), 2.0, "does not come to rest"),
+        (STANDS, 10.0, "slower than the 50 mm/s asked for"),
+        (STANDS, -10.0, "moves away from its target"),
+        (replace(STANDS, torque_percent=None, following_error_mm=None), 0.0, "an override of 0, a halt"),
+    ],
+)
+def test_the_likeliest_reason(sample: DriveSample, speed_mm_s: float, words: str) -> None:
+    assert words in likely_reason(MOVE, sample, speed_mm_s)
+
+
+def test_a_homing_has_no_target_of_ours() -> None:
+    assert likely_reason(Motion("homing"), STANDS, 3.0) == "it is still under way"
+    assert "end stop" in likely_reason(Motion("homing"), replace(STANDS, torque_percent=90.0), 0.0)
+
+
+def test_what_the_drive_says() -> None:
+    sample = replace(STANDS, fault_code=0x8611, limited=True)
+    assert what_it_says(sample, 0.0, ["a warning"]) == (
+        "operation enabled, at 40.0000 mm, 0.000 mm/s, torque 5 %, following error 0.0010 mm, internal limit active,"
+        " error code 8611h, a warning"
+    )
+
+
+def test_an_axis_that_stands_is_not_waited_for_until_its_move_may_be_over() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        machine.trouble.stuck_at_s = machine.now_s + 0.5
+        with pytest.raises(MotionTimeoutError, match="not over, and the axis has stood for 5 s; likely it stands"):
+            session.move_to(100.0, 2.0)
+        assert machine.now_s < machine.trouble.stuck_at_s + STALLED_S + 0.5
+        assert machine.told("quick stop")
