@@ -32,6 +32,7 @@ from drivers.errors import (
     NoAnswerError,
     ProtocolError,
     StateError,
+    UndoError,
 )
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
@@ -289,7 +290,8 @@ def _judge(kind: Kind, outcome: Outcome) -> str:
         assert kind.survivable, where
         assert not outcome.powered, where
         return "got through"
-    assert isinstance(outcome.error, kind.errors), where
+    errors = outcome.error.errors if isinstance(outcome.error, UndoError) else (outcome.error,)
+    assert all(isinstance(error, kind.errors) for error in errors), where
     assert re.search(kind.text, str(outcome.error)), where
     return type(outcome.error).__name__
 

@@ -237,7 +237,7 @@ def test_resume_in_another_process_stays_in_the_zero(
 
 
 MOVES_BY_SCRIPT = """
-import os, sys, time
+import os, sys
 from hil.axis import load_drive_axis
 from hil.machine.signals import ending_by_signals
 from hil.machine.supervisor import Supervisor
@@ -247,9 +247,7 @@ from hil.wiring import connected_drive
 with ending_by_signals(), connected_drive(load_drive_axis(sys.argv[1])) as drive:
     with Supervisor([WatchedAxis(drive)]) as axis:
         axis.get_ready(home=False)
-        drive.start_move(drive.sample().position_load_mm + 200.0, 2.0)
-        os.write(1, b"moving\\n")
-        axis.watch(100.0)
+        axis.move(200.0, 2.0, started=lambda: os.write(1, b"moving\\n"))
 """
 SDO_DIES_S = 25.0
 """After the start of the machine: by then the script is moving it, also on a busy host."""

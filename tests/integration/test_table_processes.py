@@ -44,7 +44,7 @@ def test_one_process_writes_and_is_killed_and_others_find_what_was_there(
         axis = load_axis(path)
         places = np.linspace(2.0, 32.0, POINTS)
         for seed in (1, 2):
-            plus = 20.0 * np.random.default_rng(seed).uniform(-1.0, 1.0, POINTS)
+            plus = 1.0 * np.random.default_rng(seed).uniform(-1.0, 1.0, POINTS)  # within the bound of 10 µm in any mm
             store(axis, TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(places, plus, plus - 5.0)))
             if seed == 1:
                 unproven = ["--prove-by", "nothing"]
