@@ -22,7 +22,7 @@
         ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest, and is held instead of being disabled
         └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
 
-Callers catch the branch they can do something about; `hil.cli` turns each into one line on stderr.
+Callers catch the branch they can do something about; `hil.app.terminal` turns each into one line on stderr.
 """
 
 from __future__ import annotations

@@ -3,48 +3,48 @@
 Nothing is defined here: what the verbs call is what a script calls.
 """
 
-from hil.axes_wiring import connected_axes
-from hil.axis import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
-from hil.axis_backlash import BacklashConfig, default_backlash
-from hil.axis_lost_motion import LostMotionConfig, default_lost_motion
-from hil.backlash_settings import backlash_settings
-from hil.compensation import Compensation
+from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
+from hil.axis.backlash import BacklashConfig, default_backlash
+from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
+from hil.backlash.procedure import TorqueBacklash, measure_backlash
+from hil.backlash.result import LostMotion, fitted_lost_motion
+from hil.backlash.settings import backlash_settings
+from hil.calibration.calibrate import Calibration, calibrate
+from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.calibration.latency import measure_latency
+from hil.calibration.verify import Verification, verify
+from hil.calibration.warm_up import warm_up
+from hil.correction.compensation import Compensation
+from hil.correction.manual import read_manual_tables, read_straightness
+from hil.correction.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
+from hil.correction.store import SealedStore
+from hil.correction.tables import Band, TableMode, TableSet
 from hil.diagnosis import Diagnosis, diagnose, fit_model
-from hil.drive_tables import DriveTable, drive_table, wanted_of
-from hil.iso230 import Iso230, iso230
-from hil.journal import Campaign
-from hil.lost_motion.circle import Circle
+from hil.diagnosis.loop.procedure import Loop, Turning, close_loop
+from hil.doctor.procedure import Check, doctor
+from hil.drive_table import DriveTable, drive_table, wanted_of
+from hil.drive_table.change import changing as changing_table
+from hil.drive_table.change import held_table
+from hil.drive_table.proof import Proof, prove_by_drive, prove_by_instrument
+from hil.figures.iso230 import Iso230, iso230
+from hil.lost_motion.circle.figures import Circle
+from hil.lost_motion.circle.procedure import CircleRun, drive_circle
+from hil.lost_motion.circle.procedure import prepare as prepare_axes
 from hil.lost_motion.fit import MeasuredReversal
 from hil.lost_motion.fit import compete as compete_lost_motion
-from hil.manual import read_manual_tables, read_straightness
-from hil.probe_machine import ProbeMachineConfig, load_probe_machine
-from hil.probe_wiring import connected_probe, probe_bench
-from hil.procedures.calibrate import Calibration, calibrate
-from hil.procedures.circle import CircleRun, drive_circle
-from hil.procedures.circle import prepare as prepare_axes
-from hil.procedures.close_loop import Loop, Turning, close_loop
-from hil.procedures.doctor import Check, doctor
-from hil.procedures.drive_table import changing as changing_table
-from hil.procedures.drive_table import held_table
-from hil.procedures.events import Event
-from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
-from hil.procedures.latency import measure_latency
-from hil.procedures.lost_motion import LostMotionResult, measure_lost_motion
-from hil.procedures.measure import Step, measure
-from hil.procedures.probe_runout import centre_bore, correct, measure_and_store, measure_run_out
-from hil.procedures.prove_drive_table import Proof, prove_by_drive, prove_by_instrument
-from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
-from hil.procedures.verify import Verification, verify
-from hil.procedures.warm_up import warm_up
-from hil.records import Records, read_csv, to_csv
-from hil.replay_wiring import recorded, replayed
-from hil.runout import CorrectionCode, RunOut
-from hil.runout_store import RunOutStore
-from hil.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
-from hil.store import SealedStore
-from hil.tables import Band, TableMode, TableSet
-from hil.wind_up.result import LostMotion, fitted_lost_motion
-from hil.wiring import Machine, connected, connected_drive
+from hil.lost_motion.procedure import LostMotionResult, measure_lost_motion
+from hil.machine.axes_wiring import connected_axes
+from hil.machine.events import Event
+from hil.machine.measure import Step, measure
+from hil.machine.replay import recorded, replayed
+from hil.machine.wiring import Machine, connected, connected_drive
+from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
+from hil.probe.procedure import centre_bore, correct, measure_and_store, measure_run_out
+from hil.probe.runout import CorrectionCode, RunOut
+from hil.probe.store import RunOutStore
+from hil.probe.wiring import connected_probe, probe_bench
+from hil.records.journal import Campaign
+from hil.records.rows import Records, read_csv, to_csv
 
 __all__ = [
     "AxisConfig",

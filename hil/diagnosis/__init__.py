@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.fit import fit_model
 from hil.diagnosis.result import Diagnosis, Figures, Finding, RivalFound
+from hil.diagnosis.search.fit import fit_model
 
 __all__ = ["Diagnosis", "Figures", "Finding", "RivalFound", "diagnose", "fit_model"]

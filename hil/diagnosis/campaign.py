@@ -15,7 +15,7 @@ from drivers.errors import InputError
 from hil.diagnosis.spline import TableBasis, choose_knots
 from hil.effects import Survey, survey_of
 from hil.effects.history import complete
-from hil.records import Records
+from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import Campaign
-from hil.diagnosis.candidates import BLIND
-from hil.diagnosis.carried import Carried, carried, rms_of_term, sizes
-from hil.diagnosis.choose import Chosen, Problem, choose, problem_of
-from hil.diagnosis.faint import faint_note, is_faint
-from hil.diagnosis.fit import joint_fit
-from hil.diagnosis.held_out import ONCE, HeldOut, earns_its_place, held_out
-from hil.diagnosis.judge import SURE
-from hil.diagnosis.leaning import leaning
-from hil.diagnosis.offer import offered
+from hil.diagnosis.noise.thin import AllRows
 from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
-from hil.diagnosis.select import structure_rms
-from hil.diagnosis.thin import AllRows
+from hil.diagnosis.search.candidates import BLIND
+from hil.diagnosis.search.carried import Carried, carried, rms_of_term, sizes
+from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of
+from hil.diagnosis.search.fit import joint_fit
+from hil.diagnosis.search.judge import SURE
+from hil.diagnosis.search.select import structure_rms
+from hil.diagnosis.verdict.below_noise import faint_note, is_faint
+from hil.diagnosis.verdict.held_out import ONCE, HeldOut, earns_its_place, held_out
+from hil.diagnosis.verdict.offer import offered
+from hil.diagnosis.verdict.suspected import leaning
 from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
-from hil.model import Model
-from hil.records import Records
+from hil.effects.model import Model
+from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
 

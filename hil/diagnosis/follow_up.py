@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
-from hil.diagnosis.hypotheses import weigh
-from hil.diagnosis.next_measurement import LEAST, Outlook, Prospect, outlook
-from hil.diagnosis.planned_run import Means, PlannedRun
+from hil.diagnosis.next.next_measurement import LEAST, Outlook, Prospect, outlook
+from hil.diagnosis.next.planned_run import Means, PlannedRun
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
+from hil.diagnosis.verdict.hypotheses import weigh
 from hil.effects import ALL, Effect
-from hil.model import Model
-from hil.records import Records
+from hil.effects.model import Model
+from hil.records.rows import Records
 
 MOST_ROWS = 3000
 """Rows beyond which runs are left out of the weighing: rivals differ in form, not in what many more rows would add."""

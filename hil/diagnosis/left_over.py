@@ -13,7 +13,7 @@ import numpy as np
 from hil.diagnosis.result import Diagnosis
 from hil.effects.history import time_column
 from hil.effects.survey import varies
-from hil.records import Floats
+from hil.records.rows import Floats
 
 MOST_ROWS = 2000
 """Of longer records every so manieth row: a mean curve and a spectrum are as good with these."""

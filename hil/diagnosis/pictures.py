@@ -14,7 +14,7 @@ import numpy as np
 from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.left_over import left_over
 from hil.diagnosis.result import Diagnosis
-from hil.records import Floats, Records
+from hil.records.rows import Floats, Records
 
 MOST_POINTS = 4000
 """Of a drawing: more of them show nothing more; of longer records rows are taken evenly."""

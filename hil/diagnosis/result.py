@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.effects import Action, Estimate, Term
+from hil.effects.model import Model
 from hil.effects.non_parametric import without_cause
-from hil.model import Model
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.spline import TableBasis
-from hil.model import PitchTable
+from hil.effects.model import PitchTable
 
 Floats = NDArray[np.float64]
 

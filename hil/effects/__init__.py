@@ -1,7 +1,7 @@
 """The catalogue of effects: what can make an axis err, one file each behind one protocol.
 
 The registry is the explicit tuple `ALL`. A user's own effect stands beside it in a tuple that is passed along
-(`hil.user_effects`): given by hand (`hil diagnose --effects FILE.py`) or by an installed package, never by a data file.
+(`hil.effects.user_effects`): given by hand (`hil diagnose --effects FILE.py`) or by an installed package, never by a data file.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from hil.lost_motion.shapes import Floats, Rise
+from hil.correction.rise import Floats, Rise
 
 _HALVINGS = 16
 """Of the motor's travel, in which the load's is sought before a straight line finds it."""

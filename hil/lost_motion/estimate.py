@@ -1,6 +1,6 @@
 """From measured reversals to one rise with its uncertainties: shapes in competition over the load's own travel.
 
-What may go in: pure functions of reversals. How they are measured is `hil.procedures.lost_motion`'s.
+What may go in: pure functions of reversals. How they are measured is `hil.lost_motion.procedure`'s.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import InputError
+from hil.correction.rise import RUNNABLE, TWO_TANH, Rise
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, uncertainties
-from hil.lost_motion.shapes import RUNNABLE, TWO_TANH, Rise
 
 AS_GOOD = 1.1
 """Two tanh terms are taken unless another shape's held-out RMS is smaller by more than this ratio."""

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
 from drivers.errors import InputError
+from hil.correction.published_rise import TwoTanh
+from hil.correction.rise import SHAPES, Floats, Rise, Shape
 from hil.lost_motion.at_load import Places, Reach, fit_at_load, standard_uncertainties
-from hil.lost_motion.published import TwoTanh
-from hil.lost_motion.shapes import SHAPES, Floats, Rise, Shape
 
 FOLDS = 5
 FIT_ROWS = 250

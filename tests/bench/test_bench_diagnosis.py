@@ -14,7 +14,7 @@ import pytest
 from study.truth_machines import Machine, Plan
 
 from hil.diagnosis import diagnose
-from hil.records import Records
+from hil.records.rows import Records
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +22,7 @@ TESTS = Path(__file__).parents[1]
 LARGE = """
 import resource, time
 from hil.diagnosis import diagnose
-from hil.records import Records
+from hil.records.rows import Records
 from study.truth_machines import Machine, Plan
 columns, _ = Machine(5, ("cyclic",), (2.0,)).campaign(0, Plan(runs={runs}, targets={targets}))
 records = Records.of(columns)

@@ -18,11 +18,11 @@ import pytest
 from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
 
 from drivers.raw_parameters import WireTime
-from hil.params.download import Target, download
-from hil.params.predict import Prediction, predict, seconds_together
-from hil.params.preflight import match_set
-from hil.params.report import Ending
-from hil.params.set_file import ParameterSet
+from hil.parameters.download import Target, download
+from hil.parameters.predict import Prediction, predict, seconds_together
+from hil.parameters.preflight import match_set
+from hil.parameters.report import Ending
+from hil.parameters.set_file import ParameterSet
 
 COUNT = 300
 EACH = 100  # on each of eight nodes: the ratios are those of 300, in a third of the time

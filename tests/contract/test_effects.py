@@ -17,13 +17,13 @@ import pytest
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.structure import structures
+from hil.diagnosis.search.structure import structures
 from hil.effects import ALL, Action, Effect, Form, Survey, Term, survey_of, term_from_json
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric
+from hil.effects.user_effects import catalogue_with, effects_of_file
 from hil.examples import coolant_level
-from hil.records import Records
-from hil.user_effects import catalogue_with, effects_of_file
+from hil.records.rows import Records
 
 PARAMETERS = {"cyclic": {"period_mm", "amplitude_um", "phase"}}
 """Names that users of the JSON rely on."""

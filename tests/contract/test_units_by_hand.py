@@ -26,7 +26,7 @@ from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import Edge
-from hil.drive_tables.curve import DriveCurve
+from hil.drive_table.curve import DriveCurve
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.servo import SimulatedServo
 from sim_backends.virtual_drive import VirtualDrive

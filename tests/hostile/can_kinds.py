@@ -23,7 +23,7 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
-from hil.desk.stop import StoppedByOperator
+from hil.app.desk.stop import StoppedByOperator
 from sim_backends.canopen_profile import Defect
 
 WIRE = (NoAnswerError, LinkLostError, ProtocolError)

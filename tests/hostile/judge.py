@@ -25,11 +25,11 @@ from hostile.peer import Kind, Peer
 from hostile.places import TRAVEL_MM, VERBS, WITH_INSTRUMENT, NotGoodError, Place
 from hostile.servo_kinds import SERVO_KINDS
 
-import hil.probe_wiring
-import hil.wiring
+import hil.machine.wiring
+import hil.probe.wiring
 from drivers.clock import Waiting
-from hil.desk.stop import StoppedByOperator
-from hil.journal import RowJournal
+from hil.app.desk.stop import StoppedByOperator
+from hil.records.journal import RowJournal
 from sim_backends.bench import Bench
 from sim_backends.probe_bench import ProbeBench
 
@@ -265,7 +265,7 @@ def run(case: Case) -> Outcome:
         stack.enter_context(place.wired())
         stack.enter_context(rows.catch())
         if case.wire == "modbus":
-            for module in (hil.wiring, hil.probe_wiring):
+            for module in (hil.machine.wiring, hil.probe.wiring):
                 stack.enter_context(patch.object(module, "BENCH_PATIENCE_S", BENCH_SILENCE_S))
                 stack.enter_context(patch.object(module, "tcp_server", behind_proxy(armed)))
         began_s, error = time.monotonic(), None

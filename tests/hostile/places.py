@@ -17,36 +17,36 @@ from hostile.can_peer import CanPeer, stand_in
 from support import probe_files
 from support.bench_axis import AXIS, PASSWORDS
 
-import hil.axes_wiring
-import hil.probe_wiring
-import hil.wiring
+import hil.machine.axes_wiring
+import hil.machine.wiring
+import hil.probe.wiring
 from drivers.clock import Waiting
 from drivers.errors import BridgeError
-from hil.axes_wiring import connected_axes
-from hil.axis import AxisConfig, load_axis
-from hil.backlash_settings import backlash_settings
-from hil.compensation import Compensation
-from hil.drive_tables import drive_table, wanted_of
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.backlash.procedure import measure_backlash
+from hil.backlash.settings import backlash_settings
+from hil.calibration.explore import Exploration
+from hil.calibration.job import run_calibration, run_verification
+from hil.correction.compensation import Compensation
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.correction.store import SealedStore
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
+from hil.diagnosis.loop.job import run_loop
+from hil.diagnosis.loop.procedure import Turning
+from hil.doctor.procedure import doctor
+from hil.drive_table import drive_table, wanted_of
+from hil.drive_table.change import held_table
+from hil.drive_table.proof import prove_by_instrument
 from hil.effects import ALL
-from hil.jobs.calibrate import run_calibration, run_verification
-from hil.jobs.close_loop import run_loop
-from hil.jobs.lost_motion import run_lost_motion
-from hil.journal import Campaign
-from hil.lost_motion.circle import Circle
-from hil.probe_machine import load_probe_machine
-from hil.probe_wiring import connected_probe, probe_bench
-from hil.procedures.circle import drive_circle, prepare
-from hil.procedures.close_loop import Turning
-from hil.procedures.doctor import doctor
-from hil.procedures.drive_table import held_table
-from hil.procedures.explore import Exploration
-from hil.procedures.probe_runout import measure_run_out
-from hil.procedures.prove_drive_table import prove_by_instrument
-from hil.procedures.torque_backlash import measure_backlash
-from hil.sealed import Cost, new_key, save_private_key, save_public_key
-from hil.store import SealedStore
-from hil.tables import DirectionalTable, TableMode, TableSet
-from hil.wiring import connected, connected_drive
+from hil.lost_motion.circle.figures import Circle
+from hil.lost_motion.circle.procedure import drive_circle, prepare
+from hil.lost_motion.job import run_lost_motion
+from hil.machine.axes_wiring import connected_axes
+from hil.machine.wiring import connected, connected_drive
+from hil.probe.machine_file import load_probe_machine
+from hil.probe.procedure import measure_run_out
+from hil.probe.wiring import connected_probe, probe_bench
+from hil.records.journal import Campaign
 from sim_backends.bench import Bench, BenchParameters
 
 TRAVEL_MM = (-2.0, 160.0)
@@ -157,9 +157,9 @@ class Place:
                 place.on_bench(self)
 
         with ExitStack() as stack:
-            for module in (hil.wiring, hil.axes_wiring, hil.probe_wiring):
+            for module in (hil.machine.wiring, hil.machine.axes_wiring, hil.probe.wiring):
                 stack.enter_context(patch.object(module, "drives_in_turn", stand_in(self.on_can)))
-            for module in (hil.wiring, hil.axes_wiring):
+            for module in (hil.machine.wiring, hil.machine.axes_wiring):
                 stack.enter_context(patch.object(module, "Bench", SeenBench))
             yield
 

@@ -14,7 +14,7 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
-from hil.desk.stop import StoppedByOperator
+from hil.app.desk.stop import StoppedByOperator
 from sim_backends.faults import Fault, FaultKind
 
 MOTION = (SafetyError, ProtocolError, DriveFaultError, StateError)

@@ -12,12 +12,12 @@ from support.two_axes import lay_out_axes
 from drivers.drive import Capability, DriveState, ServoDrive
 from drivers.errors import CapabilityError, InputError, LimitError, StateError
 from drivers.set_points import SetPointSettings
-from hil.axes_wiring import connected_axes
-from hil.axis import AxisConfig, load_axis
-from hil.jobs.circle import BEFORE, run_circle
-from hil.lost_motion.circle import Circle
-from hil.procedures.circle import check_axes, drive_circle, prepare
-from hil.procedures.events import Event, Listener
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.lost_motion.circle.figures import Circle
+from hil.lost_motion.circle.job import BEFORE, run_circle
+from hil.lost_motion.circle.procedure import check_axes, drive_circle, prepare
+from hil.machine.axes_wiring import connected_axes
+from hil.machine.events import Event, Listener
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import ideal_axis
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings

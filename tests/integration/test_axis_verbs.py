@@ -13,14 +13,14 @@ import pytest
 from support import bench_axis
 
 from drivers.errors import LinkLostError
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.files import held
-from hil.journal import RowJournal
-from hil.procedures.session import AxisSession
-from hil.records import read_csv
-from hil.store import SealedStore
-from hil.tables import TableSet
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.correction.store import SealedStore
+from hil.correction.tables import TableSet
+from hil.machine.session import AxisSession
+from hil.records.files import held
+from hil.records.journal import RowJournal
+from hil.records.rows import read_csv
 
 
 @pytest.fixture

@@ -15,23 +15,23 @@ from pathlib import Path
 import pytest
 from support import bench_axis
 
-import hil.wiring
+import hil.machine.wiring
 from drivers.drive import DriveState
-from hil.axis import AxisConfig, load_axis
-from hil.cli.main import main
-from hil.compensation import Compensation
-from hil.jobs.calibrate import run_calibration, run_verification
-from hil.jobs.close_loop import run_loop
-from hil.jobs.lost_motion import lost_motion_config, run_lost_motion
+from hil.app.terminal.main import main
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.calibration.explore import Exploration
+from hil.calibration.job import run_calibration, run_verification
+from hil.correction.compensation import Compensation
+from hil.correction.store import SealedStore
+from hil.diagnosis.loop.job import run_loop
+from hil.diagnosis.loop.procedure import Turning
+from hil.doctor.procedure import doctor
+from hil.lost_motion.job import lost_motion_config, run_lost_motion
+from hil.machine.events import Event, Point
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.procedures.close_loop import Turning
-from hil.procedures.doctor import doctor
-from hil.procedures.events import Event, Point
-from hil.procedures.explore import Exploration
-from hil.store import SealedStore
-from hil.wiring import Machine, connected, connected_drive
-from hil.zero import FILE, ZeroError, read_zero, write_zero
+from hil.machine.wiring import Machine, connected, connected_drive
+from hil.records.zero import FILE, ZeroError, read_zero, write_zero
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.faults import Fault, FaultKind
 
@@ -88,7 +88,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
         path.write_text(text.replace("dwell_s = 0.3\nreading_s = 0.3", "dwell_s = 0.05\nreading_s = 0.1"))
         here = Site(load_axis(path), bench)
         bench.clock.attach(lambda _now, _dt: here.reach_mm.append(here.motor_mm()), bearable=bench.servo.bearable)
-        monkeypatch.setattr(hil.wiring, "_bench", lambda *_args: bench)
+        monkeypatch.setattr(hil.machine.wiring, "_bench", lambda *_args: bench)
         return here
 
     yield make

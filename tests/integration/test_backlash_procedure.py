@@ -23,15 +23,15 @@ from drivers.errors import (
     ProtocolError,
     StateError,
 )
-from hil.axis import DriveAxis, load_drive_axis
-from hil.axis_backlash import BacklashConfig
-from hil.backlash_settings import backlash_settings
-from hil.procedures.events import Event
-from hil.procedures.neutral_settings import BacklashSettings, NotRestoredError, restore
-from hil.procedures.torque_backlash import TorqueBacklash, measure_backlash
-from hil.wind_up.result import fitted_lost_motion
-from hil.wind_up.trace import ReversalTrace
-from hil.wiring import connected_drive
+from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.axis.backlash import BacklashConfig
+from hil.backlash.neutral_settings import BacklashSettings, NotRestoredError, restore
+from hil.backlash.procedure import TorqueBacklash, measure_backlash
+from hil.backlash.result import fitted_lost_motion
+from hil.backlash.settings import backlash_settings
+from hil.backlash.trace import ReversalTrace
+from hil.machine.events import Event
+from hil.machine.wiring import connected_drive
 from sim_backends.bench import BenchParameters, known_bench
 from sim_backends.plant.drive_train import DriveTrain
 from sim_backends.virtual_drive import VirtualDrive

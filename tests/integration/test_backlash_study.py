@@ -18,9 +18,9 @@ from support.torque_machines import (
     torque_curve,
 )
 
-from hil.wind_up.four_sample import four_sample
-from hil.wind_up.result import LostMotion, Reversal, fitted_lost_motion
-from hil.wind_up.trace import ReversalTrace
+from hil.backlash.four_sample import four_sample
+from hil.backlash.result import LostMotion, Reversal, fitted_lost_motion
+from hil.backlash.trace import ReversalTrace
 
 RULES, CAMPAIGNS = 200, 30
 SEEDS, SEEDS_PER_MACHINE = 200, 4

@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 from support import bench_axis
 
-from hil.axis import AxisConfig, load_axis
-from hil.compensation import Compensation
-from hil.journal import Campaign, check_rows
-from hil.procedures.calibrate import Calibration, calibrate
-from hil.records import Records, read_csv
-from hil.sealed import load_public_key
-from hil.store import SealedStore
-from hil.tables import section_means
-from hil.wiring import connected
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.calibration.calibrate import Calibration, calibrate
+from hil.correction.compensation import Compensation
+from hil.correction.sealed import load_public_key
+from hil.correction.store import SealedStore
+from hil.correction.tables import section_means
+from hil.machine.wiring import connected
+from hil.records.journal import Campaign, check_rows
+from hil.records.rows import Records, read_csv
 from sim_backends.bench import BenchParameters
 from sim_backends.interferometer import LaserParameters
 from sim_backends.plant.hysteresis import Backlash
@@ -142,7 +142,7 @@ def progress(directory: Path) -> tuple[int, int]:
 
 @contextlib.contextmanager
 def calibrating(axis: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "hil.cli", "calibrate", str(axis), "--resume", *more]
+    command = [sys.executable, "-m", "hil.app.terminal", "calibrate", str(axis), "--resume", *more]
     environment = {**os.environ, **bench_axis.PASSWORDS}
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

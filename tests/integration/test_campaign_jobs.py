@@ -9,25 +9,26 @@ from pathlib import Path
 import pytest
 from support.bench_axis import PASSWORDS, lay_out
 
-from hil.axis import AxisConfig, load_axis
-from hil.desk.calibration import calibration_screen
-from hil.desk.campaigns import measurements, reports
-from hil.desk.desk import Desk
-from hil.desk.diagnosis import diagnosis_screen
-from hil.desk.progress import Phase, Progress
-from hil.desk.roles import LockedError
-from hil.jobs import aside, calibrate
-from hil.jobs.calibrate import CALIBRATE
-from hil.jobs.close_loop import loop_job
-from hil.jobs.job import Job, Workplace
-from hil.jobs.loop_plan import Looped, feeds_of, passes_at
-from hil.jobs.plan import Move
-from hil.jobs.report import Wanted
-from hil.jobs.stored_loop import STAGES, StoredLoop, stored_loop
-from hil.procedures.close_loop import Turning
-from hil.procedures.events import Event, Point
-from hil.procedures.explore import Exploration
-from hil.records import read_csv
+from hil.app.desk.campaigns import measurements, reports
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Phase, Progress
+from hil.app.desk.roles import LockedError
+from hil.app.jobs import worker_process as aside
+from hil.app.jobs.job import Job, Workplace
+from hil.app.jobs.plan import Move
+from hil.app.report.job import Wanted
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.calibration import job as calibrate
+from hil.calibration.explore import Exploration
+from hil.calibration.job import CALIBRATE
+from hil.calibration.screen import calibration_screen
+from hil.diagnosis.loop.job import loop_job
+from hil.diagnosis.loop.jobs.plan import Looped, feeds_of, passes_at
+from hil.diagnosis.loop.jobs.stored import STAGES, StoredLoop, stored_loop
+from hil.diagnosis.loop.procedure import Turning
+from hil.diagnosis.screen import diagnosis_screen
+from hil.machine.events import Event, Point
+from hil.records.rows import read_csv
 
 pytestmark = pytest.mark.slow
 Until = Callable[[Callable[[], bool], str], None]

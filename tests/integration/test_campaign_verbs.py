@@ -11,15 +11,15 @@ from study.next_study import standard_test, written
 from study.planned_machine import PlannedMachine
 from support import bench_axis
 
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.diagnosis.fit import fit_model
-from hil.journal import Campaign
-from hil.procedures.explore import explore
-from hil.procedures.next_run import runs_of
-from hil.procedures.plans import read_plan
-from hil.records import to_csv
-from hil.wiring import connected
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.calibration.explore import explore
+from hil.diagnosis.loop.next_run import runs_of
+from hil.diagnosis.next.plans import read_plan
+from hil.diagnosis.search.fit import fit_model
+from hil.machine.wiring import connected
+from hil.records.journal import Campaign
+from hil.records.rows import to_csv
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.drive import DriveLimits
 from drivers.scaling import AxisScaling
-from hil.compensation import Compensation, MotionHistory
-from hil.tables import DirectionalTable, TableMode, TableSet
+from hil.correction.compensation import Compensation, MotionHistory
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from sim_backends.canopen_bench import SMALL_SERVO
 from sim_backends.canopen_drive import attach_to_wire
 from sim_backends.canopen_wire import SimWire

@@ -27,14 +27,14 @@ from drivers.canopen.side_by_side import CanLine
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError
-from hil.params.compare import compare
-from hil.params.download import Target, download
-from hil.params.formats import read_any, write_any
-from hil.params.journal import Journal
-from hil.params.recover import Unfinished, recover
-from hil.params.report import Ending
-from hil.params.set_file import ParameterSet, SetEntry
-from hil.params.snapshot import back_up
+from hil.parameters.compare import compare
+from hil.parameters.download import Target, download
+from hil.parameters.formats import read_any, write_any
+from hil.parameters.journal import Journal
+from hil.parameters.recover import Unfinished, recover
+from hil.parameters.report import Ending
+from hil.parameters.set_file import ParameterSet, SetEntry
+from hil.parameters.snapshot import back_up
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave, served
 from sim_backends.servo import SimulatedServo

@@ -21,7 +21,7 @@ from support.bench_axis import PASSWORDS
 from support.commissioning import Job, kept, look, prepare, rows_of, wait_for
 from support.sim_process import SimProcess, sim
 
-from hil.cli.main import main
+from hil.app.terminal.main import main
 from hil.machine.signals import ENDED, INTERRUPTED, WAY_OUT_S
 
 WIRES = {
@@ -238,11 +238,11 @@ def test_resume_in_another_process_stays_in_the_zero(
 
 MOVES_BY_SCRIPT = """
 import os, sys
-from hil.axis import load_drive_axis
+from hil.axis.axis_file import load_drive_axis
 from hil.machine.signals import ending_by_signals
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.wiring import connected_drive
+from hil.machine.wiring import connected_drive
 
 with ending_by_signals(), connected_drive(load_drive_axis(sys.argv[1])) as drive:
     with Supervisor([WatchedAxis(drive)]) as axis:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.cli.main import main
-from hil.records import Records, read_csv, to_csv
+from hil.app.terminal.main import main
+from hil.records.rows import Records, read_csv, to_csv
 
 SHARED = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).parents[3] / "shared/data"))
 

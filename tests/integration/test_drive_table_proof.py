@@ -13,16 +13,16 @@ from support.table_axis import FACES, lay_out_table_axis
 from drivers.correction_table import CorrectionTable, RawTable
 from drivers.drive import DriveLimits
 from drivers.scaling import AxisScaling
-from hil.axis import AxisConfig
-from hil.compensation import Compensation
-from hil.drive_tables import drive_table, wanted_of
-from hil.journal import Campaign
+from hil.axis.axis_file import AxisConfig
+from hil.correction.compensation import Compensation
+from hil.correction.tables import DirectionalTable, TableSet
+from hil.drive_table import drive_table, wanted_of
+from hil.drive_table.change import held_table
+from hil.drive_table.proof import Agreement, Proof, Way, prove_by_drive, prove_by_instrument
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.procedures.drive_table import held_table
-from hil.procedures.prove_drive_table import Agreement, Proof, Way, prove_by_drive, prove_by_instrument
-from hil.tables import DirectionalTable, TableSet
-from hil.wiring import connected, connected_drive
+from hil.machine.wiring import connected, connected_drive
+from hil.records.journal import Campaign
 from sim_backends.canopen_bench import SMALL_SERVO
 from sim_backends.clock import SimClock
 from sim_backends.own_table import ARRAY, TableForm, error_domain

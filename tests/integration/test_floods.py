@@ -17,11 +17,11 @@ from support.sdo_peers import Flood
 from drivers.canopen.bus import CanLink
 from drivers.canopen.scan import FoundNode, listen, scan
 from drivers.errors import BridgeError
-from hil.axis import load_axis
-from hil.instruments import instrument
-from hil.procedures.doctor import Check, doctor
-from hil.procedures.session import AxisSession
-from hil.wiring import Links, bench_parameters, canopen_drive, session_of
+from hil.axis.axis_file import load_axis
+from hil.doctor.procedure import Check, doctor
+from hil.machine.instruments import instrument
+from hil.machine.session import AxisSession
+from hil.machine.wiring import Links, bench_parameters, canopen_drive, session_of
 from sim_backends.bench import Bench
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import attach_to_wire

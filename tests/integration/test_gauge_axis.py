@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support.bench_axis import lay_out
 
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.journal import Campaign
-from hil.procedures.measure import bidirectional_steps, measure
-from hil.wiring import connected
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.machine.measure import bidirectional_steps, measure
+from hil.machine.wiring import connected
+from hil.records.journal import Campaign
 
 
 @pytest.mark.parametrize(

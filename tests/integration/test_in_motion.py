@@ -11,16 +11,16 @@ import pytest
 from support import bench_axis
 
 from drivers.instrument import Reading, ReadingStatus
-from hil.axis import load_axis
-from hil.compensation import Compensation
+from hil.axis.axis_file import load_axis
+from hil.calibration.calibrate import calibrate
+from hil.calibration.in_motion import InMotion, Pass, ramped_path
+from hil.correction.compensation import Compensation
+from hil.diagnosis.loop.procedure import turn_in_motion
 from hil.effects import ALL
-from hil.journal import Campaign
-from hil.procedures.calibrate import calibrate
-from hil.procedures.close_loop import turn_in_motion
-from hil.procedures.in_motion import InMotion, Pass, ramped_path
-from hil.procedures.sample_times import SampleTimes
-from hil.records import Records
-from hil.wiring import bench_parameters, connected
+from hil.machine.sample_times import SampleTimes
+from hil.machine.wiring import bench_parameters, connected
+from hil.records.journal import Campaign
+from hil.records.rows import Records
 from sim_backends.bench import BenchParameters
 
 HIDDEN_UM = 20.0  # trailing at 100 mm/s

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from support import bench_axis
 
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.journal import Campaign
-from hil.latency import Latency
-from hil.procedures.in_motion import InMotion, measure_in_motion, plan_passes
-from hil.procedures.latency import dated, measure_latency
-from hil.records import Records, read_csv
-from hil.wiring import Machine, bench_parameters, connected
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.calibration.latency import dated, measure_latency
+from hil.figures.latency import Latency
+from hil.machine.wiring import Machine, bench_parameters, connected
+from hil.records.journal import Campaign
+from hil.records.rows import Records, read_csv
 from sim_backends.gauge import GaugeParameters
 
 HOW = InMotion((30.0, 110.0), runs=2, stretch_mm=60.0, period_s=0.008)
@@ -197,7 +197,7 @@ def test_doctor_measures_it_or_holds_what_is_stated_against_it(
 def test_rows_are_captured_at_edges_where_the_link_is_uneven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: Latency, captured_at: int | None
 ) -> None:
-    monkeypatch.setattr("hil.procedures.latency.measure_latency", lambda *_: found)
+    monkeypatch.setattr("hil.calibration.latency.measure_latency", lambda *_: found)
     with connected(load_axis(bench_axis.lay_out(tmp_path))) as bench:
         asked = replace(HOW, trigger_input=1, latency_s=None)
         how, told = dated(bench.session, Campaign(tmp_path / "rows", {}, resume=False), asked)

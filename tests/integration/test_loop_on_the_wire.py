@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from support import bench_axis
 
-from hil.axis import load_axis
+from hil.axis.axis_file import load_axis
+from hil.calibration.calibrate import calibrate
+from hil.calibration.explore import Exploration
+from hil.correction.tables import TableSet
+from hil.diagnosis.loop.procedure import Turning, turn_loop
 from hil.effects import ALL
 from hil.effects.base import Action
-from hil.journal import Campaign
-from hil.procedures.calibrate import calibrate
-from hil.procedures.close_loop import Turning, turn_loop
-from hil.procedures.explore import Exploration
-from hil.records import Records
-from hil.tables import TableSet
-from hil.wiring import bench_parameters, connected
+from hil.machine.wiring import bench_parameters, connected
+from hil.records.journal import Campaign
+from hil.records.rows import Records
 
 NOISE_UM = 1.0  # of one sample of the laser; a reading at rest averages 15
 CONDITIONS = "\n[conditions]\nload_kg = [0, 60, 120]\npos_y_mm = [0, 200, 400]\n"

@@ -13,12 +13,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hil.compensation import Compensation, MotionHistory
+from hil.correction.compensation import Compensation, MotionHistory
+from hil.correction.rise import STRAIGHT_PIECES, TWO_TANH, Rise
+from hil.correction.running_lost_motion import after_full_stroke, moved_to
+from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.lost_motion.estimate import Estimate, estimate
 from hil.lost_motion.fit import MeasuredReversal, fit
-from hil.lost_motion.running import after_full_stroke, moved_to
-from hil.lost_motion.shapes import STRAIGHT_PIECES, TWO_TANH, Rise
-from hil.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from sim_backends.plant.drive_train import DriveTrain, Guide, WindUp
 from sim_backends.plant.hysteresis import Backlash, LostMotion, Reversal
 

@@ -15,10 +15,10 @@ import pytest
 from support.bench_axis import PASSWORDS
 from support.two_axes import lay_out_axes
 
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.records import read_csv
-from hil.store import SealedStore
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.correction.store import SealedStore
+from hil.records.rows import read_csv
 from sim_backends.bench import known_bench
 
 Until = Callable[[Callable[[], bool], str], None]
@@ -179,7 +179,7 @@ def test_a_correction_that_does_not_prove_itself_is_not_stored(
 @pytest.mark.slow
 def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path, until: Until) -> None:
     x, _ = lay_out_axes(tmp_path, machine="geometric")
-    command = [sys.executable, "-m", "hil.cli", "lost-motion", str(x)]
+    command = [sys.executable, "-m", "hil.app.terminal", "lost-motion", str(x)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     rows = tmp_path / "X-campaign" / "lost-motion-001" / "strokes.csv"
     until(lambda: rows.exists() and rows.read_text().count("\n") >= 20, "some places measured")

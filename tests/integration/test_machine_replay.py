@@ -10,15 +10,15 @@ import pytest
 from support.bench_axis import PASSWORDS, lay_out
 
 from drivers.errors import InputError, StateError
-from hil.axis import AxisConfig, load_axis
-from hil.cli.main import main
-from hil.history import REPLAY, find_campaigns, history
-from hil.journal import Campaign
-from hil.procedures.measure import Step, bidirectional_steps, measure
-from hil.procedures.session import AxisSession
-from hil.records import Records
-from hil.replay_wiring import recorded, replayed
-from hil.wiring import connected
+from hil.app.terminal.main import main
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.figures.history import REPLAY, find_campaigns, history
+from hil.machine.measure import Step, bidirectional_steps, measure
+from hil.machine.replay import recorded, replayed
+from hil.machine.session import AxisSession
+from hil.machine.wiring import connected
+from hil.records.journal import Campaign
+from hil.records.rows import Records
 
 
 def axis_at(directory: Path, face: str) -> AxisConfig:

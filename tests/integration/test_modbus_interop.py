@@ -44,12 +44,12 @@ from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
-from hil.params.compare import compare
-from hil.params.download import Target, download
-from hil.params.journal import Journal
-from hil.params.recover import Unfinished, recover
-from hil.params.report import Ending
-from hil.params.snapshot import back_up
+from hil.parameters.compare import compare
+from hil.parameters.download import Target, download
+from hil.parameters.journal import Journal
+from hil.parameters.recover import Unfinished, recover
+from hil.parameters.report import Ending
+from hil.parameters.snapshot import back_up
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server

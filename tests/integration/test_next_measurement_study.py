@@ -9,12 +9,12 @@ import pytest
 from study.next_study import cases, run, summary
 from support import bench_axis
 
-from hil.axis import load_axis
-from hil.journal import Campaign
-from hil.procedures.calibrate import calibrate
-from hil.procedures.close_loop import Turning, turn_loop
-from hil.procedures.explore import Exploration
-from hil.wiring import bench_parameters, connected
+from hil.axis.axis_file import load_axis
+from hil.calibration.calibrate import calibrate
+from hil.calibration.explore import Exploration
+from hil.diagnosis.loop.procedure import Turning, turn_loop
+from hil.machine.wiring import bench_parameters, connected
+from hil.records.journal import Campaign
 
 
 @pytest.mark.slow

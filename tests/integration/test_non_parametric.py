@@ -12,16 +12,16 @@ from study.unexplained import outcomes, summary
 from support import bench_axis
 
 from drivers.errors import StateError
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.compensation import Compensation, MotionHistory
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.correction.compensation import Compensation, MotionHistory
+from hil.correction.store import SealedStore
+from hil.correction.tables import TableSet
+from hil.diagnosis.loop.extend import compensation_of
 from hil.effects import Term
+from hil.effects.model import Model
 from hil.effects.non_parametric import NonParametric, smooth_form
-from hil.model import Model
-from hil.procedures.extend import compensation_of
-from hil.records import Records, read_csv, to_csv
-from hil.store import SealedStore
-from hil.tables import TableSet
+from hil.records.rows import Records, read_csv, to_csv
 
 PLAN = Plan(runs=6, targets=16)
 

@@ -12,15 +12,15 @@ import sim_backends.virtual_drive
 from drivers.drive import DriveLimits
 from drivers.errors import StateError
 from drivers.set_points import SetPointSettings
-from hil.cli.main import main
-from hil.compensation import Compensation
-from hil.drive_tables import drive_table, wanted_of
-from hil.procedures.doctor import doctor
-from hil.procedures.drive_table import changing, held_table
-from hil.procedures.session import AxisSession
-from hil.replay_wiring import recorded
-from hil.tables import TableSet
-from hil.wiring import connected
+from hil.app.terminal.main import main
+from hil.correction.compensation import Compensation
+from hil.correction.tables import TableSet
+from hil.doctor.procedure import doctor
+from hil.drive_table import drive_table, wanted_of
+from hil.drive_table.change import changing, held_table
+from hil.machine.replay import recorded
+from hil.machine.session import AxisSession
+from hil.machine.wiring import connected
 from sim_backends.virtual_table import VirtualCorrectionTable
 
 WORDS = "drive X corrects this axis itself, its .* is switched on"

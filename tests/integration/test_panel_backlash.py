@@ -14,7 +14,7 @@ from support.backlash_axis import QUICK, lay_out
 from support.bench_axis import PASSWORDS
 from support.panel import Person
 
-from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 
 pytestmark = [
     pytest.mark.slow,

@@ -12,7 +12,7 @@ from support.bench_axis import PASSWORDS, lay_out
 from support.campaigns import campaign, wavy
 from support.panel import Person
 
-from hil.records import read_csv, to_csv
+from hil.records.rows import read_csv, to_csv
 
 pytestmark = [
     pytest.mark.slow,

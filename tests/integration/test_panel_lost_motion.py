@@ -11,8 +11,8 @@ from support.bench_axis import PASSWORDS
 from support.panel import Person
 from support.two_axes import lay_out_axes
 
-from hil.axis import load_axis
-from hil.store import SealedStore
+from hil.axis.axis_file import load_axis
+from hil.correction.store import SealedStore
 
 pytestmark = [
     pytest.mark.slow,

@@ -13,11 +13,11 @@ from support.panel import Person
 
 from drivers.clock import WallClock
 from drivers.raw_parameters import DriveIdentity
-from hil.axis import load_drive_axis
-from hil.params.journal import Noted
-from hil.params.set_file import ParameterSet, read_set, write_set
-from hil.params_wiring import journal_of
-from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.axis.axis_file import load_drive_axis
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.parameters.journal import Noted
+from hil.parameters.set_file import ParameterSet, read_set, write_set
+from hil.parameters.wiring import journal_of
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space
 

@@ -8,7 +8,7 @@ import pytest
 from support import panel, probe_files
 from support.panel import Person
 
-from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 from sim_backends.plant.touch_probe import Bore
 from sim_backends.probe import known_probe
 

@@ -52,7 +52,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         kinds = {"/": "text/html", "/panel.css": "text/css", "/panel.js": "text/javascript"}
-        text = PAGE if self.path == "/" else files("hil.panel").joinpath("static", self.path[1:]).read_text("utf-8")
+        text = PAGE if self.path == "/" else files("hil.app.panel").joinpath("static", self.path[1:]).read_text("utf-8")
         self._answer(200, kinds[self.path], text.encode())
 
     def do_POST(self) -> None:

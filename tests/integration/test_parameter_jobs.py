@@ -12,16 +12,16 @@ from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
 
 from drivers.clock import WallClock
 from drivers.errors import InputError, StateError
-from hil.axis import DriveAxis, load_drive_axis
-from hil.desk.progress import Phase, Progress
-from hil.desk.stop import StoppedByOperator
-from hil.jobs import parameters
-from hil.jobs.job import Job, Workplace
-from hil.jobs.parameter_files import keep_set, set_files
-from hil.params.compare import Comparison
-from hil.params.report import Ending, JobReport
-from hil.params.set_file import ParameterSet, SetEntry, read_set, write_set
-from hil.procedures.events import Event
+from hil.app.desk.progress import Phase, Progress
+from hil.app.desk.stop import StoppedByOperator
+from hil.app.jobs.job import Job, Workplace
+from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.machine.events import Event
+from hil.parameters import job as parameters
+from hil.parameters.compare import Comparison
+from hil.parameters.jobs.files import keep_set, set_files
+from hil.parameters.report import Ending, JobReport
+from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
 from sim_backends.modbus_drive import tcp_server
 
 SIDES = {"old": [entry.raw for entry in OLD.entries], "new": [entry.raw for entry in NEW.entries]}
@@ -160,7 +160,7 @@ def test_a_set_that_is_brought(axis: DriveAxis, tmp_path: Path) -> None:
 
 
 def test_what_the_screen_says_of_each_outcome(axis: DriveAxis) -> None:
-    from hil.desk.parameters import parameters_screen  # noqa: PLC0415
+    from hil.parameters.screen import parameters_screen  # noqa: PLC0415
 
     class Last:
         """A desk whose only job is this one."""

@@ -12,14 +12,14 @@ from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_se
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
-from hil.params.compare import compare
-from hil.params.defaults import load_defaults
-from hil.params.download import Target, download
-from hil.params.journal import Journal
-from hil.params.recover import Unfinished, recover, set_before
-from hil.params.report import Ending, JobReport, Verdict
-from hil.params.set_file import ParameterSet, SetEntry
-from hil.params.snapshot import back_up
+from hil.parameters.compare import compare
+from hil.parameters.defaults import load_defaults
+from hil.parameters.download import Target, download
+from hil.parameters.journal import Journal
+from hil.parameters.recover import Unfinished, recover, set_before
+from hil.parameters.report import Ending, JobReport, Verdict
+from hil.parameters.set_file import ParameterSet, SetEntry
+from hil.parameters.snapshot import back_up
 from sim_backends.canopen_dictionary import RefusedError
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash

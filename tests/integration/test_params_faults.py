@@ -12,7 +12,7 @@ from study.params_every_frame import study
 from support.parameter_faults import KINDS, cases, one_run
 from support.parameter_rigs import maker_eds
 
-from hil.params.report import Ending
+from hil.parameters.report import Ending
 
 EVERY = 37
 

@@ -17,14 +17,14 @@ from drivers.errors import AbortError, NoAnswerError
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Request
 from drivers.raw_parameters import Pause, Steps
-from hil.params.download import Target, download
-from hil.params.journal import Journal
-from hil.params.predict import predict
-from hil.params.preflight import match_set
-from hil.params.recover import Unfinished, recover
-from hil.params.report import Ending, Verdict
-from hil.params.set_file import ParameterSet, SetEntry
-from hil.params.snapshot import back_up
+from hil.parameters.download import Target, download
+from hil.parameters.journal import Journal
+from hil.parameters.predict import predict
+from hil.parameters.preflight import match_set
+from hil.parameters.recover import Unfinished, recover
+from hil.parameters.report import Ending, Verdict
+from hil.parameters.set_file import ParameterSet, SetEntry
+from hil.parameters.snapshot import back_up
 from sim_backends.clock import SimClock
 
 EVERY = 3  # request; 1 for all of them

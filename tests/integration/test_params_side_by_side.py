@@ -12,10 +12,10 @@ from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.raw_parameters import START_S, address_of
 from drivers.errors import NoAnswerError
 from drivers.raw_parameters import RawParameters, Steps
-from hil.params.download import Target, download
-from hil.params.report import Ending
-from hil.params.transaction import DriveJob
-from hil.params.works import run_together
+from hil.parameters.download import Target, download
+from hil.parameters.report import Ending
+from hil.parameters.transaction import DriveJob
+from hil.parameters.works import run_together
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
 COUNT = 12

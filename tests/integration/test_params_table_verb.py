@@ -10,14 +10,14 @@ import pytest
 from support.bench_axis import PASSWORDS
 from support.table_axis import lay_out_table_axis, store
 
-import hil.cli.params_table
+import hil.drive_table.command
 import hil.examples.drive_table
 import sim_backends.virtual_drive
 from drivers.correction_table import RawTable
-from hil.axis import AxisConfig
-from hil.cli.main import main
-from hil.procedures.drive_table import Snapshot
-from hil.zero import Zero, write_zero
+from hil.app.terminal.main import main
+from hil.axis.axis_file import AxisConfig
+from hil.drive_table.change import Snapshot
+from hil.records.zero import Zero, write_zero
 from sim_backends.virtual_table import VirtualCorrectionTable
 
 OLD = RawTable((5, 6), (7, 8), (), 100, 200)
@@ -116,7 +116,7 @@ def test_an_interrupt_puts_everything_back(
         assert kept.raw != OLD
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(hil.cli.params_table, "prove_by_drive", interrupted)
+    monkeypatch.setattr(hil.drive_table.command, "prove_by_drive", interrupted)
     assert run(axis, "download", "--prove-by", "drive") == 130
     assert (kept.raw, kept.enabled) == (OLD, True)
     assert "interrupted" in capsys.readouterr().err

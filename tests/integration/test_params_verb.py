@@ -17,9 +17,9 @@ from support.modbus_parameters import NEW, OLD, FortyFace, write_map
 from support.sim_process import SimProcess
 
 from drivers.clock import WallClock
-from hil.cli.main import main
-from hil.params.set_file import SetEntry, read_set, write_set
-from hil.sealed import new_key, save_public_key, sign_detached
+from hil.app.terminal.main import main
+from hil.correction.sealed import new_key, save_public_key, sign_detached
+from hil.parameters.set_file import SetEntry, read_set, write_set
 from sim_backends.canopen_drive import EDS
 from sim_backends.modbus_drive import tcp_server
 
@@ -169,7 +169,16 @@ def test_a_drive_in_a_process_of_its_own(
     assert "after its restart it still holds all of it" in out
     assert run(capsys, "verify", canopen_axis, "--set", new)[0] == 0
     journal = tmp_path / "X-campaign" / "parameters"
-    command = [sys.executable, "-m", "hil.cli.main", "params", "download", str(canopen_axis), "--set", str(backup)]
+    command = [
+        sys.executable,
+        "-m",
+        "hil.app.terminal.main",
+        "params",
+        "download",
+        str(canopen_axis),
+        "--set",
+        str(backup),
+    ]
     for _ in range(20):  # until one is killed between its first and its last write
         before = len(list(journal.iterdir()))
         with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:

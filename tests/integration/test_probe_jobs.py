@@ -12,11 +12,19 @@ from typing import Any
 import pytest
 from support import probe_files
 
-import hil.jobs.probe
-from hil.axis import load_drive_axis
-from hil.desk.control import NotInControlError
-from hil.desk.desk import Desk
-from hil.desk.probe import (
+import hil.probe.job
+from hil.app.desk.control import NotInControlError
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Phase, Progress
+from hil.app.desk.roles import LockedError
+from hil.app.jobs.job import Job
+from hil.app.panel.texts import Texts
+from hil.axis.axis_file import load_drive_axis
+from hil.correction.sealed import Cost, WrongPasswordError, new_key, save_private_key, save_public_key
+from hil.probe import job as probe
+from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
+from hil.probe.runout import CorrectionCode
+from hil.probe.screen import (
     ProbeRecord,
     centred_at,
     contacts,
@@ -28,15 +36,7 @@ from hil.desk.probe import (
     store_at,
     writable,
 )
-from hil.desk.progress import Phase, Progress
-from hil.desk.roles import LockedError
-from hil.files import held
-from hil.jobs import probe
-from hil.jobs.job import Job
-from hil.panel.texts import Texts
-from hil.probe_machine import ProbeMachineConfig, load_probe_machine
-from hil.runout import CorrectionCode
-from hil.sealed import Cost, WrongPasswordError, new_key, save_private_key, save_public_key
+from hil.records.files import held
 from sim_backends.plant.touch_probe import Bore
 from sim_backends.probe_bench import ProbeBench
 
@@ -56,7 +56,7 @@ class Seen:
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
-    behind, make = Seen(), hil.jobs.probe.probe_bench
+    behind, make = Seen(), hil.probe.job.probe_bench
 
     def making(*given: Any, **more: Any) -> ProbeBench:
         bench = make(*given, **more)
@@ -66,7 +66,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
             bench.clock.attach(lambda now_ns, _dt_s: look(bench, now_ns), bearable=lambda _now_ns: 1_000_000)
         return bench
 
-    monkeypatch.setattr(hil.jobs.probe, "probe_bench", making)
+    monkeypatch.setattr(hil.probe.job, "probe_bench", making)
     return behind
 
 

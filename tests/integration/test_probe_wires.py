@@ -14,12 +14,12 @@ from drivers.clock import WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
 from drivers.modbus.drive import ModbusDrive
-from hil.axis import load_drive_axis
-from hil.probe_machine import load_probe_machine
-from hil.probe_wiring import connected_probe, probe_bench, probe_session
-from hil.procedures.probe_runout import centre_bore, measure_run_out
-from hil.runout import CorrectionCode
-from hil.wiring import Links, hardware_drive
+from hil.axis.axis_file import load_drive_axis
+from hil.machine.wiring import Links, hardware_drive
+from hil.probe.machine_file import load_probe_machine
+from hil.probe.procedure import centre_bore, measure_run_out
+from hil.probe.runout import CorrectionCode
+from hil.probe.wiring import connected_probe, probe_bench, probe_session
 from sim_backends.canopen_drive import served
 from sim_backends.plant.touch_probe import Bore, Face, Stylus
 from sim_backends.probe import ProbeParameters

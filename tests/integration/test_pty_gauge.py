@@ -12,8 +12,8 @@ import pytest
 from drivers.errors import InputError, LinkLostError
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from drivers.instruments.gauge import Gauge
-from hil.axis import DisplayConfig, InstrumentConfig
-from hil.instruments import instrument, with_instrument
+from hil.axis.axis_file import DisplayConfig, InstrumentConfig
+from hil.machine.instruments import instrument, with_instrument
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.gauge import GaugeParameters

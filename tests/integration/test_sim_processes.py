@@ -13,8 +13,8 @@ from support.sim_process import sim
 from drivers.clock import WallClock
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
-from hil.axis import load_axis
-from hil.cli.main import main
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
 
 
 def test_a_laser_alone_shows_an_axis_that_shuttles() -> None:

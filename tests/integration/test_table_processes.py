@@ -16,9 +16,9 @@ from support.commissioning import prepare, wait_for
 from support.sim_process import sim
 from support.table_axis import store
 
-from hil.axis import load_axis
-from hil.cli.main import main
-from hil.tables import DirectionalTable, TableMode, TableSet
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 
 POINTS = 400
 
@@ -54,7 +54,17 @@ def test_one_process_writes_and_is_killed_and_others_find_what_was_there(
                 assert "would be taken out twice" in capsys.readouterr().err
 
         note = axis.store.directory / "drive-table-before.json"
-        command = [sys.executable, "-m", "hil.cli", "params", "table", "download", str(path), "--prove-by", "drive"]
+        command = [
+            sys.executable,
+            "-m",
+            "hil.app.terminal",
+            "params",
+            "table",
+            "download",
+            str(path),
+            "--prove-by",
+            "drive",
+        ]
         for number, status in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)):
             process = subprocess.Popen(
                 command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=os.environ

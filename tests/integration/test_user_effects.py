@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hil.examples.coolant_level as example
-from hil.cli.main import main
-from hil.records import Records, read_csv, to_csv
+from hil.app.terminal.main import main
+from hil.records.rows import Records, read_csv, to_csv
 
 OWN = Path(example.__file__)
 NOISE_UM = 0.4

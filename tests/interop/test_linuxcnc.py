@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.formats import linuxcnc
-from hil.formats.linuxcnc import LinuxCncSettings
-from hil.tables import DirectionalTable, TableMode, TableSet
+from hil.correction.formats import linuxcnc
+from hil.correction.formats.linuxcnc import LinuxCncSettings
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 
 pytestmark = [
     pytest.mark.linuxcnc,

@@ -24,7 +24,7 @@ from study.comparison_methods import METHODS, Data, available, judge
 from study.study import INSTRUMENT, Case, cases, run
 from study.truth_machines import Machine, Plan
 
-from hil.records import Records
+from hil.records.rows import Records
 
 OURS = "hil"
 KINDS = ("strong", "weak", "clean", "pair")

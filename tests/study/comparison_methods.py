@@ -17,11 +17,11 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import lasso_path
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.fit import Choice
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import Choice
 from hil.effects import ALL, Action
 from hil.effects.history import complete
-from hil.records import Records
+from hil.records.rows import Records
 
 try:
     from pysindy import STLSQ

@@ -56,16 +56,18 @@ ROOMS = {
         ("hil/effects/*.py",),
         (f"{UNIT}/effects/test_reference_values.py", f"{UNIT}/effects", "tests/contract/test_effects.py"),
     ),
-    "iso230": Room(("hil/iso230.py",), (f"{UNIT}/test_iso230.py",)),
-    "uncertainty": Room(("hil/uncertainty.py",), (f"{UNIT}/test_uncertainty.py",)),
-    "alignment": Room(("hil/alignment.py", "hil/material.py"), (f"{UNIT}/test_alignment_and_material.py",)),
-    "reading": Room(("hil/reading.py",), (f"{UNIT}/test_reading.py",)),
-    "latency": Room(("hil/latency.py",), (f"{UNIT}/test_latency.py",)),
+    "iso230": Room(("hil/figures/iso230.py",), (f"{UNIT}/test_iso230.py",)),
+    "uncertainty": Room(("hil/figures/uncertainty.py",), (f"{UNIT}/test_uncertainty.py",)),
+    "alignment": Room(
+        ("hil/figures/alignment.py", "hil/figures/material.py"), (f"{UNIT}/test_alignment_and_material.py",)
+    ),
+    "reading": Room(("hil/figures/reading.py",), (f"{UNIT}/test_reading.py",)),
+    "latency": Room(("hil/figures/latency.py",), (f"{UNIT}/test_latency.py",)),
     "runout": Room(
-        ("hil/runout.py", "hil/runout_store.py"), (f"{UNIT}/test_runout.py", f"{UNIT}/test_runout_store.py")
+        ("hil/probe/runout.py", "hil/probe/store.py"), (f"{UNIT}/test_runout.py", f"{UNIT}/test_runout_store.py")
     ),
     "backlash": Room(
-        ("hil/wind_up/*.py", "hil/axis_backlash.py"),
+        ("hil/wind_up/*.py", "hil/axis/backlash.py"),
         (f"{UNIT}/wind_up", f"{UNIT}/test_axis_backlash.py"),
     ),
     "lost_motion": Room(("hil/lost_motion/*.py",), (f"{UNIT}/lost_motion",)),
@@ -73,11 +75,13 @@ ROOMS = {
     "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
     "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
     "parameters": Room(("hil/params/*.py",), (f"{UNIT}/params", "tests/integration/test_params_download.py")),
-    "tables": Room(("hil/tables.py", "hil/fold.py"), (f"{UNIT}/test_tables.py", f"{UNIT}/test_fold.py")),
-    "compensation": Room(
-        ("hil/compensation.py",), (f"{UNIT}/test_compensation.py", f"{UNIT}/lost_motion/test_engine.py")
+    "tables": Room(
+        ("hil/correction/tables.py", "hil/correction/fold.py"), (f"{UNIT}/test_tables.py", f"{UNIT}/test_fold.py")
     ),
-    "manual": Room(("hil/manual.py",), (f"{UNIT}/test_manual.py",)),
+    "compensation": Room(
+        ("hil/correction/compensation.py",), (f"{UNIT}/test_compensation.py", f"{UNIT}/lost_motion/test_engine.py")
+    ),
+    "manual": Room(("hil/correction/manual.py",), (f"{UNIT}/test_manual.py",)),
     "drive_tables": Room(("hil/drive_tables/*.py",), (f"{UNIT}/drive_tables",)),
 }
 

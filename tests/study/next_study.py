@@ -21,11 +21,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from planned_machine import AGAINST, ALONG, IN_TIME, USUAL_CROSS_MM, USUAL_LOAD_KG, PlannedMachine
 
-from hil.diagnosis.fit import fit_model
-from hil.diagnosis.hypotheses import is_set, joined
-from hil.diagnosis.next_measurement import Outlook, outlook
-from hil.diagnosis.planned_run import Means, PlannedRun, motion_columns
-from hil.records import Records
+from hil.diagnosis.next.next_measurement import Outlook, outlook
+from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns
+from hil.diagnosis.search.fit import fit_model
+from hil.diagnosis.verdict.hypotheses import is_set, joined
+from hil.records.rows import Records
 
 EFFECTS = (*AGAINST, *ALONG, *IN_TIME)
 ROUNDS = 4

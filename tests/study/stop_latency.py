@@ -38,7 +38,7 @@ from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import served
 from sim_backends.modbus_cia402 import Cia402Registers

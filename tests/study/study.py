@@ -25,7 +25,7 @@ from truth_machines import DYNAMIC, NOISES, OUTSIDE, STATIC, Machine, Plan
 
 from hil.diagnosis import Diagnosis, diagnose, fit_model
 from hil.effects import ALL, Action
-from hil.records import Records
+from hil.records.rows import Records
 
 INSTRUMENT = frozenset(effect.id for effect in ALL if effect.action is not Action.COMPENSATE)
 KINDS = ("strong", "weak", "clean", "outside", "pair", "appeared")

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from truth_machines import OUTSIDE, Machine, Plan
 
 from hil.diagnosis import Diagnosis, diagnose
-from hil.records import Records
+from hil.records.rows import Records
 
 NORMAL_95 = 1.96
 

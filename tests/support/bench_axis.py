@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 
 PASSWORDS = {"HIL_PASSWORD": "reading", "HIL_KEY_PASSWORD": "builder"}
 

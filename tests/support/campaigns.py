@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.records import Records
+from hil.records.rows import Records
 
 Array = np.ndarray
 Errors = Callable[[dict[str, Array]], Array]

@@ -14,9 +14,9 @@ from typing import Any
 
 from support.bench_axis import PASSWORDS
 
-from hil.cli.main import main
-from hil.records import Records, read_csv
-from hil.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.app.terminal.main import main
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.records.rows import Records, read_csv
 
 PATIENCE_S = 600.0 if os.environ.get("HIL_VCAN") == "guest" else 90.0
 """For whatever another process has to do before a test can go on, on a busy host; in the guest Python starts slowly."""
@@ -81,7 +81,7 @@ class Job:
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hil.cli.main", *arguments],
+            [sys.executable, "-m", "hil.app.terminal.main", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

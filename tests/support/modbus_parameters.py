@@ -16,7 +16,7 @@ from drivers.modbus.link import LinkPolicy, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.wire import Endpoint, Request, RtuEndpoint
-from hil.params.set_file import ParameterSet, SetEntry
+from hil.parameters.set_file import ParameterSet, SetEntry
 from sim_backends.clock import SimClock
 from sim_backends.modbus_registers import Bank, Cell, Space, Value, answer
 

@@ -19,9 +19,9 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
-from hil.params.download import Target, download
-from hil.params.recover import Unfinished, recover
-from hil.params.report import Ending
+from hil.parameters.download import Target, download
+from hil.parameters.recover import Unfinished, recover
+from hil.parameters.report import Ending
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort

@@ -10,8 +10,8 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.raw_parameters import CanOpenRawParameters, address_of
 from drivers.canopen.side_by_side import CanLine
-from hil.params.journal import Journal
-from hil.params.set_file import ParameterSet, SetEntry
+from hil.parameters.journal import Journal
+from hil.parameters.set_file import ParameterSet, SetEntry
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_faults import CanFault, CanFaultKind

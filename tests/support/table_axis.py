@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from support.bench_axis import PASSWORDS, lay_out
 
-from hil.axis import AxisConfig, load_axis
-from hil.store import SealedStore
-from hil.tables import DirectionalTable, TableMode, TableSet
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.correction.store import SealedStore
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 
 FACES = {
     "in process": 'face = "virtual"\ncorrection_table = "simulated_array"\n',

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.wind_up.trace import ReversalTrace
+from hil.backlash.trace import ReversalTrace
 from sim_backends.bench import BenchParameters
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.drive_train import DriveTrain, Guide

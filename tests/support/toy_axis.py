@@ -17,8 +17,8 @@ from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, Serv
 from drivers.errors import LinkLostError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 from drivers.scaling import AxisScaling
-from hil.axis import MeasurementConfig
-from hil.procedures.session import AxisSession
+from hil.axis.axis_file import MeasurementConfig
+from hil.machine.session import AxisSession
 from sim_backends.clock import SimClock
 
 LIMITS = DriveLimits(-2.0, 102.0, 100.0, 1000.0)

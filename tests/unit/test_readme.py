@@ -6,7 +6,7 @@ import re
 import subprocess
 from pathlib import Path
 
-from hil.cli.main import build_parser
+from hil.app.terminal.main import build_parser
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

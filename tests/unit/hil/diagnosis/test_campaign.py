@@ -8,7 +8,7 @@ from support.campaigns import campaign, wavy
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
-from hil.records import Records
+from hil.records.rows import Records
 
 
 def test_a_pass_ends_at_a_reversal_and_at_the_end_of_a_run() -> None:

@@ -7,10 +7,10 @@ import pytest
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.check_campaign import CampaignCheck, check_campaign, repeats_of
-from hil.diagnosis.design import design, plan_minutes
-from hil.diagnosis.planned_run import Means, motion_columns
-from hil.records import Records
+from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign, repeats_of
+from hil.diagnosis.next.design import design, plan_minutes
+from hil.diagnosis.next.planned_run import Means, motion_columns
+from hil.records.rows import Records
 
 MEANS = Means(10.0, 490.0, feed_mm_s=50.0, reading_s=2.0, levels={"load_kg": (0.0, 60.0, 120.0)}, pitches_mm=(10.0,))
 

@@ -7,8 +7,8 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import Blocks, Stack, enumerate_candidates, score
-from hil.diagnosis.evidence import Bench, Extra, Noise
+from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.search.candidates import Blocks, Stack, enumerate_candidates, score
 from hil.effects import ALL
 from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep

@@ -9,13 +9,13 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.carried import Carried, carried, rms_of, sizes
-from hil.diagnosis.evidence import Noise
-from hil.diagnosis.fit import Setting
-from hil.diagnosis.judge import hit_of
-from hil.diagnosis.searcher import LIGHT, Searcher
-from hil.diagnosis.structure import structures
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.carried import Carried, carried, rms_of, sizes
+from hil.diagnosis.search.fit import Setting
+from hil.diagnosis.search.judge import hit_of
+from hil.diagnosis.search.searcher import LIGHT, Searcher
+from hil.diagnosis.search.structure import structures
 from hil.effects import Estimate
 
 Array = np.ndarray

@@ -7,8 +7,8 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from drivers.errors import InputError
-from hil.diagnosis.declare import fit_with
-from hil.diagnosis.fit import fit_model
+from hil.diagnosis.search.declare import fit_with
+from hil.diagnosis.search.fit import fit_model
 from hil.effects.beam_drift import BeamDrift
 from hil.effects.lost_motion import LostMotion
 from hil.effects.velocity_lag import VelocityLag

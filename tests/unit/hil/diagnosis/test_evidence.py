@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.evidence import Bench, Extra, Frame, Noise, bayes_factor, random_gain
-from hil.diagnosis.noise_fit import fit_noise
+from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise, bayes_factor, random_gain
+from hil.diagnosis.noise.noise_fit import fit_noise
 
 CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
 BENCH = Bench(CAMPAIGN)

@@ -4,7 +4,7 @@ import pytest
 from study.truth_machines import Machine, Plan
 
 from hil.diagnosis import diagnose
-from hil.records import Records
+from hil.records.rows import Records
 
 
 @pytest.mark.parametrize("seed", [688361517, 351091739])

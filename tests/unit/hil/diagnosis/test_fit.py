@@ -7,14 +7,14 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.evidence import Noise
-from hil.diagnosis.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.search.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit
 from hil.effects import Action, Form, Term
 from hil.effects.air_index import AirIndex
 from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep
+from hil.effects.model import Model, PitchTable
 from hil.effects.velocity_lag import VelocityLag
-from hil.model import Model, PitchTable
 
 Array = np.ndarray
 SMOOTH = Noise(even=100.0, odd=30.0)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.choose import Chosen, choose, choose_without, problem_of
-from hil.diagnosis.held_out import earns_its_place, folds
+from hil.diagnosis.search.choose import Chosen, choose, choose_without, problem_of
+from hil.diagnosis.verdict.held_out import earns_its_place, folds
 from hil.effects import Effect
 from hil.effects.load_deflection import LoadDeflection
 from hil.effects.velocity_lag import VelocityLag

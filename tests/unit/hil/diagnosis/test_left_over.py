@@ -10,8 +10,8 @@ from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.left_over import MOST_ROWS, left_over
 from hil.diagnosis.result import Carrier, Diagnosis
 from hil.effects import Estimate
-from hil.model import Model, PitchTable
-from hil.records import Records
+from hil.effects.model import Model, PitchTable
+from hil.records.rows import Records
 
 
 def a_diagnosis(rows: int, *carriers: tuple[str, ...]) -> Diagnosis:

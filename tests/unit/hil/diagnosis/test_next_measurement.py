@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.compensation import MotionHistory
-from hil.diagnosis.continuation import TYPICAL_OFFSET, Drawing
-from hil.diagnosis.feasible import feasible_runs
-from hil.diagnosis.hypotheses import joined, segments, weigh
-from hil.diagnosis.planned_run import Means, Point, motion_columns
+from hil.correction.compensation import MotionHistory
+from hil.diagnosis.next.continuation import TYPICAL_OFFSET, Drawing
+from hil.diagnosis.next.feasible import feasible_runs
+from hil.diagnosis.next.planned_run import Means, Point, motion_columns
+from hil.diagnosis.verdict.hypotheses import joined, segments, weigh
 from hil.effects import ALL
-from hil.model import Model, PitchTable
-from hil.records import Records
+from hil.effects.model import Model, PitchTable
+from hil.records.rows import Records
 
 NOISE_UM = 0.5
 FLAT = Model(PitchTable((0.0, 200.0), (0.0, 0.0), (0.0, 0.0), (), ()))

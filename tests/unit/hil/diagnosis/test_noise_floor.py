@@ -9,13 +9,13 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.evidence import Bench, Extra, Noise
-from hil.diagnosis.fit import Setting, start_noise
-from hil.diagnosis.noise_fit import CORRELATIONS, fit_noise
-from hil.diagnosis.searcher import Searcher
+from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import Setting, start_noise
+from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.spline import TableBasis
-from hil.records import Records
+from hil.records.rows import Records
 
 FREE = Noise()
 """A table with a value of its own at every target and direction, white noise."""

@@ -10,10 +10,10 @@ from scipy import stats
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import enumerate_candidates, score
-from hil.diagnosis.evidence import Bench, Extra, Noise
-from hil.diagnosis.null import CAMPAIGNS, null_maxima, simulate, tail_probability
-from hil.diagnosis.rank import smoother
+from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.search.candidates import enumerate_candidates, score
+from hil.diagnosis.search.null import CAMPAIGNS, null_maxima, simulate, tail_probability
+from hil.diagnosis.search.rank import smoother
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep

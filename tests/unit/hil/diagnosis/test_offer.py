@@ -10,17 +10,17 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis import Diagnosis, diagnose
-from hil.diagnosis.carried import Carried
-from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.offer import offered
 from hil.diagnosis.result import Carrier, Figures, Finding, RivalFound
-from hil.diagnosis.structure import Structure
+from hil.diagnosis.search.carried import Carried
+from hil.diagnosis.search.structure import Structure
+from hil.diagnosis.verdict.held_out import HeldOut
+from hil.diagnosis.verdict.offer import offered
 from hil.effects import Effect, Estimate
 from hil.effects.load_deflection import LoadDeflection
+from hil.effects.model import Model, PitchTable
 from hil.effects.non_parametric import smooth_form, spread_of
 from hil.effects.velocity_lag import VelocityLag
-from hil.model import Model, PitchTable
-from hil.records import Records
+from hil.records.rows import Records
 
 Array = np.ndarray
 EFFECTS: tuple[Effect, ...] = (VelocityLag(), LoadDeflection())

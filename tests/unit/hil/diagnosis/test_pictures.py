@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.cli.main import main
+from hil.app.terminal.main import main
 from hil.diagnosis import pictures
-from hil.records import Records, to_csv
+from hil.records.rows import Records, to_csv
 
 
 def warming(runs: int) -> Records:

@@ -8,10 +8,10 @@ from scipy.optimize import least_squares
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.candidates import enumerate_candidates, score
-from hil.diagnosis.evidence import Noise
-from hil.diagnosis.fit import Choice, Setting, joint_fit
-from hil.diagnosis.refine import refine
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.search.candidates import enumerate_candidates, score
+from hil.diagnosis.search.fit import Choice, Setting, joint_fit
+from hil.diagnosis.search.refine import refine
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic
 from hil.effects.lost_motion import LostMotion

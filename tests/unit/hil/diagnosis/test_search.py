@@ -9,12 +9,12 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.fit import Setting, start_noise
-from hil.diagnosis.judge import FoldJudge, NullJudge
-from hil.diagnosis.search import Selection, search
-from hil.diagnosis.searcher import LIGHT, Searcher
-from hil.diagnosis.select import drop
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import Setting, start_noise
+from hil.diagnosis.search.judge import FoldJudge, NullJudge
+from hil.diagnosis.search.search import Selection, search
+from hil.diagnosis.search.searcher import LIGHT, Searcher
+from hil.diagnosis.search.select import drop
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic
 from hil.effects.load_deflection import LoadDeflection

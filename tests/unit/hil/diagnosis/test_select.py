@@ -8,12 +8,12 @@ import numpy as np
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.fit import Setting, start_noise
-from hil.diagnosis.judge import NullJudge, Scout
-from hil.diagnosis.searcher import LIGHT, Searcher
-from hil.diagnosis.select import Selected, select
-from hil.diagnosis.structure import structures
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import Setting, start_noise
+from hil.diagnosis.search.judge import NullJudge, Scout
+from hil.diagnosis.search.searcher import LIGHT, Searcher
+from hil.diagnosis.search.select import Selected, select
+from hil.diagnosis.search.structure import structures
 from hil.effects.load_deflection import LoadDeflection
 from hil.effects.velocity_lag import VelocityLag
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.candidates import enumerate_candidates
-from hil.diagnosis.evidence import Noise
-from hil.diagnosis.fit import START_ROUGHNESS, Setting
-from hil.diagnosis.searcher import Searcher
-from hil.diagnosis.serial import Memory, memory
-from hil.records import Records
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import START_ROUGHNESS, Setting
+from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.verdict.serial import Memory, memory
+from hil.records.rows import Records
 
 ROWS = 320
 

@@ -9,11 +9,11 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.evidence import Bench, Extra, Noise
-from hil.diagnosis.fit import start_noise
-from hil.diagnosis.judge import Hit, Scout, clearest
-from hil.diagnosis.noise_fit import fit_noise
-from hil.diagnosis.structure import structures
+from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.noise.noise_fit import fit_noise
+from hil.diagnosis.search.fit import start_noise
+from hil.diagnosis.search.judge import Hit, Scout, clearest
+from hil.diagnosis.search.structure import structures
 
 Array = np.ndarray
 

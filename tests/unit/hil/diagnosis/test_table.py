@@ -7,10 +7,10 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.evidence import Bench, Noise
+from hil.diagnosis.noise.evidence import Bench, Noise
 from hil.diagnosis.spline import TableBasis
 from hil.diagnosis.table import DeclaredShape, SplineShape
-from hil.model import PitchTable
+from hil.effects.model import PitchTable
 
 KNOTS = np.linspace(0.0, 90.0, 7)
 SHAPE = SplineShape(TableBasis(KNOTS, both_directions=True))

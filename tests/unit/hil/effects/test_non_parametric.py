@@ -22,7 +22,7 @@ from hil.effects.non_parametric import (
     spread_of,
     without_cause,
 )
-from hil.user_effects import catalogue_with
+from hil.effects.user_effects import catalogue_with
 
 COLUMNS = complete(
     {

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
+from hil.correction.rise import DEAD_ZONE, TANH, TWO_TANH, Floats, Rise
 from hil.lost_motion.at_load import load_mm
 from hil.lost_motion.estimate import estimate, separate, told, uncertain
 from hil.lost_motion.fit import MeasuredReversal, fit, uncertainties
-from hil.lost_motion.shapes import DEAD_ZONE, TANH, TWO_TANH, Floats, Rise
 
 MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 3.0, 24)])
 STICKS_UM = 40.0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
+from hil.correction.published_rise import TwoTanh
+from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, TWO_TANH, Rise
+from hil.correction.running_lost_motion import WindUp, moved_to, remembered, wound_share, wound_um
 from hil.lost_motion import estimate as choosing
 from hil.lost_motion.at_load import Places, Reach, _Coordinates, fit_at_load, load_mm, standard_uncertainties
-from hil.lost_motion.circle import Circle, Trace, ring_of, trace_of
+from hil.lost_motion.circle.figures import Circle, Trace, ring_of, trace_of
 from hil.lost_motion.estimate import Estimate, Uncertain, estimate, separate, told, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, compete, fit, reach_of
-from hil.lost_motion.published import TwoTanh
-from hil.lost_motion.running import WindUp, moved_to, remembered, wound_share, wound_um
-from hil.lost_motion.shapes import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, TWO_TANH, Rise
 
 HALF = Rise(DEAD_ZONE, (1000.0,), (1.0,))
 """1000 µm over the load's first mm: until then the motor goes twice as far as the load."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.lost_motion.circle import Circle, Trace, trace_of
+from hil.lost_motion.circle.figures import Circle, Trace, trace_of
 
 CENTRE = (120.0, 80.0)
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
-from hil.lost_motion.published import TwoTanh
-from hil.lost_motion.running import after_full_stroke, moved_to
-from hil.lost_motion.shapes import (
+from hil.correction.published_rise import TwoTanh
+from hil.correction.rise import (
     DEAD_ZONE,
     EXPONENTIAL,
     RUNNABLE,
@@ -24,6 +22,8 @@ from hil.lost_motion.shapes import (
     Rise,
     Shape,
 )
+from hil.correction.running_lost_motion import after_full_stroke, moved_to
+from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
 
 DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")

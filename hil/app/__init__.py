@@ -1,0 +1,1 @@
+"""What terminal, screen and report share, and the program's entry."""

@@ -1,0 +1,284 @@
+"""The one thread that owns an axis: it connects it, looks at it 20 times a second, and runs its jobs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from contextvars import copy_context
+from dataclasses import dataclass, replace
+
+from drivers.clock import NS_PER_S, WallClock
+from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.errors import BridgeError, LinkLostError, StateError
+from drivers.instrument import Reading
+from hil.app.desk.asking import Asking
+from hil.app.desk.connection import Connect, Connection
+from hil.app.desk.live import RATE_HZ, Board, Live, of_sample
+from hil.app.desk.progress import JobLog, Phase
+from hil.app.desk.standstill import Standstill
+from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.app.error_log import ERRORS, ErrorLog
+from hil.app.jobs.job import Job, Question, Workplace
+from hil.axis.axis_file import DriveAxis
+from hil.correction.store import SealedStore
+from hil.machine.session import AxisSession
+
+RETRY_S = 2.0
+"""Between two attempts to connect an axis that does not answer."""
+CLOSING_S = 10.0
+LOOK_NS = round(NS_PER_S / RATE_HZ)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A job to be run. store: as far as it was opened when it was asked for; lent: the threads whose axes it connects by itself"""
+
+    job: Job
+    log: JobLog
+    store: SealedStore | None
+    lent: tuple[AxisThread, ...] = ()
+
+
+class AxisThread:
+    """Everything below "in the thread" happens in it; the rest is for any thread. pace: of jobs, as for `Pacing`."""
+
+    def __init__(self, axis: DriveAxis, connect: Connect, pace: float) -> None:
+        self.axis = axis
+        self.stop = Stop()
+        self.standstill = Standstill()
+        self.board = Board()
+        self.asking = Asking()
+        self.errors = ErrorLog(axis.store.directory / ERRORS)
+        self._connect = connect
+        self._pace = pace
+        self._pacing = Pacing(self.stop)
+        self._lock = threading.Lock()
+        self._asked: Asked | None = None
+        self._borrowed: tuple[AxisThread, ...] = ()  # of the job that runs
+        self._lent = threading.Event()
+        self._let_go = threading.Event()
+        self._closing = threading.Event()
+        work = copy_context()  # with the drives that a signal stops
+        self._thread = threading.Thread(target=work.run, args=(self._work,), name=f"axis {axis.name}", daemon=True)
+
+    # -- for any thread ------------------------------------------------------------------------------------------------
+    def start(self) -> None:
+        self._thread.start()
+
+    def press_stop(self) -> None:
+        """Stop at the next moment the thread waits, and see how its axis, and those lent to its job, come to rest."""
+        for thread in (self, *self._borrowed):
+            thread.standstill.pressed(self._pacing.now_ns())
+        self.stop.press()
+
+    def close(self) -> None:
+        """Stop whatever runs, let go of the axis, end the thread. Raises StateError where it does not end in time."""
+        self._closing.set()
+        self.stop.press()
+        self._thread.join(CLOSING_S)
+        if self._thread.is_alive():
+            raise StateError(
+                f"axis {self.axis.name}: its thread is still busy {CLOSING_S:g} s after it was told to stop"
+            )
+
+    def ask(self, asked: Asked) -> None:
+        """Run this next; one at a time, which is the desk's to see to. A stop before it has begun cancels it."""
+        with self._lock:
+            self._asked = asked
+
+    def lend(self) -> None:
+        """Let go of the axis, for a job of another thread."""
+        self._lent.set()
+        self._let_go.clear()
+
+    def take_back(self) -> None:
+        """That job is over."""
+        self._lent.clear()
+
+    def wait_let_go(self) -> None:
+        """Raises StateError where it does not come to it in time."""
+        if not self._let_go.wait(CLOSING_S):
+            raise StateError(f"axis {self.axis.name} was not let go within {CLOSING_S:g} s")
+
+    # -- in the thread: connecting -------------------------------------------------------------------------------------
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            if self._lent.is_set():
+                self._stay_away()
+                continue
+            try:
+                with self._connect(self._pacing) as connection:
+                    self._watch(connection.drive, connection.session)
+                    self._serve(connection)
+                self._run_connecting()
+            except StoppedByOperator:  # pressed while it was connecting or letting go: nothing is enabled
+                self._cancel(Phase.STOPPED)
+                self.stop.rearm()
+            except Exception as error:  # noqa: BLE001  whatever it is, the axis gets another chance and people are told
+                self._lose(error)
+        self._cancel(Phase.STOPPED)
+        self.board.forget("closed")
+
+    def _stay_away(self) -> None:
+        """While another thread has the axis."""
+        self.board.forget()
+        while self._lent.is_set() and not self._closing.is_set():
+            self._let_go.set()  # whoever comes next may ask before it was seen that the one before is through
+            self._closing.wait(1.0 / RATE_HZ)
+        self.board.forget()
+
+    def _lose(self, error: Exception) -> None:
+        """There is no axis any more; a job that was asked for meanwhile will not be run."""
+        said = self.errors.line_of(error)
+        self.board.forget(said)
+        self._cancel(Phase.FAILED, said)
+        self.stop.rearm()  # the error may have come while a stop was carried out
+        self._closing.wait(RETRY_S)
+
+    def _take(self) -> Asked | None:
+        with self._lock:
+            asked, self._asked = self._asked, None
+            return asked
+
+    def _cancel(self, phase: Phase, error: str = "") -> None:
+        """A job that was asked for and has not begun will not be run."""
+        asked = self._take()
+        if asked is not None:
+            for other in asked.lent:
+                other.take_back()
+            asked.log.end(phase, error=error)
+
+    def _serve(self, connection: Connection) -> None:
+        """Until the axis is to be let go: for a job that connects by itself, for another thread, or for good."""
+        due_ns = connection.drive.clock.now_ns()
+        while not (self._closing.is_set() or self._lent.is_set()):
+            try:
+                asked = self._asked
+                if asked is not None and asked.job.connects:
+                    return
+                if asked is not None:
+                    self._run(connection)
+                    continue
+                clock = connection.drive.clock
+                due_ns = max(due_ns + LOOK_NS, clock.now_ns())
+                self._look(connection)
+                clock.sleep_until_ns(due_ns)
+            except StoppedByOperator:
+                self._hold(connection.drive)
+
+    # -- in the thread: jobs -------------------------------------------------------------------------------------------
+    def _run(self, connection: Connection) -> None:
+        """The job that was asked for; then the axis is as it was found."""
+        self.stop.check()
+        asked = self._take()
+        if asked is None:
+            return
+
+        def work() -> object:
+            with connection.one_job():
+                return asked.job.work(self._place(asked, connection.drive, connection.session))
+
+        self._carry_out(work, asked.log)
+
+    def _run_connecting(self) -> None:
+        """The job that was asked for, if it connects by itself: our axis was let go, the others' are waited for."""
+        self.stop.check()
+        asked = self._take() if self._asked is not None and self._asked.job.connects else None
+        if asked is None:
+            return
+
+        def work() -> object:
+            for other in asked.lent:
+                other.wait_let_go()
+            return asked.job.work(self._place(asked, None, None))
+
+        self._borrowed = asked.lent
+        self.board.forget()  # unless the job lets it be watched
+        try:
+            self._carry_out(work, asked.log)
+        finally:
+            self._borrowed = ()
+            self.board.forget()
+            for other in asked.lent:
+                other.take_back()
+
+    def _place(self, asked: Asked, drive: ServoDrive | None, session: AxisSession | None) -> Workplace:
+        threads = {one.axis.name: one for one in (self, *asked.lent)}
+
+        def watch(name: str, drive: ServoDrive, session: AxisSession | None) -> None:
+            if name in threads:
+                threads[name]._watch(drive, session)
+
+        def ask(question: Question) -> bool | None:
+            clock = WallClock(self._pacing) if drive is None else drive.clock
+            return self.asking.ask(question, clock, clock.sleep_s if session is None else session.watch)
+
+        heard = asked.log
+        return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask)
+
+    def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
+        """A job's work, however it ends. No more is asked of a job than that it ends: the axis was put back before."""
+        self._pacing.set_factor(self._pace)
+        for thread in (self, *self._borrowed):
+            thread.standstill.forget()
+        try:
+            log.end(Phase.DONE, work())
+        except StoppedByOperator:
+            log.end(Phase.STOPPED)
+        except Exception as error:  # noqa: BLE001  a mistake of ours in a job must not leave the axis without its thread
+            log.end(Phase.FAILED, error=self.errors.line_of(error))
+        finally:
+            self._pacing.set_factor(1.0)
+            self.stop.rearm()
+
+    def _hold(self, drive: ServoDrive) -> None:
+        """The stop was pressed with no job running; one that was just asked for is not begun."""
+        try:
+            self._cancel(Phase.STOPPED)
+            with suppress(BridgeError):  # the next look tells what is wrong
+                if drive.sample().state is DriveState.ENABLED:
+                    drive.quick_stop()
+        finally:
+            self.stop.rearm()
+
+    # -- in the thread: looking ----------------------------------------------------------------------------------------
+    def _watch(self, drive: ServoDrive, session: AxisSession | None) -> None:
+        """From now on every look of any procedure is shown."""
+
+        def looked(sample: DriveSample) -> None:
+            self.standstill.look(sample)
+            live = of_sample(self.board.live, sample, drive.destination_load_mm)
+            self.board.publish(live if session is None else self._with_session(live, session))
+
+        drive.on_look = looked
+        if session is not None:
+            session.axis.on_readings = lambda readings: self.board.heard(
+                readings, lambda one: _in_load_frame(session, one)
+            )
+
+    def _with_session(self, live: Live, session: AxisSession) -> Live:
+        history, compensation = session.history, session.compensation
+        return replace(
+            live,
+            instrument=session.instrument.name,
+            instrument_age_s=self.board.instrument_age_s(session.clock.now_ns()),
+            correction_um=None if history is None else (session.commanded_mm - history.position_mm) * 1000.0,
+            in_force="" if compensation is None else compensation.tables.digest()[:16],
+            environment=session.instrument.environment(),
+        )
+
+    def _look(self, connection: Connection) -> None:
+        """With no job: look at everything, and let nothing that is seen stop the looking; only a drive that is gone does."""
+        connection.drive.looked_at(connection.drive.sample())
+        session = connection.session
+        if session is not None and session.axis.on_readings is not None:
+            with suppress(LinkLostError):  # its readings get old, and are shown so
+                session.axis.on_readings(session.instrument.poll())
+
+
+def _in_load_frame(session: AxisSession, reading: Reading) -> float | None:
+    try:
+        return session.load_position_mm(reading)
+    except StateError:
+        return None

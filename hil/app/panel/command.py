@@ -1,0 +1,125 @@
+"""`hil panel`: the operator's screen in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import secrets
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from drivers.errors import InputError
+from hil.app.terminal.passwords import read_password_file
+from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.probe.machine_file import load_probe_machine
+
+EXAMPLE = """\
+example:
+  hil panel X.toml                                  prints the address; open it in a browser on this machine
+  hil panel X.toml Y.toml --port 8080 --lang de     several axes, German
+  hil panel X.toml Y.toml --probe MACHINE.toml      and the touch probe of the machine
+  hil panel X.toml --pace 10                        on the bench, jobs run ten times as fast as a machine (0: as fast as they go)
+  hil panel X.toml --bind 192.0.2.7 --cert server.crt --key server.key     for other machines: TLS, and a token for every browser
+
+Only loopback is served unless --bind says otherwise. One browser at a time holds control; every browser can stop. Closing browsers
+stops nothing: a measurement goes on, and what it measured is kept. Ctrl-C here stops the axes and ends the server. The stop is a quick
+stop by the drive, which is no safety function. Needs the panel extra: pip install 'hil[panel]'.
+"""
+LANGUAGES = ("en", "de", "zh")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "panel",
+        description="Serve the operator's screen of one or several axes.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("axes", metavar="AXIS.toml", nargs="+", help="an axis file each")
+    parser.add_argument("--probe", metavar="MACHINE.toml", help="the machine file of a touch probe, for its page")
+    parser.add_argument("--port", type=_port, default=0, help="TCP port (default 0: any free one, which is printed)")
+    parser.add_argument("--pace", type=_pace, default=1.0, help="of jobs on the bench against real time (default 1)")
+    parser.add_argument("--lang", choices=LANGUAGES, default="en", help="language of a new browser (default en)")
+    parser.add_argument(
+        "--bind", metavar="ADDRESS", default="127.0.0.1", help="address to listen on (default 127.0.0.1)"
+    )
+    parser.add_argument(
+        "--name", metavar="HOST", action="append", default=[], help="a host name browsers may use; repeat"
+    )
+    parser.add_argument("--cert", metavar="FILE", help="certificate, for an address that is not loopback")
+    parser.add_argument("--key", metavar="FILE", help="its private key")
+    parser.add_argument("--token-file", metavar="F", help="file with the access token (else one is made and printed)")
+    parser.set_defaults(run=run)
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a port, 0 to 65535")
+    return int(text)
+
+
+def _pace(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number >= 0")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once it was told to end."""
+    axes = [load_drive_axis(path) for path in args.axes]
+    _check_names(axes)
+    probe = None if args.probe is None else load_probe_machine(args.probe)
+    tls, token = _access(args)
+    try:
+        from hil.app.panel import server  # noqa: PLC0415  (an extra, and seconds of imports)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "uvicorn", "starlette"):
+            raise
+        raise InputError("the screen needs the panel extra: pip install 'hil[panel]'") from error
+    from hil.app.desk.desk import Desk  # noqa: PLC0415
+
+    access = server.Access(args.bind, args.port, tls, token, tuple(args.name))
+    with server.bound(access) as listening, ExitStack() as stack:
+        numbers = itertools.count(1)
+        desks = [stack.enter_context(Desk(axis, pace=args.pace, numbers=numbers)) for axis in axes]
+        for desk in desks:
+            stack.callback(desk.stop)  # all of them before any is waited for, whatever ends the server
+        host = f"[{access.bind}]" if ":" in access.bind else access.bind
+        print(f"{access.scheme}://{host}:{listening.getsockname()[1]}/", flush=True)
+        if token is not None and not args.token_file:
+            print(f"access token: {token}", flush=True)
+        try:
+            server.serve(desks, access, args.lang, listening, probe)
+        except KeyboardInterrupt:
+            print("hil: the axes were stopped, what was measured is kept", file=sys.stderr)
+    return 0
+
+
+def _check_names(axes: Sequence[DriveAxis]) -> None:
+    names = [axis.name for axis in axes]
+    if len(set(names)) < len(names):
+        raise InputError(f"axes {', '.join(names)}: expected a name for each")
+
+
+def _access(args: argparse.Namespace) -> tuple[tuple[str, str] | None, str | None]:
+    """Certificate and key, and the access token: beyond loopback both are there, or it is refused."""
+    if (args.cert is None) != (args.key is None):
+        raise InputError("--cert and --key go together")
+    tls = None if args.cert is None else (args.cert, args.key)
+    for path in tls or ():
+        if not Path(path).is_file():
+            raise InputError("is not there", path=path)
+    if args.bind in LOOPBACK:
+        return tls, None
+    if tls is None:
+        raise InputError(
+            f"--bind {args.bind} is not loopback, expected --cert and --key: others could read and change what is sent"
+        )
+    return tls, read_password_file(args.token_file) if args.token_file else secrets.token_urlsafe(16)

@@ -1,0 +1,154 @@
+"""Drawings of a result that stands: points with curves laid over them, and deviations around a circle. Drawn once for each result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nicegui import ui
+
+from hil.app.panel.latest import Latest
+from hil.app.panel.plots import COLOURS, chart_options
+from hil.app.panel.view import View
+from hil.lost_motion.screen import CircleCurves
+
+Points = Sequence[tuple[float, float]]
+Options = dict[str, Any]
+RINGS = 4
+"""To each side of the circle that was commanded."""
+_INSIDE = 8
+"""Rings' widths between the circle's centre and the innermost one."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve. colour: of COLOURS; symbol: of points that stand alone ("triangle", "circle" …), "" for a line; faint: a thin
+    dashed line"""
+
+    name: str
+    points: Points
+    colour: int
+    symbol: str = ""
+    faint: bool = False
+    turned: bool = False  # the symbol upside down
+
+
+class Drawing:
+    """A chart that changes with its result and not by the point. looks: "tall" or "round", as the style sheet has them"""
+
+    def __init__(self, view: View, name: str, looks: str = "tall") -> None:
+        self._chart = ui.echart({"series": []})
+        self._chart.classes(f"hil-plot {looks}")
+        view.named(self._chart, name)
+        self._latest = Latest()
+
+    def show(self, result: object, options: Callable[[], Options]) -> None:
+        """Draw a result, unless it is the one that is drawn already."""
+        if self._latest.is_new(result):
+            self._chart.options.clear()
+            self._chart.options.update(options())
+            self._chart.update()
+
+
+def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
+    """Points and lines over straight axes."""
+    base = chart_options(view, x, y, legend=True)
+    return {
+        **base,
+        "grid": {**base["grid"], "top": 64},
+        "legend": _legend(inks(view)[0]),
+        "tooltip": {"trigger": "item"},
+        "series": [_series(curve, view) for curve in drawn],
+    }
+
+
+def _series(curve: Curve, view: View) -> Options:
+    colour = inks(view)[0] if curve.faint else COLOURS[curve.colour]
+    common = {"name": curve.name, "data": _short(curve.points), "itemStyle": {"color": colour}, "color": colour}
+    if curve.symbol:
+        turn = {"symbolRotate": 180} if curve.turned else {}
+        return {**common, **turn, "type": "scatter", "symbol": curve.symbol, "symbolSize": 8, "z": 2}
+    line = (
+        {"color": colour, "width": 1, "type": "dashed", "opacity": 0.5}
+        if curve.faint
+        else {"color": colour, "width": 3}
+    )
+    return {**common, "type": "line", "showSymbol": False, "lineStyle": line, "z": 1 if curve.faint else 3}
+
+
+def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], commanded: str) -> Options:
+    """Deviations around the circle, magnified; names: of its curves, in their order."""
+    ink, grid = inks(view)
+    ring, reach = shown.ring_um, RINGS * shown.ring_um
+    shown_every = f"Math.abs(value) < {reach * 1.01} && Math.round(value / {ring}) % 2 === 0"
+    label = f"value => {shown_every} ? String(Number(value.toPrecision(6))) : ''"
+    widths = ({"width": 2, "type": "dashed"}, {"width": 3, "type": "solid"})
+    zero = {
+        "name": commanded,
+        "type": "line",
+        "coordinateSystem": "polar",
+        "showSymbol": False,
+        "silent": True,
+        "data": [[0, angle] for angle in range(0, 361, 3)],
+        "lineStyle": {"color": ink, "width": 2},
+        "itemStyle": {"color": ink},
+    }
+    traces = [
+        {
+            "name": name,
+            "type": "line",
+            "coordinateSystem": "polar",
+            "showSymbol": False,
+            "connectNulls": False,
+            "data": [[None, None] if point is None else list(_short([point])[0]) for point in shown.traces[key]],
+            "lineStyle": {"color": COLOURS[colour], **width},
+            "itemStyle": {"color": COLOURS[colour]},
+        }
+        for key, name, colour, width in zip(shown.traces, names, (1, 5), widths, strict=False)
+    ]
+    return {
+        "animation": False,
+        "legend": _legend(ink),
+        "polar": {"center": ["50%", "54%"], "radius": "78%"},
+        "angleAxis": angle_axis(ink, grid),
+        "radiusAxis": {
+            "type": "value",
+            "min": -(RINGS + _INSIDE) * ring,
+            "max": reach,
+            "interval": ring,
+            "axisLabel": {"color": ink, "fontSize": 13, "margin": 4, ":formatter": label},
+            "axisTick": {"show": False},
+            "axisLine": {"show": False},
+            "splitLine": {"lineStyle": {"color": grid}},
+        },
+        "series": [zero, *traces],
+    }
+
+
+def inks(view: View) -> tuple[str, str]:
+    """The colours of writing and of the lines behind it."""
+    return ("#f2f2ee", "#39424a") if view.browser.dark else ("#14181c", "#c3c8cc")
+
+
+def angle_axis(ink: str, grid: str) -> Options:
+    """Degrees, counter-clockwise from the right."""
+    return {
+        "type": "value",
+        "min": 0,
+        "max": 360,
+        "interval": 45,
+        "startAngle": 0,
+        "clockwise": False,
+        "axisLabel": {"color": ink, "fontSize": 14, ":formatter": "value => value + '°'"},
+        "axisLine": {"lineStyle": {"color": grid}},
+        "splitLine": {"lineStyle": {"color": grid}},
+    }
+
+
+def _legend(ink: str) -> Options:
+    return {"show": True, "top": 0, "left": 0, "textStyle": {"color": ink, "fontSize": 14}, "itemGap": 16}
+
+
+def _short(points: Points) -> list[list[float]]:
+    return [[float(f"{x:.6g}"), float(f"{y:.6g}")] for x, y in points]

@@ -1,0 +1,168 @@
+"""Who may talk to the server: an ASGI layer around all of it, web sockets included.
+
+A request is answered only if it was meant for this server (Host) and comes from a page of this server (Origin): a page from elsewhere
+that is open in the same browser can neither send anything here nor, by a name that it lets point to this machine, pretend to be us.
+Nor can it load anything from here, or show the screen inside itself; it can only lead to it, as any link does (Sec-Fetch-Site).
+Beyond loopback every browser is asked for the access token first.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from hil.app.panel.browsers import COOKIE, new_cookie
+
+Message = MutableMapping[str, Any]
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+ACCESS = "hil-access"
+LOGIN = "/access"
+_LONGEST_FORM = 4096
+_UNFRAMED = ((b"content-security-policy", b"frame-ancestors 'none'"), (b"x-frame-options", b"DENY"))
+_FOREIGN = ("cross-site", "same-site")
+"""Of Sec-Fetch-Site: asked for by a page of another site, or of another server on the same machine."""
+
+
+class Guard:
+    """hosts: names under which this server may be asked for, without port; access_token: None on loopback."""
+
+    def __init__(self, app: App, hosts: Iterable[str], access_token: str | None, form: str, *, secure: bool) -> None:
+        self.app = app
+        self._hosts = frozenset(host.lower() for host in hosts)
+        self._token = access_token
+        self._admission = secrets.token_urlsafe(32)  # what a browser that knew the token shows from then on
+        self._form = form
+        self._scheme = "https" if secure else "http"
+        self._cookie_flags = "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+
+        async def unframed(message: Message) -> None:
+            await send(_with_headers(message, *_UNFRAMED))
+
+        await self._let_in(scope, receive, unframed)
+
+    async def _let_in(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        if not self._meant_for_us(headers.get("host", "")):
+            await _refuse(scope, send, 421, "this server does not go by that name")
+        elif not self._from_our_page(scope, headers):
+            await _refuse(scope, send, 403, "not from a page of this server")
+        elif not self._admitted(headers):
+            await self._ask(scope, receive, send)
+        else:
+            await self._pass_on(scope, headers, receive, send)
+
+    def _meant_for_us(self, host: str) -> bool:
+        return _host_name(host) in self._hosts
+
+    def _from_our_page(self, scope: Scope, headers: dict[str, str]) -> bool:
+        """Reading needs no Origin (a browser sends none with a plain visit); anything else needs ours. What a foreign page asks for is
+        not from ours, except that it may lead here."""
+        if headers.get("sec-fetch-site") in _FOREIGN and not _leads_here(scope, headers):
+            return False
+        origin = headers.get("origin")
+        if origin is None:
+            return scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        return origin.lower() == f"{self._scheme}://{headers.get('host', '').lower()}"
+
+    def _admitted(self, headers: dict[str, str]) -> bool:
+        if self._token is None:
+            return True
+        given = cookies(headers).get(ACCESS, "")
+        return hmac.compare_digest(given.encode(), self._admission.encode())
+
+    async def _ask(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await _refuse(scope, send, 401, "")
+            return
+        if scope["path"] == LOGIN and scope["method"] == "POST":
+            given = parse_qs((await _body(receive)).decode("utf-8", "replace")).get("token", [""])[0]
+            if self._token is not None and hmac.compare_digest(given.encode(), self._token.encode()):
+                cookie = f"{ACCESS}={self._admission}{self._cookie_flags}"
+                await _answer(send, 303, "", [("location", "/"), ("set-cookie", cookie)])
+                return
+        await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
+
+    async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
+        """Further in; a browser without a number gets one.
+
+        Led here by a foreign page it has not shown the one it may have: it comes in as a stranger, and its own is kept.
+        """
+        if COOKIE in cookies(headers) or scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        cookie = new_cookie()
+        before = headers.get("cookie")
+        pair = f"{COOKIE}={cookie}" if not before else f"{before}; {COOKIE}={cookie}"
+        others = [(name, value) for name, value in scope["headers"] if name != b"cookie"]
+        numbered = {**scope, "headers": [*others, (b"cookie", pair.encode("latin-1"))]}
+
+        async def with_cookie(message: Message) -> None:
+            flags = f"{COOKIE}={cookie}{self._cookie_flags}"
+            await send(_with_headers(message, (b"set-cookie", flags.encode("latin-1"))))
+
+        await self.app(numbered, receive, send if headers.get("sec-fetch-site") in _FOREIGN else with_cookie)
+
+
+def cookies(headers: dict[str, str]) -> dict[str, str]:
+    """The cookies of a request by name; none of a header that is not one."""
+    try:
+        return {name: morsel.value for name, morsel in SimpleCookie(headers.get("cookie", "")).items()}
+    except CookieError:
+        return {}
+
+
+def _leads_here(scope: Scope, headers: dict[str, str]) -> bool:
+    """A page that takes the place of the one that led to it; a frame is no "document"."""
+    how = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
+    return how == ("navigate", "document") and scope["type"] == "http" and scope["method"] == "GET"
+
+
+def _with_headers(message: Message, *headers: tuple[bytes, bytes]) -> Message:
+    """The start of an answer with these as well; anything else as it is."""
+    if message["type"] != "http.response.start":
+        return message
+    return {**message, "headers": [*message.get("headers", []), *headers]}
+
+
+def _host_name(host: str) -> str:
+    """Without the port; "" for what is no host."""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+async def _body(receive: Receive) -> bytes:
+    body = b""
+    while len(body) <= _LONGEST_FORM:
+        message = await receive()
+        body += message.get("body", b"")
+        if not message.get("more_body", False):
+            break
+    return body[:_LONGEST_FORM]
+
+
+async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    await _answer(send, status, why, [("content-type", "text/plain; charset=utf-8")])
+
+
+async def _answer(send: Send, status: int, text: str, headers: list[tuple[str, str]]) -> None:
+    raw = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers]
+    await send({"type": "http.response.start", "status": status, "headers": raw})
+    await send({"type": "http.response.body", "body": text.encode()})

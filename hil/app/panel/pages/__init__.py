@@ -1,0 +1,22 @@
+"""The pages, in the order of the navigation. One file each; a new one is added here."""
+
+from hil.app.panel.frame import Page
+from hil.app.panel.pages import axes, overview, reports
+from hil.backlash import page as backlash
+from hil.calibration import page as calibrate
+from hil.diagnosis import page as diagnosis
+from hil.lost_motion import page as lost_motion
+from hil.parameters import page as parameters
+from hil.probe import page as probe
+
+PAGES = (
+    Page("overview", overview.draw),
+    Page("axes", axes.draw, several=True),
+    Page("calibrate", calibrate.draw),
+    Page("backlash", backlash.draw),
+    Page("lost_motion", lost_motion.draw),
+    Page("probe", probe.draw),
+    Page("diagnosis", diagnosis.draw),
+    Page("parameters", parameters.draw),
+    Page("reports", reports.draw),
+)

@@ -1,0 +1,40 @@
+"""All axes of the server at a glance: state, position and following error of each, live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nicegui import ui
+
+from hil.app.desk.desk import Desk
+from hil.app.panel.plots import LivePlot
+from hil.app.panel.view import View
+
+
+def draw(view: View) -> None:
+    """Put the page on the screen."""
+    with ui.element("div").classes("hil-grid"):
+        parts = [_draw_axis(view, desk) for desk in view.desks]
+
+    def refresh() -> None:
+        for part in parts:
+            part()
+
+    view.every(refresh)
+
+
+def _draw_axis(view: View, desk: Desk) -> Callable[[], None]:
+    t = view.t
+    with view.named(ui.element("section").classes("hil-card"), f"axes.{desk.name}"):
+        ui.link(t("header.axis", name=desk.name), f"/axis/{desk.name}/overview").classes("hil-name")
+        state = ui.label().classes("hil-name")
+        position = view.value("overview.position", "mm", name=f"axes.{desk.name}.position")
+        plot = LivePlot(view, "overview.following_error", "µm", lambda point: point.following_error_um, desk)
+
+    def refresh() -> None:
+        live = desk.live
+        state.set_text(t("header.lost", why=live.trouble) if live.trouble else t(f"state.{live.state.name}"))
+        position.set_text(t.number(live.position_load_mm))
+        plot.refresh()
+
+    return refresh

@@ -1,0 +1,209 @@
+"""Campaigns and reports of the axis: make a report, compare two campaigns, open and keep them, and the axis's history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from hil.app.desk.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
+from hil.app.jobs import worker_process as aside
+from hil.app.panel.drawings import Curve, Drawing, Options, curves
+from hil.app.panel.reading import Reading
+from hil.app.panel.report_files import address
+from hil.app.panel.view import View
+from hil.app.report.job import HISTORY_FIGURES, Wanted
+from hil.axis.axis_file import AxisConfig
+
+Refresh = Callable[[], None]
+Kept = Reading[ReportsScreen]
+MARKS = ("circle", "rect", "diamond")
+COLUMNS = ("begun", "kind", "key", "rows", *HISTORY_FIGURES, "state")
+
+
+def draw(view: View) -> None:
+    """Put the page on the screen."""
+    axis = view.desk.axis
+    if not isinstance(axis, AxisConfig):
+        view.named(ui.label(view.t("reports.no_instrument")).classes("hil-note"), "reports.no_instrument")
+        return
+    kept: Kept = Reading(view, lambda: reports_screen(axis.store.directory, axis.name))
+    with view.card("reports.campaigns", name="reports.campaigns.card").classes("w-full"):
+        table = _table(view)
+    parts = [_draw_buttons(view, kept, table), _fill(view, kept, table)]
+    with ui.element("div").classes("hil-grid wide"):
+        parts += [_draw_files(view, kept), _draw_history(view, kept)]
+
+    def refresh() -> None:
+        for part in parts:
+            part()
+
+    view.every(refresh)
+
+
+def _table(view: View) -> ui.table:
+    """All that was measured, the newest first, to choose from."""
+    words = ("begun", "kind", "key", "state")
+    heads = [
+        {
+            "name": name,
+            "label": view.t(f"reports.head.{name}"),
+            "field": name,
+            "align": "left" if name in words else "right",
+        }
+        for name in COLUMNS
+    ]
+    table = ui.table(columns=heads, rows=[], row_key="key", selection="multiple", pagination=10).classes("hil-table")
+    table.props(
+        f'flat wrap-cells rows-per-page-label="{view.t("reports.per_page")}" no-data-label="{view.t("reports.nothing")}"'
+    )
+    table.props(":selected-rows-label=\"() => ''\"")
+    return view.named(table, "reports.campaigns")
+
+
+def _fill(view: View, kept: Kept, table: ui.table) -> Refresh:
+    shown: list[ReportsScreen] = []
+
+    def refresh() -> None:
+        screen = kept.value
+        if screen is None or shown == [screen]:
+            return
+        shown[:] = [screen]
+        table.rows = [_row(view, one) for one in screen.measurements]
+        known = {one.key for one in screen.measurements}
+        table.selected = [row for row in table.selected if row["key"] in known]
+        table.update()
+
+    return refresh
+
+
+def _row(view: View, one: Measurement) -> dict[str, Any]:
+    t = view.t
+    return {
+        "begun": one.begun.strftime("%Y-%m-%d %H:%M"),
+        "kind": t.known("job", one.kind),
+        "key": one.key,
+        "rows": one.rows,
+        **{name: t.number(one.figures_um.get(name), 2) for name in HISTORY_FIGURES},
+        "state": t(f"reports.state.{one.state}"),
+    }
+
+
+def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
+    """Make a report of what is chosen, compare two, make the history."""
+    t, desk = view.t, view.desk
+
+    def chosen() -> list[Wanted]:
+        """In the order of time."""
+        keys = {row["key"] for row in table.selected}
+        found = () if kept.value is None else kept.value.measurements
+        return [Wanted(one.key, one.paths) for one in reversed(found) if one.key in keys]
+
+    def make(work: str) -> None:
+        desk.compute(view.token, aside.request(work, [] if work == aside.HISTORY else chosen()))
+
+    with ui.row().classes("items-center"):
+        report = view.button("reports.report", partial(make, aside.REPORT))
+        compare = view.button("reports.compare", partial(make, aside.COMPARE))
+        history = view.button("reports.make_history", partial(make, aside.HISTORY))
+        cancel = view.button("reports.cancel", lambda: desk.cancel_computing(view.token)).props("outline")
+        status = view.named(ui.label().classes("hil-name"), "reports.status")
+    messages = view.named(ui.label().classes("hil-note bad"), "reports.messages")
+
+    def refresh() -> None:
+        now, count = desk.computed, len(table.selected)
+        free = view.in_control and not now.running
+        report.set_enabled(free and count > 0)
+        compare.set_enabled(free and count == 2)
+        history.set_enabled(free and kept.value is not None and kept.value.history is not None)
+        cancel.set_visibility(now.running and view.in_control)
+        made = t("reports.made", files=", ".join(now.made)) if now.made and now.work != aside.DIAGNOSE else ""
+        status.set_text(
+            t("diagnosis.computing", seconds=t.number(now.seconds, 0)) if now.running else made or t("reports.choose")
+        )
+        failed = bool(now.error) and now.work != aside.DIAGNOSE
+        messages.set_text(t.said(now.error) if failed else "")
+        messages.set_visibility(failed)
+
+    return refresh
+
+
+def _draw_files(view: View, kept: Kept) -> Refresh:
+    """The reports that there are, each to be opened or kept."""
+    with view.card("reports.files", name="reports.files.card"):
+        box = view.named(ui.element("div"), "reports.files")
+    shown: list[tuple[ReportFile, ...]] = []
+
+    def refresh() -> None:
+        files = () if kept.value is None else kept.value.reports
+        if kept.value is None or shown == [files]:
+            return
+        shown[:] = [files]
+        box.clear()
+        with box:
+            if not files:
+                ui.label(view.t("reports.none")).classes("hil-name")
+            for number, one in enumerate(files, start=1):
+                _draw_file(view, number, one)
+
+    return refresh
+
+
+def _draw_file(view: View, number: int, one: ReportFile) -> None:
+    t, axis = view.t, view.desk.name
+    with (
+        ui.row()
+        .classes("items-center w-full no-wrap hil-nav")
+        .style("border-bottom: 1px solid var(--line); min-height: 52px")
+    ):
+        with ui.element("div").style("flex: 1"):
+            ui.label(f"{t(f'reports.kind.{one.kind}')} {one.name.partition('-')[2].removesuffix('.html')}").style(
+                "font-size: 1.15rem"
+            )
+            ui.label(one.made.strftime("%Y-%m-%d %H:%M")).classes("hil-name")
+        opened = ui.link(t("reports.open"), address(axis, one.name), new_tab=True)
+        view.named(opened.style("color: var(--mark); font-weight: 600"), f"reports.open.{number}")
+        if one.paper:
+            paper = ui.link(t("reports.paper"), address(axis, one.paper, save=True))
+            view.named(paper.style("color: var(--mark); font-weight: 600"), f"reports.paper.{number}")
+
+
+def _draw_history(view: View, kept: Kept) -> Refresh:
+    """The figures over time, with the straight line through each."""
+    with view.card("reports.history", name="reports.history.card"):
+        drawing = Drawing(view, "reports.history")
+        trend = view.named(ui.label().style("white-space: pre-line; font-size: 1.15rem"), "reports.trend")
+
+    def refresh() -> None:
+        history = None if kept.value is None else kept.value.history
+        if history is None:
+            return
+        drawing.show(history, partial(_options, view, history))
+        trend.set_text("\n".join(_trend(view, history, name) for name in HISTORY_FIGURES))
+
+    return refresh
+
+
+def _options(view: View, history: AxisHistory) -> Options:
+    t = view.t
+    drawn = [
+        Curve(name, history.points(name), number, mark)
+        for number, (name, mark) in enumerate(zip(HISTORY_FIGURES, MARKS, strict=True))
+    ]
+    lines = [
+        Curve(t("reports.line", figure=name), history.line(name), number)
+        for number, name in enumerate(HISTORY_FIGURES)
+        if history.line(name)
+    ]
+    x = t("reports.days", begun=history.begun.strftime("%Y-%m-%d"), name=t.said(history.usual))
+    return curves(view, x, t("reports.figure_y"), [*drawn, *lines])
+
+
+def _trend(view: View, history: AxisHistory, name: str) -> str:
+    t, found = view.t, history.trends[name]
+    if found is None:
+        return t("reports.no_trend", figure=name)
+    slope, std = t.number(found.slope_um, 2, sign=True), t.number(2.0 * found.std_um, 2)
+    return t("reports.trend", figure=name, slope=slope, spread=std)

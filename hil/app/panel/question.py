@@ -1,0 +1,43 @@
+"""What a running job asks somebody at the machine: on every page, to be answered in the browser that holds control."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from hil.app.desk.asking import Pending
+from hil.app.panel.view import View
+
+S_PER_MIN = 60.0
+
+
+def draw_question(view: View) -> None:
+    """Below the header; not there while nothing is asked."""
+    t, desk = view.t, view.desk
+    shown: list[Pending | None] = [None]
+
+    def answer(*, yes: bool) -> None:
+        if shown[0] is not None:
+            desk.answer(view.token, shown[0].number, yes=yes)
+
+    with view.named(ui.element("section").classes("hil-card hil-note w-full"), "ask") as card:
+        words = view.named(ui.label().style("font-size: 1.4rem"), "ask.words")
+        wait = view.named(ui.label(), "ask.wait")
+        elsewhere = view.named(ui.label(t("ask.elsewhere")), "ask.elsewhere")
+        with ui.row() as buttons:
+            view.button("ask.yes", lambda: answer(yes=True))
+            view.button("ask.no", lambda: answer(yes=False)).props("outline")
+
+    def refresh() -> None:
+        pending = desk.question
+        card.set_visibility(pending is not None)
+        buttons.set_visibility(view.in_control)
+        elsewhere.set_visibility(not view.in_control)
+        if pending is None or shown == [pending]:
+            return
+        shown[:] = [pending]
+        question = pending.question
+        words.set_text(t(f"ask.{question.kind}", **{name: t.said(text) for name, text in question.figures.items()}))
+        minutes = t.number(question.within_s / S_PER_MIN, 0)
+        wait.set_text(f"{t(f'ask.power.{question.kind}')} {t('ask.wait', minutes=minutes)}")
+
+    view.every(refresh)

@@ -1,0 +1,31 @@
+"""The reports of the axes as files: looked at in a page of their own, or taken away. Nothing else of any folder is served."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fastapi import FastAPI
+from fastapi.responses import FileResponse, PlainTextResponse, Response
+
+from hil.app.desk.desk import Desk
+from hil.app.report.job import FOLDER, NAME
+
+ALONE = {"Content-Security-Policy": "sandbox allow-scripts allow-modals", "X-Content-Type-Options": "nosniff"}
+"""A report's page has no part in the screen's: not its cookies, and it asks the server for nothing."""
+
+
+def serve_reports(app: FastAPI, desks: Mapping[str, Desk]) -> None:
+    """Add their addresses: /axis/<axis>/reports/<name>; with ?save they are saved, not shown."""
+
+    @app.get("/axis/{axis}/reports/{name}")
+    async def report(axis: str, name: str, save: str | None = None) -> Response:
+        path = desks[axis].axis.store.directory / FOLDER / name if axis in desks and NAME.fullmatch(name) else None
+        if path is None or not path.is_file():
+            return PlainTextResponse("there is no such report", status_code=404)
+        kind = "attachment" if save is not None else "inline"
+        return FileResponse(path, headers=ALONE, filename=f"{axis}-{name}", content_disposition_type=kind)
+
+
+def address(axis: str, name: str, *, save: bool = False) -> str:
+    """Of a report's file."""
+    return f"/axis/{axis}/reports/{name}" + ("?save" if save else "")

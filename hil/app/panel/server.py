@@ -1,0 +1,144 @@
+"""The server: which addresses there are, and how it is started and ended."""
+
+from __future__ import annotations
+
+import gc
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI, Request
+from fastapi.responses import JSONResponse, RedirectResponse
+from fastapi.staticfiles import StaticFiles
+from nicegui import Client, ui
+
+from hil.app.desk.desk import Desk
+from hil.app.panel.browsers import COOKIE, Browsers
+from hil.app.panel.frame import draw_page
+from hil.app.panel.guard import LOGIN, App, Guard
+from hil.app.panel.pages import PAGES
+from hil.app.panel.report_files import serve_reports
+from hil.app.panel.texts import Texts
+from hil.app.panel.view import View
+from hil.probe.machine_file import ProbeMachineConfig
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+STATIC = "/hil-static"
+_FORM = (
+    '<!doctype html><meta charset="utf-8"><title>hil</title><form method="post" action="{action}">'
+    '<label>{label} <input type="password" name="token" autocomplete="off" autofocus></label> <button>{button}</button></form>'
+)
+
+
+@dataclass(frozen=True)
+class Access:
+    """Where the server listens, and who may come in. tls: certificate and key file, token: asked from every browser; both None on
+    loopback. names: further host names by which it may be asked for."""
+
+    bind: str = "127.0.0.1"
+    port: int = 0
+    tls: tuple[str, str] | None = None
+    token: str | None = None
+    names: tuple[str, ...] = ()
+
+    @property
+    def scheme(self) -> str:
+        return "http" if self.tls is None else "https"
+
+
+class Server(uvicorn.Server):
+    """A server that stops its axes before anything else when it is told to end."""
+
+    def __init__(self, config: uvicorn.Config, desks: Sequence[Desk]) -> None:
+        super().__init__(config)
+        self._desks = desks
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        for desk in self._desks:
+            desk.stop()
+        super().handle_exit(sig, frame)
+
+
+def serve(
+    desks: Sequence[Desk],
+    access: Access,
+    language: str,
+    listening: socket.socket,
+    probe: ProbeMachineConfig | None = None,
+) -> None:
+    """Serve until the process is told to end. listening: a socket; probe: the machine with a touch probe, if any."""
+    app = guarded(application(desks, language, probe), access, language)
+    cert, key = access.tls or (None, None)
+    # NiceGUI looks through all objects for its server, and one of canopen's bears no look: what is there by now is passed over
+    gc.freeze()
+    config = uvicorn.Config(
+        app,
+        log_level="warning",
+        ssl_certfile=cert,
+        ssl_keyfile=key,
+        timeout_graceful_shutdown=1,
+        lifespan="on",
+        server_header=False,
+    )
+    Server(config, desks).run(sockets=[listening])
+
+
+def bound(access: Access) -> socket.socket:
+    """A listening socket on the address of `access`. Raises OSError."""
+    family = socket.AF_INET6 if ":" in access.bind else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((access.bind, access.port))
+        listening.listen()  # who comes before the server is ready waits for it
+    except BaseException:
+        listening.close()
+        raise
+    return listening
+
+
+def guarded(app: FastAPI, access: Access, language: str) -> App:
+    """The application behind its guard."""
+    t = Texts(language)
+    form = _FORM.format(action=LOGIN, label=escape(t("access.token")), button=escape(t("button.yes")))
+    hosts = [*LOOPBACK, access.bind, *access.names]
+    return Guard(app, hosts, access.token, form, secure=access.tls is not None)
+
+
+def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig | None = None) -> FastAPI:
+    """All addresses: the stop, the pages of each axis, and what they load."""
+    app = FastAPI(openapi_url=None)
+    browsers = Browsers(language)
+    by_name = {desk.name: desk for desk in desks}
+
+    @app.post("/stop")
+    async def stop() -> JSONResponse:
+        for desk in desks:
+            desk.stop()
+        return JSONResponse({"stopped": list(by_name)})
+
+    @app.get("/")
+    async def begin() -> RedirectResponse:
+        return RedirectResponse(f"/axis/{desks[0].name}/{PAGES[0].name}")
+
+    @ui.page("/axis/{axis}/{name}")
+    def show(request: Request, client: Client, axis: str, name: str) -> None:
+        browser = browsers.of(request.cookies.get(COOKIE, ""))
+        t = Texts(browser.language)
+        page = next((one for one in PAGES if one.name == name), None)
+        if axis not in by_name or page is None:
+            ui.label(t("header.no_page"))
+            return
+        draw_page(View(by_name[axis], desks, t, browser, client, probe), page, PAGES)
+
+    serve_reports(app, by_name)
+    app.mount(STATIC, StaticFiles(directory=str(files("hil.app.panel") / "static")), name="static")
+    ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/panel.css">', shared=True)
+    ui.add_head_html(f'<script src="{STATIC}/panel.js"></script>', shared=True)
+    # a browser that was cut off for less than this goes on where it was; after it, its page is loaded anew
+    ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=30.0)
+    return app

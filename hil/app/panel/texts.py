@@ -1,0 +1,113 @@
+"""Every word of the screen, in three languages: one file each, the same keys in all.
+
+Procedures and drives speak English, on purpose: what they say goes to terminals, journals and reports too, and a report that is made
+here is in English as well. `[said]` holds what they say as patterns: the English one is what they say, the others how it is said
+there, and so in turn for its parts. What is not in it, such as the words of an error, is shown as it came.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from decimal import Decimal
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+LANGUAGES = {"en": "English", "de": "Deutsch", "zh": "中文"}
+SAID = "said"
+FIGURES = re.compile(r"-?\d+(\.\d+)?(, -?\d+(\.\d+)?)*( ± \d+(\.\d+)?)?")
+"""A number, several, or one with its uncertainty, as procedures write them."""
+WEIGHTS = re.compile(r"\w+ [01]\.\d\d(, \w+ [01]\.\d\d)*")
+"""Effects with their weights."""
+COLUMNS = re.compile(r"\w+( × \w+)*(; \w+( × \w+)*)*")
+"""Columns of which something depends."""
+NAMES = {re.compile(r"temp_(?P<place>\w+)_c"): "column.temp", re.compile(r"pos_(?P<axis>\w+)_mm"): "column.pos"}
+"""Columns that are named after what they are of."""
+
+
+class Texts:
+    """The texts of one language."""
+
+    def __init__(self, language: str) -> None:
+        self.language = language
+        self._texts = load(language)
+
+    def __call__(self, key: str, **figures: object) -> str:
+        """The text of a key, its {places} filled. Raises KeyError for a key that is not there."""
+        return self._texts[key].format(**figures) if figures else self._texts[key]
+
+    def known(self, table: str, name: str) -> str:
+        """The text of a name in a table of names; a name that is not in it stands for itself."""
+        return self._texts.get(f"{table}.{name}", name)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._texts
+
+    def said(self, text: str) -> str:
+        """What a procedure said, in this language where it is known, and its parts likewise."""
+        for key, pattern in _patterns():
+            match = pattern.fullmatch(text)
+            if match is not None:
+                return self._with_parts(key, match)
+        return self._named(text)
+
+    def _with_parts(self, key: str, match: re.Match[str]) -> str:
+        return self._texts[key].format(**{name: self.said(part) for name, part in match.groupdict().items()})
+
+    def _named(self, text: str) -> str:
+        """The name of an effect or a column, or figures, or both; anything else as it is."""
+        if FIGURES.fullmatch(text):
+            return self._written(text.replace(", ", "; ") if self.language == "de" else text)
+        if WEIGHTS.fullmatch(text):
+            return "; ".join(" ".join(map(self.said, one.split())) for one in text.split(", "))
+        if COLUMNS.fullmatch(text) and not text.isidentifier():
+            return re.sub(r"\w+", lambda name: self._named(name[0]), text)
+        for pattern, key in NAMES.items():
+            if match := pattern.fullmatch(text):
+                return self._with_parts(key, match)
+        return self._texts.get(f"effect.{text}") or self._texts.get(f"column.{text}", text)
+
+    def _written(self, figure: str) -> str:
+        figure = figure.replace("-", "−")
+        return figure.replace(".", ",") if self.language == "de" else figure
+
+    def number(self, value: float | None, digits: int = 3, *, sign: bool = False) -> str:
+        """A figure as it is written in this language; a dash for one that is not known."""
+        if value is None or math.isnan(value):
+            return "–"
+        rounded = round(value, digits) + 0.0  # no −0.0
+        return self._written(f"{rounded:{'+' if sign else ''}.{digits}f}")
+
+    def significant(self, value: float | None, digits: int = 4) -> str:
+        """A figure to so many digits, whatever its size; a dash for one that is not known."""
+        if value is None or not math.isfinite(value):
+            return "–"
+        return self._written(f"{Decimal(f'{value:.{digits}g}'):f}")
+
+    def estimate(self, value: float | None, std: float | None, unit: str = "") -> str:
+        """A figure with its standard uncertainty, where there is one, and its unit."""
+        spread = "" if std is None or not math.isfinite(std) else f" ± {self.significant(std, 2)}"
+        return f"{self.significant(value)}{spread} {unit}".rstrip()
+
+
+@cache
+def load(language: str) -> dict[str, str]:
+    """Key ("page.what") -> text of one language."""
+    text = files("hil.app.panel").joinpath("texts", f"{language}.toml").read_text(encoding="utf-8")
+    return dict(_flat(tomllib.loads(text), ""))
+
+
+def _flat(table: dict[str, Any], prefix: str) -> list[tuple[str, str]]:
+    found: list[tuple[str, str]] = []
+    for key, value in table.items():
+        found += _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else [(prefix + key, str(value))]
+    return found
+
+
+@cache
+def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
+    """What is said in English, as patterns with a group for each {place}."""
+    said = [(key, text) for key, text in load("en").items() if key.startswith(f"{SAID}.")]
+    return tuple((key, re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>.+)", re.escape(text)))) for key, text in said)

@@ -1,0 +1,235 @@
+"""What a page is given: its axis's desk, the texts, and the few moves that every page makes. No page keeps anything of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+from nicegui import Client, run, ui
+from nicegui.element import Element
+
+from drivers.errors import InputError
+from hil.app.desk.control import NotInControlError
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Progress
+from hil.app.desk.roles import Role
+from hil.app.error_log import one_line
+from hil.app.jobs.job import Job
+from hil.app.jobs.plan import Plan
+from hil.app.panel.browsers import Browser
+from hil.app.panel.texts import Texts
+from hil.probe.machine_file import ProbeMachineConfig
+
+AnyElement = TypeVar("AnyElement", bound=Element)
+REFRESH_S = 0.2
+"""Between two refreshes of a page."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One page in one browser. t: the texts in its language; desks: all axes of the server; probe: the machine with a touch probe, if
+    the server was given one."""
+
+    desk: Desk
+    desks: Sequence[Desk]
+    t: Texts
+    browser: Browser
+    client: Client
+    probe: ProbeMachineConfig | None = None
+
+    # -- who is there --------------------------------------------------------------------------------------------------
+    @property
+    def token(self) -> str | None:
+        """This browser's token of control; None when it never had any."""
+        return self.browser.tokens.get(self.desk.name)
+
+    @property
+    def in_control(self) -> bool:
+        return self.desk.control.holds(self.token)
+
+    @property
+    def is_builder(self) -> bool:
+        return self.in_control and self.desk.rights.role is Role.BUILDER
+
+    @property
+    def can_start(self) -> bool:
+        """This browser holds control, the axis is there, and no job runs."""
+        job = self.desk.job()
+        return self.in_control and self.desk.live.connected and not (job is not None and job.running)
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+    def card(self, key: str, name: str = "") -> Element:
+        """A frame with a heading; use with `with`. name: as `named`, default the key."""
+        card = self.named(ui.element("section").classes("hil-card"), name or key)
+        with card:
+            ui.label(self.t(key)).classes("hil-name")
+        return card
+
+    def named(self, element: AnyElement, name: str) -> AnyElement:
+        """Give an element the name by which tests (and style sheets) find it: data-name."""
+        element.props(f'data-name="{name}"')
+        return element
+
+    def value(self, key: str, unit: str = "", *, small: bool = False, name: str = "") -> ui.label:
+        """A figure with its name and unit, large enough to be read from two metres; set its text with `.set_text`."""
+        with ui.element("div"):
+            ui.label(self.t(key)).classes("hil-name")
+            with ui.element("div"):
+                figure = ui.label("–").classes("hil-value" + (" small" if small else "")).style("display: inline")
+                if unit:
+                    ui.label(unit).classes("hil-unit").style("display: inline")
+        return self.named(figure, name or key)
+
+    def button(self, key: str, action: Callable[[], object], *, name: str = "") -> ui.button:
+        """A button with the text of a key; its action's errors are shown."""
+
+        async def press() -> None:
+            await self.attempt(action)
+
+        return self.named(ui.button(self.t(key), on_click=press), name or key)
+
+    def every(self, refresh: Callable[[], None], seconds: float = REFRESH_S) -> None:
+        """Call this now and again while the page is open."""
+        refresh()
+        ui.timer(seconds, refresh)
+
+    def stage(self, job: Progress | None) -> str:
+        """The step of a job that is running, or how it ended."""
+        if job is None:
+            return "–"
+        if not job.running:
+            return self.t(f"phase.{job.phase.value}")
+        count = f" ({job.done}/{job.total})" if job.total else ""
+        return f"{self.t.said(job.stage)}: {self.t.said(job.message)}{count}"
+
+    def number_of(self, field: ui.number) -> float:
+        """What stands in a field. Raises InputError, in the page's language, for one that was cleared."""
+        if field.value is None:
+            raise InputError(self.t("field.empty", field=field.label))
+        return float(field.value)
+
+    def messages(self, name: str) -> Messages:
+        """A note with what went wrong, not there while there is nothing to say."""
+        return Messages(self, self.named(ui.label().classes("hil-note bad"), name))
+
+    # -- doing ---------------------------------------------------------------------------------------------------------
+    async def attempt(self, action: Callable[[], object]) -> bool:
+        """Do it; an error is shown, in one line that says where its traceback is if nobody foresaw it. False for an error. An action
+        may be a coroutine function."""
+        try:
+            done = action()
+            if hasattr(done, "__await__"):
+                await done
+        except Exception as error:  # noqa: BLE001  whatever it is, it is shown
+            self.show_error(error)
+            return False
+        return True
+
+    async def aside(self, work: Callable[[], object]) -> object:
+        """Run what takes longer than a moment (opening a key, reading files) beside the server's loop; its result."""
+        return await run.io_bound(work)
+
+    def show_error(self, error: BaseException) -> None:
+        """As a note that stays until it is closed."""
+        if isinstance(error, NotInControlError):
+            text = self.t("control.not_yours")
+        elif isinstance(error, OSError):
+            text = one_line(error)
+        else:
+            text = self.t.said(self.desk.errors.line_of(error))
+        with self.client.content:
+            ui.notification(
+                text, type="negative", position="bottom-right", timeout=None, close_button=self.t("button.close")
+            )
+
+    async def ask_and_run(self, job: Job, lent: Sequence[Desk] = ()) -> bool:
+        """Ask once, naming what will move how far and what will be written; then start it. True once it was started.
+
+        lent: of other axes that the job connects by itself.
+        """
+        if not self.in_control:
+            self.show_error(NotInControlError())
+            return False
+        if not await self.ask(self.question(job.plan)):
+            return False
+        tokens = {desk: self.browser.tokens.get(desk.name) for desk in lent}
+        return await self.attempt(lambda: self.desk.run(self.token, job, tokens))
+
+    async def ask(self, lines: Iterable[str]) -> bool:
+        """A question with yes and no."""
+        with self.dialog() as dialog:
+            with dialog, ui.card().classes("hil-card"):
+                for line in lines:
+                    self.named(ui.label(line), "question.line")
+                with ui.row():
+                    self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), "question.yes")
+                    no = ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+                    self.named(no, "question.no")
+            return bool(await dialog)
+
+    async def ask_passwords(self, *fields: str, yes: str, why: str = "") -> tuple[str, ...] | None:
+        """What was typed into fields with these keys; None for a no. why: key of a line above them; yes: name of the button."""
+        with self.dialog() as dialog:
+            with dialog, ui.card().classes("hil-card"):
+                if why:
+                    ui.label(self.t(why))
+                given = [ui.input(self.t(key), password=True).props("autocomplete=off") for key in fields]
+                given[0].props("autofocus")
+                for field, key in zip(given, fields, strict=True):
+                    self.named(field, key)
+                with ui.row():
+                    self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), yes)
+                    ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+            return tuple(str(field.value or "") for field in given) if await dialog else None
+
+    @contextmanager
+    def dialog(self) -> Iterator[ui.dialog]:
+        """An empty one, to be filled and awaited; afterwards it is gone, and with it what was typed, however it ended."""
+        with self.client.content:
+            dialog = ui.dialog()
+        try:
+            yield dialog
+        finally:
+            if not dialog.is_deleted:  # as it is when its page was closed meanwhile
+                dialog.delete()
+
+    def question(self, plan: Plan) -> list[str]:
+        """A plan in words."""
+        t = self.t
+        lines = []
+        if plan.moves:
+            lines.append(t("plan.enables_homes" if plan.homes else "plan.enables", axis=plan.axis))
+        if plan.datum_mm is not None:
+            lines.append(t("plan.datum", position=t.number(plan.datum_mm)))
+        for move in plan.moves:
+            sign = move.how == "drives"
+            ends = {"low": t.number(move.low_mm, sign=sign), "high": t.number(move.high_mm, sign=sign)}
+            what = t(f"plan.move.{move.what.split()[0]}", way=t.said(move.what.partition(" ")[2]))
+            lines.append(t(f"plan.{move.how}", what=what, speed=t.number(move.velocity_mm_s, 1), **ends))
+        if plan.overtravel_mm is not None:
+            lines.append(t("plan.contacts", count=plan.positions, overtravel=t.number(plan.overtravel_mm, 1)))
+        elif plan.positions:
+            lines.append(t("plan.captures", count=plan.positions, seconds=t.number(plan.at_rest_s, 1)))
+        lines += [t(f"plan.write.{write.what}", place=write.place) for write in plan.writes]
+        return [*lines, t("plan.ask")]
+
+
+@dataclass(frozen=True)
+class Messages:
+    """What went wrong with an axis and its job, and what is to be watched out for."""
+
+    view: View
+    label: ui.label
+
+    def show(self, job: Progress | None, warning: str = "") -> None:
+        """warning: as a procedure says it."""
+        t = self.view.t
+        lines = [self.view.desk.live.trouble, t.said(warning)]
+        if job is not None:
+            lines += [t.said(job.error), *map(t.said, job.messages)]
+            lines += [t("header.stopping")] if job.stopping else []
+        text = "\n".join(line for line in lines if line)
+        self.label.set_text(text)
+        self.label.set_visibility(bool(text))

@@ -1,0 +1,207 @@
+"""`hil report`: one HTML file from records, for people and for the archive."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import InputError
+from hil.app.jobs.identity import identity, uncertainty_of
+from hil.app.report.job import now, write_report
+from hil.app.terminal.output import add_json_option, write_json
+from hil.app.terminal.signatures import NOT_GOOD, signatures
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.correction.sealed import load_public_key
+from hil.figures.uncertainty import Budget
+from hil.records.files import read_bytes, replace_file
+from hil.records.rows import parse_csv
+
+EXAMPLE = """\
+example:
+  hil report records.csv --out report.html
+  hil report before.csv after.csv --label before --label "after calibration" --identity Axis=X --out report.html
+  hil report left.csv --diagnosis found.json --out report.html --png plots/ --pdf report.pdf
+  hil report --compare spring.csv autumn.csv --axis-file X.toml --builder builder.pub --out compared.html
+
+The file stands alone: it can be mailed, archived, printed, and signed with `hil sign report.html --key builder.key`.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "report",
+        description="Write one self-contained HTML file: error plots, ISO 230-2 figures, before and after, and the data behind.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "records", metavar="RECORDS.csv", nargs="*", help="record files in the order of time, one campaign each"
+    )
+    parser.add_argument("--compare", metavar=("A", "B"), nargs=2, help="two record files, set against each other")
+    parser.add_argument("--out", metavar="REPORT.html", required=True, help="the report; an older one is replaced")
+    parser.add_argument(
+        "--label", metavar="TEXT", action="append", help="name of a campaign, once per file (default: file names)"
+    )
+    parser.add_argument("--title", metavar="TEXT", default="Positioning of a linear axis", help="title of the report")
+    parser.add_argument(
+        "--identity",
+        metavar="NAME=TEXT",
+        action="append",
+        default=[],
+        help="a line of identity, as Axis=X; may be repeated",
+    )
+    parser.add_argument("--band", metavar=("LOW", "HIGH"), nargs=2, type=float, help="specified accuracy band in µm")
+    parser.add_argument(
+        "--diagnosis", metavar="OUT.json", help="result of `hil diagnose --json` on the last of the files"
+    )
+    parser.add_argument(
+        "--all-plots",
+        action="store_true",
+        help="draw what the extended model leaves, along every column and as a spectrum, even where nothing is unexplained",
+    )
+    parser.add_argument(
+        "--table", metavar="FILE", action="append", default=[], help="a table in force, named with its hash"
+    )
+    parser.add_argument("--note", metavar="TEXT", action="append", default=[], help="a remark; may be repeated")
+    parser.add_argument(
+        "--axis-file",
+        metavar="AXIS.toml",
+        help="identity of axis, drive and instrument, band and uncertainty from an axis file",
+    )
+    parser.add_argument(
+        "--builder",
+        metavar="BUILDER.pub",
+        help="whose signatures of the files to show; exit status 1 for one that is not good",
+    )
+    parser.add_argument(
+        "--pdf",
+        metavar="FILE",
+        help="also write it as a PDF: all of it, on numbered A4 sheets that name the hash of the HTML file",
+    )
+    parser.add_argument("--png", metavar="DIR", help="also write every drawing as a PNG into DIR (made if need be)")
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: written; 1: written, and a signature is not good. Raises InputError for bad files and arguments."""
+    from hil.app.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (plots are slow to import)
+    from hil.app.report.document import budgets, render_files  # noqa: PLC0415
+    from hil.app.report.views import diagnosed  # noqa: PLC0415
+
+    paths = _record_files(args)
+    labels = args.label or _default_labels(paths)
+    if len(labels) != len(paths):
+        raise InputError(f"{len(labels)} --label for {len(paths)} record files, expected one for each")
+    axis = None if args.axis_file is None else load_axis(args.axis_file)
+    signed = {} if args.builder is None else signatures([*paths, *args.table], load_public_key(args.builder))
+    campaigns = []
+    for label, path in zip(labels, paths, strict=True):
+        data = read_bytes(path)
+        campaigns.append(NamedCampaign(label, parse_csv(_text(data, path), path), "", Path(path).name, _sha256(data)))
+    diagnosis = None if args.diagnosis is None else _read_diagnosis(args.diagnosis)
+    document = ReportData(
+        title=args.title,
+        campaigns=tuple(campaigns),
+        identity=({} if axis is None else identity(axis)) | dict(_identity(line) for line in args.identity),
+        band_um=_band(args, axis),
+        tables=tuple(TableInForce(Path(path).name, _sha256(read_bytes(path))) for path in args.table),
+        diagnosis=diagnosis,
+        diagnosed=None if diagnosis is None else diagnosed(campaigns[-1], diagnosis),
+        notes=tuple(args.note),
+        compare=args.compare is not None,
+        all_plots=args.all_plots,
+        uncertainty=None if axis is None else uncertainty_of(axis),
+        signatures=signed,
+        created=now(),
+    )
+    digest = write_report(document, Path(args.out), Path(args.pdf) if args.pdf else None)
+    print(args.out)
+    if args.pdf:
+        print(args.pdf)
+    drawings = [] if args.png is None else _write_drawings(Path(args.png), render_files(document))
+    if args.json:
+        figures: list[dict[str, Any]] = [
+            {
+                "label": campaign.label,
+                "source": campaign.source,
+                "sha256": campaign.sha256,
+                "iso230": _plain(campaign.figures()),
+            }
+            for campaign in campaigns
+        ]
+        for form, known in zip(figures, budgets(document), strict=True):
+            form["uncertainty_um"] = dict(known.figures_um) if isinstance(known, Budget) else None
+        result = {"report": args.out, "sha256": digest, "drawings": drawings, "campaigns": figures}
+        write_json(args.json, {**result, "signatures": signed})
+    bad = {name: said for name, said in signed.items() if said.startswith(NOT_GOOD)}
+    for name, said in bad.items():
+        print(f"{name}: signature {said}")
+    return 1 if bad else 0
+
+
+def _record_files(args: argparse.Namespace) -> list[str]:
+    if bool(args.records) == (args.compare is not None):
+        raise InputError("expected record files, or --compare A B, and not both")
+    return list(args.compare or args.records)
+
+
+def _band(args: argparse.Namespace, axis: AxisConfig | None) -> tuple[float, float] | None:
+    if args.band is not None:
+        return args.band[0], args.band[1]
+    band = None if axis is None else axis.correction.band
+    return None if band is None else (band.low_um, band.high_um)
+
+
+def _plain(figures: Any) -> Any:
+    return {"missing": figures} if isinstance(figures, str) else figures.as_json()
+
+
+def _default_labels(paths: list[str]) -> list[str]:
+    stems = [Path(path).stem for path in paths]
+    return stems if len(set(stems)) == len(stems) else list(paths)
+
+
+def _identity(line: str) -> tuple[str, str]:
+    name, separator, value = line.partition("=")
+    if not separator or not name.strip() or not value.strip():
+        raise InputError(f"--identity is {line!r}, expected NAME=TEXT")
+    return name.strip(), value.strip()
+
+
+def _text(data: bytes, path: str) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", path=path) from error
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _read_diagnosis(path: str) -> Mapping[str, Any]:
+    try:
+        form = json.loads(_text(read_bytes(path), path))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, json.JSONDecodeError):
+            raise InputError(f"is not JSON: {error.msg}", path=path, line=error.lineno) from error
+        raise InputError("is not JSON", path=path) from error
+    if not isinstance(form, dict) or not isinstance(form.get("findings"), list):
+        raise InputError("is not a diagnosis, expected a JSON object with a list of findings", path=path)
+    return form
+
+
+def _write_drawings(directory: Path, drawings: Mapping[str, bytes]) -> list[str]:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be made a directory: {error.strerror}", path=directory) from error
+    for name, content in drawings.items():
+        replace_file(directory / name, content)
+        print(directory / name)
+    return [str(directory / name) for name in drawings]

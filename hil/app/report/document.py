@@ -1,0 +1,251 @@
+"""A report, put together: what it says (`content`), as one HTML page (`render_html`), its drawings as files (`render_files`).
+
+The page refers to nothing outside itself and says so in its own policy. The same data give the same bytes. (Importing this module
+loads matplotlib, which takes a moment: a command imports it when it needs it.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import FigureBase
+
+from hil.app.report import compare, markup, plots
+from hil.app.report import uncertainty as uncertainty_part
+from hil.app.report.blocks import (
+    Block,
+    Bullets,
+    DataTable,
+    Drawing,
+    Facts,
+    Heading,
+    Table,
+    Tile,
+    Tiles,
+    said,
+    walk,
+)
+from hil.app.report.data import NamedCampaign, ReportData, environment, history
+from hil.app.report.html import html
+from hil.app.report.page import header, page
+from hil.app.report.svg import LIGHT, Ground, Theme, file_bytes
+from hil.diagnosis.report import diagnosis as diagnosis_part
+from hil.figures.iso230 import FIGURES, Iso230
+from hil.figures.uncertainty import Budget
+from hil.records.rows import Floats, Records
+
+MAX_UNFOLDED_TARGETS = 60
+"""The table per target stands open up to this length."""
+
+SIGNS = (
+    "Error = measured − target, in µm, with the correction that was in force; ↑ is direction +, ↓ direction −; s is the"
+    " standard deviation over the runs (n − 1). A, E, M, R and B as defined in ISO 230-2:2014, clause 3."
+)
+"""What every figure of a report stands on."""
+
+
+def content(data: ReportData) -> list[Block]:
+    """Everything a report says, in its order, without its title."""
+    parts: list[Block] = [_tiles(data), *_identity(data)]
+    if len(data.campaigns) > 1:
+        parts += _comparison(data)
+    parts += _figures_table(data)
+    if data.compare:
+        parts += compare.section(*data.campaigns)
+    for index, campaign in enumerate(data.campaigns, start=1):
+        parts += _campaign(index, campaign, data)
+    if data.diagnosis is not None:
+        parts += diagnosis_part.section(data.diagnosis, data.diagnosed, all_plots=data.all_plots)
+    parts += uncertainty_part.section(budgets(data), [campaign.label for campaign in data.campaigns])
+    parts += [*_tables_in_force(data), *_signatures(data)]
+    return [*parts, Heading("Notes"), Bullets(data.notes)] if data.notes else parts
+
+
+def under_title(data: ReportData) -> str:
+    """The line below the title: which axis, and when."""
+    axis = data.identity.get("Axis", "")
+    return " · ".join(part for part in (f"Axis: {axis}" if axis else "", data.created) if part)
+
+
+def render_html(data: ReportData) -> str:
+    """The whole page. Same data, same text."""
+    footer = f"<footer>{SIGNS} The data behind every drawing are inside this file as JSON; nothing is loaded from elsewhere.</footer>"
+    return page(data.title, [header(data.title, under_title(data)), html(content(data)), footer])
+
+
+def budgets(data: ReportData) -> list[Budget | str | None]:
+    """The uncertainty of each campaign's figures."""
+    return [uncertainty_part.budget_of(campaign, data.uncertainty) for campaign in data.campaigns]
+
+
+def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
+    """Every drawing of the report as a file of its own on a white ground, by file name; `kind` is "png" or "svg"."""
+    drawings = [block for block in walk(content(data)) if isinstance(block, Drawing)]
+    return {f"{drawing.file}.{kind}": file_bytes(drawing.figure(LIGHT), kind) for drawing in drawings}
+
+
+def before_after_image(
+    campaigns: Sequence[NamedCampaign], kind: str = "png", band_um: tuple[float, float] | None = None
+) -> bytes:
+    """The campaigns side by side on one scale, as a PNG or SVG file."""
+    return file_bytes(plots.before_after_plot(campaigns, LIGHT, band_um), kind)
+
+
+def rms_um(records: Records) -> float:
+    """Root mean square of the error as measured, over all rows, µm."""
+    return float(np.sqrt(np.mean(records.error_um**2)))
+
+
+def _tiles(data: ReportData) -> Tiles:
+    first, last = data.campaigns[0], data.campaigns[-1]
+    one, other = first.figures(), last.figures()
+    values: list[tuple[str, float | None, float | None]] = []
+    for name, title in (
+        ("A", "Accuracy A"),
+        ("E", "Systematic deviation E"),
+        ("R", "Repeatability R"),
+        ("B", "Reversal value B"),
+    ):
+        pair = [figures.figures()[name] if isinstance(figures, Iso230) else None for figures in (one, other)]
+        values.append((title, pair[0], pair[1]))
+    values.append(("RMS error", rms_um(first.records), rms_um(last.records)))
+    tiles = [_tile(*value, compare=first is not last) for value in values if value[2] is not None]
+    if data.band_um is not None and isinstance(other, Iso230):
+        tiles.append(_band_tile(other, data.band_um))
+    return Tiles(tuple(tiles))
+
+
+def _tile(title: str, first: float | None, last: float | None, *, compare: bool) -> Tile:
+    value = markup.number(last)
+    if not compare or first is None or last is None:
+        return Tile(title, value, "µm")
+    below = f"as found {markup.number(first)} µm"
+    return Tile(title, value, "µm", below, diagnosis_part.change(first, last), None if last == first else last < first)
+
+
+def _band_tile(figures: Iso230, band_um: tuple[float, float]) -> Tile:
+    means = np.concatenate([mean for mean in (figures.mean_up, figures.mean_down) if mean is not None])
+    inside = int(np.sum((means >= band_um[0]) & (means <= band_um[1])))
+    name = f"Inside {band_um[0]:g} to {band_um[1]:g} µm"
+    return Tile(name, f"{inside} of {len(means)}", below="target means", good=inside == len(means))
+
+
+def _identity(data: ReportData) -> list[Block]:
+    facts = dict(data.identity)
+    for name, value in environment(data.campaigns[-1].records).items():
+        facts.setdefault(name, value)
+    return [Heading("Identity"), Facts(facts)] if facts else []
+
+
+def _comparison(data: ReportData) -> list[Block]:
+    def draw(theme: Theme, ground: Ground) -> FigureBase:
+        return plots.before_after_plot(data.campaigns, theme, data.band_um, ground)
+
+    names = "; ".join(campaign.label for campaign in data.campaigns)
+    caption = f"Error against position on one scale: {names}. Positive: the axis stands further than it was asked to."
+    return [Heading("Comparison"), Drawing("compare", "before-after", draw, "Campaigns on one scale", caption)]
+
+
+def _figures_table(data: ReportData) -> list[Block]:
+    all_figures = [campaign.figures() for campaign in data.campaigns]
+    compare = len(data.campaigns) > 1
+    spreads = budgets(data)
+    head = ("Figure, µm", *(campaign.label for campaign in data.campaigns), *(["change"] if compare else []), "")
+    rows = []
+    for name, meaning in FIGURES.items():
+        values = [figures.figures()[name] if isinstance(figures, Iso230) else None for figures in all_figures]
+        last = [diagnosis_part.change(values[0], values[-1])] if compare else []
+        if name == "B_mean" and compare:
+            last = ["–"]
+        cells = [uncertainty_part.stated(value, name, known) for value, known in zip(values, spreads, strict=True)]
+        rows.append((symbol(name), *cells, *last, meaning))
+    spread: list[tuple[str, list[float]]] = [
+        ("RMS error", [rms_um(campaign.records) for campaign in data.campaigns]),
+        ("largest error", [float(np.max(np.abs(campaign.records.error_um))) for campaign in data.campaigns]),
+    ]
+    for title, numbers in spread:
+        last = [diagnosis_part.change(numbers[0], numbers[-1])] if compare else []
+        rows.append((title, *map(markup.number, numbers), *last, "over all rows"))
+    shape = [
+        f"{figures.m} targets, {figures.n} runs" if isinstance(figures, Iso230) else f"{len(campaign.records)} rows"
+        for figures, campaign in zip(all_figures, data.campaigns, strict=True)
+    ]
+    rows.append(("campaign", *shape, *([""] if compare else []), "per direction"))
+    return [Heading("Figures of ISO 230-2:2014"), Table(head, tuple(rows), "meaning")]
+
+
+def _campaign(index: int, campaign: NamedCampaign, data: ReportData) -> list[Block]:
+    def error(theme: Theme, ground: Ground) -> FigureBase:
+        return plots.error_plot(campaign, theme, data.band_um, ground)
+
+    def along_time(theme: Theme, ground: Ground) -> FigureBase:
+        return plots.history_plot(campaign, theme, ground)
+
+    figures = campaign.figures()
+    key = f"campaign-{index}"
+    along = history(campaign.records)
+    source = [campaign.note]
+    if campaign.source:
+        source.append(f"Source: {campaign.source}" + (f", SHA-256 {campaign.sha256}" if campaign.sha256 else ""))
+    caption = "Error (measured − target) against position, each run and the mean ± 2s of each direction."
+    description = f"Error against position, {campaign.label}"
+    parts: list[Block] = [
+        Heading(campaign.label),
+        *(said(line, "muted") for line in source if line),
+        Drawing(f"error{index}", f"{key}-error", error, description, caption),
+    ]
+    if isinstance(figures, Iso230):
+        parts += [_per_target(f"data-{key}-targets", figures), Bullets(tuple(figures.notes), "remarks")]
+    else:
+        parts.append(said(f"No ISO 230-2 figures: {figures}.", "callout"))
+    order = "" if along.timed else " The records hold no time; the order of the rows stands in."
+    caption = (
+        f"What is left along time: each error minus the mean of its target and direction, bars are run means.{order}"
+    )
+    description = f"Deviation along time, {campaign.label}"
+    columns = {**campaign.records.columns, "error_um": campaign.records.error_um, "deviation_um": along.deviation_um}
+    return [
+        *parts,
+        Drawing(f"time{index}", f"{key}-time", along_time, description, caption),
+        DataTable(f"data-{key}-records", "Records behind these drawings", columns),
+    ]
+
+
+def _per_target(identifier: str, figures: Iso230) -> DataTable:
+    columns: dict[str, tuple[str, Floats | None]] = {
+        "target_mm": ("target, mm", figures.target_mm),
+        "mean_up_um": ("x̄↑, µm", figures.mean_up),
+        "mean_down_um": ("x̄↓, µm", figures.mean_down),
+        "s_up_um": ("s↑, µm", figures.s_up),
+        "s_down_um": ("s↓, µm", figures.s_down),
+        "B_um": ("B, µm", figures.B_i),
+        "R_up_um": ("R↑, µm", figures.R_up_i),
+        "R_down_um": ("R↓, µm", figures.R_down_i),
+        "R_um": ("R, µm", figures.R_i),
+    }
+    return DataTable(
+        identifier,
+        "Per target",
+        {name: values for name, (_, values) in columns.items() if values is not None},
+        heads={name: head for name, (head, _) in columns.items()},
+        unfolded=figures.m <= MAX_UNFOLDED_TARGETS,
+    )
+
+
+def _tables_in_force(data: ReportData) -> list[Block]:
+    if not data.tables:
+        return []
+    rows = tuple((table.name, table.what, table.sha256) for table in data.tables)
+    return [Heading("Correction tables in force"), Table(("Table", "What", "SHA-256"), rows, "hash")]
+
+
+def _signatures(data: ReportData) -> list[Block]:
+    if not data.signatures:
+        return []
+    return [Heading("Signatures"), Table(("File", "Signature"), tuple(data.signatures.items()), "hash")]
+
+
+def symbol(name: str) -> str:
+    """A figure's name as it is printed."""
+    return "B̄" if name == "B_mean" else name.replace("_up", "↑").replace("_down", "↓")

@@ -1,0 +1,111 @@
+"""Reports of what stands on disk: the pieces that the command line and the operator's screen put together."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from drivers.errors import InputError
+from hil.app.jobs.identity import identity, uncertainty_of
+from hil.app.report.data import NamedCampaign, ReportData
+from hil.app.report.views import diagnosed
+from hil.axis.axis_file import AxisConfig
+from hil.diagnosis.stored import read_stored, stored_beside
+from hil.figures.history import find_campaigns, history, usual_pass
+from hil.records.files import read_bytes, read_text, replace_file
+from hil.records.rows import concatenate, parse_csv
+
+FOLDER = "reports"
+"""Of an axis's reports, in the folder of its campaigns."""
+HISTORY_FIGURES = ("A", "R", "B")
+NAME = re.compile(r"(report|comparison|history)-\d+\.(html|pdf)")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One campaign of a report: its label, and the passes its rows are in."""
+
+    label: str
+    paths: tuple[Path, ...]
+
+
+def named_campaign(wanted: Wanted) -> NamedCampaign:
+    """Read it. Raises InputError naming the file."""
+    records = concatenate([parse_csv(read_text(path), path) for path in wanted.paths])
+    if len(wanted.paths) > 1:
+        return NamedCampaign(
+            wanted.label, records, source=f"{len(wanted.paths)} files of {wanted.paths[0].parent.name}"
+        )
+    path = wanted.paths[0]
+    return NamedCampaign(wanted.label, records, "", path.name, hashlib.sha256(read_bytes(path)).hexdigest())
+
+
+def report_data(axis: AxisConfig, campaigns: Sequence[Wanted], diagnosis: Path | None, *, compare: bool) -> ReportData:
+    """The whole of a report on an axis. diagnosis: the stored one of the last campaign, where there is one."""
+    named = tuple(map(named_campaign, campaigns))
+    found = None if diagnosis is None else read_stored(diagnosis)
+    band = axis.correction.band
+    return ReportData(
+        f"{'Comparison of measurements' if compare else 'Positioning'} of axis {axis.name}",
+        named,
+        identity(axis),
+        None if band is None else (band.low_um, band.high_um),
+        diagnosis=found,
+        diagnosed=None if found is None else diagnosed(named[-1], found),
+        compare=compare,
+        uncertainty=uncertainty_of(axis),
+        created=now(),
+    )
+
+
+def now() -> str:
+    """The date and time that a report bears."""
+    return datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+
+
+def write_report(data: ReportData, html: Path, pdf: Path | None) -> str:
+    """Write it, as a page and where it is wanted on paper; the page's SHA-256, which the paper names."""
+    from hil.app.report.document import render_html  # noqa: PLC0415  (plots are slow to import)
+
+    page = render_html(data).encode("utf-8")
+    digest = hashlib.sha256(page).hexdigest()
+    replace_file(html, page)
+    if pdf is not None:
+        from hil.app.report.pdf import render_pdf  # noqa: PLC0415
+
+        replace_file(pdf, render_pdf(data, digest))
+    return digest
+
+
+def make_report(axis: AxisConfig, campaigns: Sequence[Wanted], *, compare: bool = False) -> list[str]:
+    """A report, or a comparison of two campaigns, beside the axis's others; the names of its files."""
+    stored = stored_beside(campaigns[-1].paths)
+    data = report_data(axis, campaigns, stored if stored.exists() and not compare else None, compare=compare)
+    page = _next(axis, "comparison" if compare else "report")
+    write_report(data, page, page.with_suffix(".pdf"))
+    return [page.name, page.with_suffix(".pdf").name]
+
+
+def make_history(axis: AxisConfig) -> list[str]:
+    """The axis's figures over time, as a page. Raises InputError where nothing has any."""
+    moments = history([one for one in find_campaigns([axis.store.directory]) if one.axis == axis.name], HISTORY_FIGURES)
+    if not moments:
+        raise InputError(f"no pass has the figures {', '.join(HISTORY_FIGURES)}", path=axis.store.directory)
+    usual = usual_pass(moments)
+    from hil.app.report.history import render_history  # noqa: PLC0415  (plots are slow to import)
+
+    page = _next(axis, "history")
+    moments = [one for one in moments if one.at.name == usual]
+    replace_file(page, render_history(f"Axis {axis.name} over time", moments, HISTORY_FIGURES).encode())
+    return [page.name]
+
+
+def _next(axis: AxisConfig, kind: str) -> Path:
+    folder = axis.store.directory / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    taken = [int(path.stem.rpartition("-")[2]) for path in folder.glob("*-*.html") if NAME.fullmatch(path.name)]
+    return folder / f"{kind}-{max(taken, default=0) + 1:03d}.html"

@@ -1,0 +1,123 @@
+"""HTML by the piece: escaped text, tables, figures with the data behind them. Knows nothing of what it shows."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+
+from hil.app.report.data import plain
+from hil.records.rows import Floats
+
+MAX_TABLE_ROWS = 2000
+"""Rows of a data table in the page; the embedded data are always whole."""
+
+
+def text(value: object) -> str:
+    """Any text, safe inside an element or a quoted attribute."""
+    return escape(plain(value), quote=True)
+
+
+def number(value: float | None, decimals: int = 2) -> str:
+    """A figure; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{value + 0.0:.{decimals}f}"
+
+
+def significant(value: float | None, digits: int = 4) -> str:
+    """A value of any magnitude to so many significant digits; a dash where there is none."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, css: str = "", caption: str = "") -> str:
+    """A table of cells that are text (escaped here). The first column is a row head, the others are figures."""
+    title = f"<caption>{text(caption)}</caption>" if caption else ""
+    columns = "".join(f'<th scope="col">{text(name)}</th>' for name in head)
+    body = "\n".join(
+        f'<tr><th scope="row">{text(row[0])}</th>' + "".join(f"<td>{text(cell)}</td>" for cell in row[1:]) + "</tr>"
+        for row in rows
+    )
+    return (
+        f'<div class="scroll"><table class="{text(css)}">{title}<thead><tr>{columns}</tr></thead>'
+        f"<tbody>\n{body}\n</tbody></table></div>"
+    )
+
+
+def definitions(facts: Mapping[str, str]) -> str:
+    """Name and value pairs."""
+    return (
+        '<dl class="facts">'
+        + "".join(f"<div><dt>{text(k)}</dt><dd>{text(v)}</dd></div>" for k, v in facts.items())
+        + "</dl>"
+    )
+
+
+def paragraph_list(items: Iterable[str], css: str = "") -> str:
+    """A list of sentences, nothing when there are none."""
+    lines = "".join(f"<li>{text(item)}</li>" for item in items)
+    return f'<ul class="{text(css)}">{lines}</ul>' if lines else ""
+
+
+def embedded(identifier: str, form: object) -> str:
+    """Data inside the page as JSON that any program can take out again by its id."""
+    dumped = json.dumps(form, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    safe = dumped.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    return f'<script type="application/json" id="{text(identifier)}">{safe}</script>'
+
+
+def columns_form(columns: Mapping[str, Floats]) -> dict[str, dict[str, list[float | None]]]:
+    """Columns as plain JSON: {"columns": {name: [...]}}; what is not a number becomes null."""
+    return {
+        "columns": {
+            name: [
+                None if not math.isfinite(v) else int(v) if v == int(v) and abs(v) < 1e15 else v
+                for v in values.tolist()
+            ]
+            for name, values in columns.items()
+        }
+    }
+
+
+def data_table(
+    identifier: str,
+    title: str,
+    columns: Mapping[str, Floats],
+    *,
+    heads: Mapping[str, str] | None = None,
+    unfolded: bool = False,
+) -> str:
+    """Columns of one length as an embedded JSON block, a table to fold away, and a button that saves them as CSV.
+
+    heads: what stands over a column in the table instead of its name.
+    """
+    size = len(next(iter(columns.values())))
+    shown = min(size, MAX_TABLE_ROWS)
+    cells = {name: [cell(name, v) for v in values[:shown].tolist()] for name, values in columns.items()}
+    rows = ([str(row + 1), *(cells[name][row] for name in columns)] for row in range(shown))
+    cut = f"<p>The first {shown} of {size} rows; the saved file holds all.</p>" if shown < size else ""
+    state = '"data" open' if unfolded else '"data folded"'
+    return (
+        embedded(identifier, columns_form(columns))
+        + f"<details class={state}><summary>{text(title)} ({size} rows)</summary>"
+        + f'<p><button type="button" hidden data-csv="{text(identifier)}">Save as CSV</button></p>{cut}'
+        + table(["row", *((heads or {}).get(name, name) for name in columns)], rows, css="numbers small")
+        + "</details>"
+    )
+
+
+def figure(svg: str, caption: str) -> str:
+    """A drawing with its caption; `svg` is trusted markup."""
+    return f"<figure>{svg}<figcaption>{text(caption)}</figcaption></figure>"
+
+
+def cell(name: str, value: float) -> str:
+    """A value of a column as a table shows it, by what its name says it is."""
+    if not math.isfinite(value):
+        return ""
+    if name.endswith("_um"):
+        return f"{value:.2f}"
+    if name.endswith("_mm"):
+        return f"{value:.5f}"
+    return str(int(value)) if value == int(value) and abs(value) < 1e9 else f"{value:.6g}"

@@ -1,0 +1,204 @@
+"""What to draw of a finding: which column, which residual, and what to lay over it.
+
+Both come from the finding's own `plot` where it has one, else from columns of the diagnosed records (`residual_um`, and
+`effect_<id>_um`, or `effect_um` for a single finding); where the effect is known from neither, the residual's own mean along the
+column is laid over. No drawing and no HTML in here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hil.app.report.data import NamedCampaign, history, plain
+from hil.records.rows import Floats, Records
+
+_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "thermal_expansion": ("temp_", "time_s"),
+    "thermal_drift": ("temp_", "time_s"),
+    "lost_motion": ("since_reversal_mm",),
+    "velocity_lag": ("velocity_mm_s",),
+    "load_deflection": ("load_kg", "torque_percent"),
+    "abbe": ("pitch_urad", "yaw_urad"),
+    "cross_axis": ("pos_",),
+    "datum_step": ("time_s",),
+    "beam_drift": ("time_s",),
+    "dead_path": ("air_temp_c", "air_pressure_hpa"),
+    "air_index": ("air_temp_c", "air_pressure_hpa"),
+}
+"""Columns (or the beginnings of their names) that show an effect best, the first present is taken; others show along the position."""
+
+LARGEST = 1e12
+"""No figure of a machine is larger; what is, is not a number to draw."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A residual along one column, and what is laid over it; arrays of one shape (n,)."""
+
+    x: Floats
+    label: str
+    direction: Floats
+    residual_um: Floats
+    over_um: Floats
+    over: str
+
+
+def diagnosed(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCampaign:
+    """The campaign with the `residual_um` of its diagnosis, where that holds one for each row."""
+    residual = _floats(diagnosis.get("residual_um"))
+    if residual is None or len(residual) != len(campaign.records):
+        return campaign
+    return replace(campaign, records=campaign.records.with_column("residual_um", residual))
+
+
+def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
+    residual = _residual(records)
+    effects = [
+        over for finding in findings if (over := _effect(records, finding, alone=len(findings) == 1)) is not None
+    ]
+    if effects and len(effects) == len(findings):
+        over, name = np.asarray(np.sum(effects, axis=0), dtype=np.float64), "effects found"
+    else:
+        over, name = _mean_along(records.target_mm, residual, records.direction), "mean along the position"
+    return View(records.target_mm, "Target position, mm", records.direction, residual, over, name)
+
+
+def finding_view(finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> View | None:
+    """Where and how a finding is drawn; None where the position already shows it, or nothing is known to draw."""
+    records = None if diagnosed is None else diagnosed.records
+    own = _own_plot(finding, records)
+    if own is not None or records is None:
+        return own
+    along = _along(finding, records)
+    if along is None:
+        return None
+    residual, effect = _residual(records), _effect(records, finding, alone=alone)
+    if effect is not None:
+        return View(*along, records.direction, residual, effect, plain(finding.get("effect")))
+    mean = _mean_along(along[0], residual, records.direction)
+    return View(*along, records.direction, residual, mean, "mean along this column")
+
+
+def _own_plot(finding: Mapping[str, Any], records: Records | None) -> View | None:
+    """The finding's own `plot`, None where it has none or one that cannot be drawn."""
+    plot = finding.get("plot")
+    if not isinstance(plot, Mapping):
+        return None
+    x, residual, effect = (_floats(plot.get(name)) for name in ("x", "residual_um", "effect_um"))
+    if x is None or residual is None or effect is None or not len(x) == len(residual) == len(effect):
+        return None
+    direction = _floats(plot.get("direction"))
+    if direction is None and records is not None and len(records) == len(x):
+        direction = records.direction
+    if direction is None or len(direction) != len(x):
+        direction = np.ones(len(x))
+    column = plain(plot.get("column", "x"))
+    folded = _folded(x, finding) if column == "target_mm" else None
+    if folded is not None:
+        return View(*folded, direction, residual, effect, plain(finding.get("effect")))
+    return View(x, label_of(column, plot.get("unit")), direction, residual, effect, plain(finding.get("effect")))
+
+
+def _floats(values: object) -> Floats | None:
+    """A JSON list of finite numbers as an array, None for anything else."""
+    numbers = [value_of(value, "value") for value in list_of(values)]
+    known = [value for value in numbers if value is not None]
+    return np.asarray(known, dtype=np.float64) if known and len(known) == len(numbers) else None
+
+
+def _residual(records: Records) -> Floats:
+    return records.columns.get("residual_um", records.error_um)
+
+
+def _effect(records: Records, finding: Mapping[str, Any], *, alone: bool) -> Floats | None:
+    """The effect on each row of the records, by column or by the finding's own plot of the same rows; None if unknown."""
+    for name in (f"effect_{finding.get('effect')}_um", *(["effect_um"] if alone else [])):
+        if name in records and np.all(np.isfinite(records[name])):
+            return records[name]
+    plot = finding.get("plot")
+    own = _floats(plot.get("effect_um")) if isinstance(plot, Mapping) else None
+    return own if own is not None and len(own) == len(records) else None
+
+
+def _mean_along(x: Floats, residual: Floats, direction: Floats) -> Floats:
+    over = np.empty(len(x))
+    for sign in (1.0, -1.0):
+        here = direction == sign
+        if np.any(here):
+            over[here] = binned_mean(x[here], residual[here])
+    return over
+
+
+def _along(finding: Mapping[str, Any], records: Records) -> tuple[Floats, str] | None:
+    """The column to show an effect along, with its label; None where the position already shows it."""
+    effect = plain(finding.get("effect"))
+    if effect == "cyclic":
+        return _folded(records.target_mm, finding)
+    for wanted in _COLUMNS.get(effect, ()):
+        for name in records.columns:
+            if (name == wanted or (wanted.endswith("_") and name.startswith(wanted))) and _varies(records[name]):
+                return (
+                    (records[name] - records[name].min(), "Time, s")
+                    if name == "time_s"
+                    else (records[name], label_of(name))
+                )
+    if "time_s" in _COLUMNS.get(effect, ()):
+        return history(records).x, "Row (the records hold no time)"
+    return None
+
+
+def _folded(x_mm: Floats, finding: Mapping[str, Any]) -> tuple[Floats, str] | None:
+    """Positions within one period of a cyclic effect, None for any other."""
+    period = value_of(object_of(finding.get("parameters")).get("period_mm"), "value")
+    if finding.get("effect") != "cyclic" or not period or period <= 0:
+        return None
+    return np.mod(x_mm, period), f"Position within one period of {period:.4g} mm, mm"
+
+
+def binned_mean(x: Floats, y: Floats, bins: int = 24) -> Floats:
+    """The mean of y among its neighbours along x, as steps: shape (n,), one value per bin of equal count (ties kept together)."""
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(0, len(edges) - 2))
+    total = np.bincount(index, weights=y)
+    return np.asarray((total / np.maximum(np.bincount(index), 1))[index], dtype=np.float64)
+
+
+def _varies(values: Floats) -> bool:
+    return bool(np.all(np.isfinite(values)) and np.ptp(values) > 0)
+
+
+def label_of(column: str, unit: object = None) -> str:
+    """A column's name as an axis label: `temp_screw_c` is 'Temp screw, °C'. `unit` overrides what the name's ending says."""
+    units: dict[str, str] = {"_mm_s": "mm/s", "_mm": "mm", "_c": "°C", "_hpa": "hPa", "_percent": "%", "_kg": "kg"}
+    units |= {"_urad": "µrad", "_um": "µm", "_s": "s"}
+    ending = next((ending for ending in units if column.endswith(ending)), "")
+    name = plain(column).removesuffix(ending).replace("_", " ").capitalize() or "X"
+    stated = plain(unit) if unit else units.get(ending, "")
+    return f"{name}, {stated}" if stated else name
+
+
+def value_of(holder: object, key: str) -> float | None:
+    """A finite number by its key in a JSON object, or a plain number asked for as "value"; None for anything else."""
+    value = holder.get(key) if isinstance(holder, Mapping) else holder if key == "value" else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    return float(value) if abs(value) <= LARGEST else None
+
+
+def object_of(value: object) -> Mapping[str, Any]:
+    """A JSON object, or an empty one for anything else."""
+    return value if isinstance(value, Mapping) else {}
+
+
+def list_of(value: object) -> list[Any]:
+    """A JSON list, or an empty one for anything else."""
+    return value if isinstance(value, list) else []
+
+
+def objects_of(value: object) -> list[Mapping[str, Any]]:
+    """The objects in a JSON list."""
+    return [one for one in list_of(value) if isinstance(one, Mapping)]

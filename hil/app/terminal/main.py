@@ -1,0 +1,167 @@
+"""`hil`: the command line's entry. Every verb registers itself; this decides how errors look and what the process returns.
+
+Exit status: 0 done; 1 the job ran and its verdict is "not good", or the machine did not let it finish; 2 bad input or usage;
+130 interrupted. Errors are one line on stderr that says what, where, and what was expected; of a mistake in the program it names the
+file with the traceback. What was interrupted and can be gone on with is followed by one more line, the command that does so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, NoReturn
+
+from drivers.errors import BridgeError, LocalError
+from drivers.undo import one_line
+from hil.app.error_log import ERRORS, ErrorLog, strays_caught
+from hil.machine.signals import INTERRUPTED, ending_by_signals
+
+if TYPE_CHECKING:
+    from hil.app.terminal.resuming import Left
+
+VERBS = {
+    "demo": ("app.terminal.demo", "the whole loop on the built-in bench"),
+    "scan": ("machine.command", "who is on the bus"),
+    "doctor": ("doctor.command", "preflight: drive, limits, instrument, units, speed"),
+    "calibrate": ("calibration.commands.calibrate", "measure, compute tables, store them sealed, prove them"),
+    "verify": ("calibration.commands.verify", "measure with the correction in force at other targets"),
+    "backlash": ("backlash.command", "lost motion from the servo's torque, without a position sensor"),
+    "lost-motion": ("lost_motion.command", "lost motion after a reversal: measure, fit, store, prove"),
+    "circle": ("lost_motion.circle.command", "two axes drive a circle: what lost motion does at the quadrants"),
+    "probe": ("probe.command", "a touch probe's run-out: measure, correct, centre a bore"),
+    "params": (
+        "parameters.commands.params",
+        "drive parameters: back up, compare, download all or nothing, prove, keep",
+    ),
+    "close-loop": ("diagnosis.loop.command", "calibrate, verify warm, diagnose, extend, measure again"),
+    "campaign": ("diagnosis.commands.campaign", "design a measuring campaign, or check what one can show"),
+    "diagnose": ("diagnosis.commands.diagnose", "trace what is left to an effect"),
+    "fit": ("diagnosis.commands.fit", "a baseline model from records"),
+    "apply": ("diagnosis.commands.apply", "the correction of a model for each row of records"),
+    "iso230": ("figures.command", "the figures of ISO 230-2"),
+    "records": ("records.command", "campaigns on disk: list, inspect, merge, export, history"),
+    "report": ("app.report.command", "one HTML file from records: plots, ISO 230-2 figures, data"),
+    "export": ("correction.formats.commands.export", "the tables as a controller's file"),
+    "import": ("correction.formats.commands.import_", "a controller's table, or measurements of another program"),
+    "seal": ("correction.sealed.commands.seal", "lock files: encrypted, signed by the builder"),
+    "open": ("correction.sealed.commands.open_", "read a sealed file"),
+    "sign": ("correction.sealed.commands.sign", "sign a file with the builder's key, or make the key"),
+    "check": ("correction.sealed.commands.check", "check the builder's signature"),
+    "panel": ("app.panel.command", "the operator's screen in a browser on loopback"),
+    "sim": ("app.terminal.sim", "simulated drive and laser as processes on a real interface"),
+}
+"""By verb: its module in `hil` and its line in the help, in the order of the help. A module is imported when its verb is asked for."""
+
+DONE, NOT_GOOD, BAD_INPUT = 0, 1, 2
+
+
+class _OneLineParser(argparse.ArgumentParser):
+    """A parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def load_verb(argv: Sequence[str]) -> ModuleType | None:
+    """The module of the verb that a command line names, None where it names none."""
+    return import_module(f"hil.{VERBS[argv[0]][0]}") if argv and argv[0] in VERBS else None
+
+
+def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """The command line: the named verb with its options, or every verb by its line in the help."""
+    parser = _OneLineParser(
+        prog="hil",
+        description="Measure a feed axis, correct it through its servo drive, prove it, and trace what is left.",
+        epilog="hil VERB --help shows an example of each.",
+    )
+    subparsers = parser.add_subparsers(title="verbs", metavar="VERB", required=True, parser_class=_OneLineParser)
+    verb = load_verb(argv)
+    if verb is not None:
+        verb.add_parser(subparsers)
+    else:
+        for name, (_, text) in VERBS.items():
+            subparsers.add_parser(name, help=text)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; the process's exit status."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal without µ shows a ?, and the verb goes on
+        sys.stdout.reconfigure(errors="replace")
+    argv = sys.argv[1:] if argv is None else argv
+    args, before = argparse.Namespace(), None
+    try:
+        args = build_parser(argv).parse_args(argv)
+        before = _left_behind(args)
+        with ending_by_signals(), strays_caught(lambda error: _say(_errors_of(args).line_of(error))):
+            status = int(args.run(args))
+        if sys.stdout is not None:  # None: we were started with it closed
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = NOT_GOOD
+    except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001  a mistake of ours is told in one line too
+        said, status = _end(error, args)
+        _say(said)
+        if command := _how_to_go_on(args, argv, before, error):
+            _say(f"go on with: {command}")
+    return status
+
+
+def _end(error: BaseException, args: argparse.Namespace) -> tuple[str, int]:
+    """What is said of what ended a verb, and the exit status."""
+    if isinstance(error, KeyboardInterrupt):
+        left = one_line(error) if getattr(error, "__notes__", ()) else ""
+        done = "what was measured is kept" + (f", but: {left}" if left else "")
+        return f"interrupted; {done}" if left else f"interrupted; the axis was stopped, {done}", INTERRUPTED
+    if isinstance(error, OSError):
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror or error}", NOT_GOOD
+    return _errors_of(args).line_of(error), BAD_INPUT if isinstance(error, LocalError) else NOT_GOOD
+
+
+def _say(text: str) -> None:
+    print(f"hil: {text}", file=sys.stderr)
+
+
+def _errors_of(args: argparse.Namespace) -> ErrorLog:
+    """Beside the campaigns of the verb's axis; where it has none, among what programs keep of themselves for this user."""
+    from hil.axis.axis_file import load_drive_axis  # noqa: PLC0415  (numpy is slow to import)
+
+    for name in ("axis", "x", "source", "axes", "machine"):
+        value = getattr(args, name, "")
+        path = str(value[0] if isinstance(value, list) and value else value)
+        if path.endswith(".toml"):
+            with suppress(BridgeError, OSError):
+                return ErrorLog(load_drive_axis(path).store.directory / ERRORS)
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return ErrorLog(Path(state) / "hil" / ERRORS)
+
+
+def _left_behind(args: argparse.Namespace) -> Left | None:
+    if not hasattr(args, "resumes"):
+        return None
+    from hil.app.terminal.resuming import left_behind  # noqa: PLC0415  (numpy is slow to import, and few verbs resume)
+
+    return left_behind(args)
+
+
+def _how_to_go_on(
+    args: argparse.Namespace, argv: Sequence[str], before: Left | None, error: BaseException
+) -> str | None:
+    if not hasattr(args, "resumes"):
+        return None
+    from hil.app.terminal.resuming import how_to_go_on  # noqa: PLC0415  (as above)
+
+    return how_to_go_on(args, argv, before, error)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

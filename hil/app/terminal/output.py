@@ -1,0 +1,81 @@
+"""What every verb prints with: a table for people, a JSON file for programs.
+
+Only what at least two verbs share belongs here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from hil.correction.sealed import Binding
+from hil.records.files import replace_file
+
+Align = Literal["left", "right"]
+PIPE_WIDTH = 140
+"""Columns of a table that goes to a file or a pipe, where there is no window to fit."""
+
+
+def write_json(path: str | Path, obj: object) -> None:
+    """Write `obj` as UTF-8 JSON, whole or not at all. Values that JSON lacks (NaN, infinity) become null."""
+    text = json.dumps(_plain(obj), indent=2, ensure_ascii=False, allow_nan=False)
+    replace_file(path, (text + "\n").encode("utf-8"))
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """The `--json FILE` that every verb has."""
+    parser.add_argument("--json", metavar="FILE", help="also write the result as JSON to FILE")
+
+
+def number(value: float | None, decimals: int = 2) -> str:
+    """A figure for a table cell; a dash where there is none."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+
+
+def print_table(
+    columns: Sequence[str | tuple[str, Align]], rows: Iterable[Sequence[str]], title: str | None = None
+) -> None:
+    """A table on standard output. The first column is left aligned, the others right, unless a column says otherwise."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for index, column in enumerate(columns):
+        name, align = column if isinstance(column, tuple) else (column, "right" if index else "left")
+        table.add_column(name, justify=align, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, markup=False, emoji=False, width=PIPE_WIDTH)
+    console.print(table)
+
+
+def binding_facts(binding: Binding | None) -> dict[str, str]:
+    """The header of a sealed file: how often and when it was resealed, and what it belongs to."""
+    if binding is None:
+        return {"bound to": "nothing: the file was made before sealed files stated what they belong to"}
+    of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"
+    return {"counter": str(binding.counter), "resealed": binding.date, "bound to": of}
+
+
+def print_facts(facts: Mapping[str, str]) -> None:
+    """Aligned `name  value` lines on standard output."""
+    width = max((len(name) for name in facts), default=0)
+    for name, value in facts.items():
+        print(f"{name:<{width}}  {value}")
+
+
+def _plain(obj: object) -> object:
+    if isinstance(obj, float):
+        return obj if math.isfinite(obj) else None
+    if isinstance(obj, Mapping):
+        return {str(key): _plain(value) for key, value in obj.items()}
+    if isinstance(obj, (list, tuple)):
+        return [_plain(value) for value in obj]
+    return obj

@@ -1,0 +1,47 @@
+"""Progress of a procedure on a terminal: its events as a bar, or its warnings alone where stderr is no terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from hil.machine.events import Event, Listener
+
+
+@contextmanager
+def terminal_progress() -> Iterator[Listener]:
+    """A listener that shows one bar per stage on stderr, and warnings whether it is a terminal or not."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _tell_warnings
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=console) as progress:
+        tasks: dict[str, int] = {}
+
+        def show(event: Event) -> None:
+            _tell_warnings(event)
+            if event.stage not in tasks:
+                tasks[event.stage] = int(progress.add_task(event.stage, total=event.total or None, note=""))
+            task = progress.tasks[tasks[event.stage]].id
+            if event.total:
+                progress.update(task, completed=event.done, total=event.total, note=event.message)
+            else:
+                progress.update(task, note=event.message)
+
+        yield show
+
+
+def _tell_warnings(event: Event) -> None:
+    if event.warning:
+        print(f"hil: {event.message}", file=sys.stderr)

@@ -1,0 +1,73 @@
+"""Reading one or more record files for a verb: whole, or some of their runs.
+
+What may go in: what fit, apply and diagnose share about their input files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.effects import ALL, Effect
+from hil.effects.model import Model
+from hil.records.files import read_bytes
+from hil.records.rows import Records, concatenate, read_csv
+
+RUNS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*")
+
+
+def add_records_argument(parser: argparse.ArgumentParser) -> None:
+    """`RECORDS.csv …` and `--runs 1-3`."""
+    parser.add_argument(
+        "records", metavar="RECORDS.csv", nargs="+", help="measurement records: run, direction, target_mm, measured_mm"
+    )
+    parser.add_argument("--runs", metavar="1-3", type=parse_runs, help="only these runs, e.g. 1-3 or 1,4,6-8")
+
+
+def parse_runs(text: str) -> tuple[int, ...]:
+    """'1-3,5' as run numbers. Raises argparse's error."""
+    if not RUNS.fullmatch(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of runs, expected e.g. 1-3 or 1,4,6-8")
+    runs: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        if last and int(last) < int(first):
+            raise argparse.ArgumentTypeError(f"{part!r} runs backwards")
+        if len(part) > len("10000-20000"):
+            raise argparse.ArgumentTypeError(f"{part!r} is no run of a campaign, expected numbers below 100000")
+        runs.extend(range(int(first), int(last or first) + 1))
+    return tuple(runs)
+
+
+def read_records(paths: Sequence[str], runs: tuple[int, ...] | None = None) -> Records:
+    """The rows of all files, runs of later files numbered on after those of the earlier.
+
+    Raises InputError naming the file; naming the runs when a file lacks one that was asked for.
+    """
+    parts: list[Records] = []
+    last = 0
+    for path in paths:
+        part = read_csv(path)
+        if runs is not None:
+            missing = sorted(set(runs) - set(part.runs))
+            if missing:
+                raise InputError(f"has no run {', '.join(map(str, missing))}; it holds {part.runs}", path=path)
+            part = part.of_runs(runs)
+        if parts:
+            part = part.with_column("run", part.run - float(np.min(part.run)) + last + 1)
+        last = int(np.max(part.run))
+        parts.append(part)
+    return parts[0] if len(parts) == 1 else concatenate(parts)
+
+
+def read_model(path: str, effects: Sequence[Effect] = ALL) -> Model:
+    """A model file. Raises InputError naming it."""
+    try:
+        text = read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", path=path) from error
+    return Model.from_json(text, path, effects)

@@ -1,0 +1,33 @@
+"""Figures of a campaign in a few numbers, for the summaries that calibrate, verify, demo and close-loop print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from hil.app.terminal.output import number, print_table
+
+if TYPE_CHECKING:  # loading it takes longer than calibrating needs to begin
+    from hil.diagnosis import Diagnosis
+
+
+def print_findings(diagnosis: Diagnosis) -> None:
+    """What a diagnosis found, a line each."""
+    for finding in diagnosis.findings:
+        verdict = f"confidence {finding.confidence:.2f}, {finding.action.value}"
+        print(f"found: {finding.effect} ({verdict}). {finding.explanation}")
+    if not diagnosis.findings:
+        print("found: nothing that the data support")
+    if diagnosis.unexplained:
+        carried = "; ".join(map(str, diagnosis.carriers))
+        print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
+
+
+def print_stages(stages: Mapping[str, Mapping[str, Any]]) -> None:
+    """One line per stage of a job, with its figures."""
+    columns = {"rows": "rows", "rms_um": "RMS", "peak_um": "peak", "A_um": "A", "R_um": "R", "B_um": "B", "M_um": "M"}
+    rows = [
+        [name, *(str(figures["rows"]) if key == "rows" else number(figures.get(key)) for key in columns)]
+        for name, figures in stages.items()
+    ]
+    print_table(["error in µm", *columns.values()], rows)

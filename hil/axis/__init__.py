@@ -1,0 +1,1 @@
+"""The axis file: what a procedure may know about an axis, read once, checked, frozen."""

@@ -1,0 +1,139 @@
+"""`hil backlash`: system B, lost motion from the servo's torque."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from drivers.drive import ServoDrive
+from hil.app.terminal.axis_options import add_axis_arguments
+from hil.app.terminal.output import number, print_facts, print_table, write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.axis.backlash import METHODS, BacklashConfig
+from hil.backlash.documents import facts, form, report_html, verdict
+from hil.backlash.job import MeasuredBacklash, backlash_config, measure, put_back
+from hil.backlash.procedure import DIRECTIONS
+from hil.backlash.result import NAMES, fitted_lost_motion, mean_um
+from hil.backlash.settings import TABLE
+from hil.machine.wiring import connected_drive
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil backlash X.toml --dry-run                     what would move, how far, and which parameters
+  hil backlash X.toml --report backlash.html        measure both reversals; the drive's parameters are as before afterwards
+  hil backlash X.toml --runs 5 --write              mean of five, written to the drive's backlash parameter and read back
+  hil backlash X.toml --restore                     put back what an interrupted measurement could not
+
+The [backlash] section of the axis file says where, in which steps, and which parameters (hil/examples/backlash_axis.toml). No position
+sensor is needed: the motor's torque shows when the table breaks away. Every reading is kept in the axis's folder, also of what was
+interrupted. Exit status 1: no break-away within the allowed steps (detection limit exceeded); everything was put back.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "backlash",
+        description="Reverse, step until the table breaks away, and read the lost motion from the motor's torque, both ways.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--runs", type=_count, help="how often both ways (default: the axis file's)")
+    parser.add_argument("--method", choices=METHODS, help="which estimate counts (default: the axis file's)")
+    parser.add_argument(
+        "--write", action="store_true", help="write the mean to the backlash parameter, and read it back"
+    )
+    parser.add_argument(
+        "--restore", action="store_true", help="measure nothing; put back what an earlier run left changed"
+    )
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    parser.set_defaults(run=run)
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and 0 < int(text) <= 100):
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number, 1 to 100")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: measured; 1: detection limit exceeded."""
+    axis = load_drive_axis(args.axis)
+    how = backlash_config(axis, runs=args.runs, method=args.method)
+    if args.dry_run:
+        _print_plan(axis, how, args)
+        return 0
+    with connected_drive(axis) as drive:
+        if args.restore:
+            return _restore(axis, how, drive)
+        with terminal_progress() as listener:
+            measured = measure(axis, how, drive, write=args.write, listener=listener, tell=_say)
+    _print(measured)
+    if args.report:
+        replace_file(args.report, report_html(axis, measured).encode())
+    if args.json:
+        write_json(args.json, form(axis, measured))
+    return 0 if measured.result.lost_motion_um is not None else 1
+
+
+def _say(text: str) -> None:
+    print(f"hil: {' '.join(text.split())}", file=sys.stderr)
+
+
+def _restore(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> int:
+    found = put_back(axis, how, drive)
+    if found is None:
+        print("nothing to put back: the last measurement left everything as it was")
+    else:
+        print("put back: " + ", ".join(f"{name} = {value:g}" for name, value in found.values.items()))
+    return 0
+
+
+def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) -> None:
+    if args.restore:
+        print(f"axis {axis.name} over {axis.drive.backend}: would write back what an earlier measurement noted, if any")
+        return
+    print(
+        f"axis {axis.name} over {axis.drive.backend}: would enable it{', home it' if how.home else ''} and, {how.runs} times:"
+    )
+    for direction in DIRECTIONS:
+        print(
+            f"  {NAMES[direction]}: from {how.start_mm(direction):g} mm to {how.turning_mm(direction):g} mm, turn back, and go in"
+            f" steps of {how.step_um:g} µm, to {how.end_mm(direction):g} mm at most"
+        )
+    if how.parameter is None:
+        print(f"  no parameter of the drive is touched; the amount is kept in {axis.store.directory / TABLE}")
+    else:
+        names = [name for name in (how.parameter, how.acceleration) if name]
+        print(f"  meanwhile {' and '.join(names)} would be 0, and as before afterwards")
+    print(f"  the mean would {'take the place of the amount' if args.write else 'not be written'}")
+
+
+def _print(measured: MeasuredBacklash) -> None:
+    result = measured.result
+    rows = [
+        [
+            f"{one.run}, {NAMES[one.trace.direction]}",
+            number(one.published_um, 1),
+            number(None if one.fitted is None else one.fitted.lost_motion_um),
+            number(None if one.fitted is None else 1.96 * one.fitted.u_um),
+            number(None if one.fitted is None else one.fitted.peak_um, 1),
+        ]
+        for one in result.reversals
+    ]
+    print_table(["run", "four-sample, µm", "fitted, µm", "± U95, µm", "break-away, µm"], rows)
+    found = fitted_lost_motion(result.reversals)
+    by_rule = mean_um(result.reversals, "four-sample")
+    fitted = "–" if found is None else f"{found.mean_um:.2f} ± {found.u95_um:.2f} µm (95 %)"
+    means = {"fitted": fitted, "four-sample": "–" if by_rule is None else f"{by_rule:.1f} µm"}
+    print_facts(
+        {
+            **{f"mean, {name}": text for name, text in means.items()},
+            **facts(measured.settings, result),
+            "readings": str(measured.kept),
+        }
+    )
+    if result.lost_motion_um is None:
+        print(verdict(result))

@@ -1,0 +1,85 @@
+"""What a measurement of lost motion by torque came to: in words, as a report, and as plain values."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from hil.app.jobs.identity import drive_in_words
+from hil.axis.axis_file import DriveAxis
+from hil.backlash.job import MeasuredBacklash
+from hil.backlash.neutral_settings import BacklashSettings
+from hil.backlash.procedure import DIRECTIONS, TorqueBacklash
+from hil.backlash.result import NAMES, fitted_lost_motion, mean_um, reversal_json
+
+
+def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
+    """The parameters before and now."""
+    before = result.found.values
+    lines = {f"{name}, before": f"{value:g}" for name, value in before.items()}
+    lines[f"1 of {settings.amount.name}"] = f"{settings.amount_um:g} µm"
+    if result.written is None:
+        lines["now"] = "as before, nothing was written"
+    else:
+        lines[f"{settings.amount.name}, written and read back"] = f"{result.written:g}"
+    if result.found.from_note:
+        lines["note"] = "an earlier measurement had not put these back; this one has"
+    return lines
+
+
+def verdict(result: TorqueBacklash) -> str:
+    """The sentence for a measurement without a value, empty for one with."""
+    exceeded = result.exceeded
+    if exceeded is None:
+        return ""
+    reach_um = float(exceeded.trace.travel_um[-1])
+    seen = exceeded.published_um
+    hint = (
+        ""
+        if seen is None
+        else f"; the four-sample rule has a peak at {seen:.1f} µm, finer steps may show a wind-up there"
+    )
+    return (
+        f"detection limit exceeded: {NAMES[exceeded.trace.direction]} shows no break-away within {reach_um:.0f} µm"
+        f" ({len(exceeded.trace.position_load_mm) - 1} steps); everything is as it was, nothing was written{hint}"
+    )
+
+
+def report_html(axis: DriveAxis, measured: MeasuredBacklash) -> str:
+    """The report as a page."""
+    from hil.backlash.report import BacklashReport, render_backlash  # noqa: PLC0415  (plots are slow to import)
+
+    how, result = measured.how, measured.result
+    identity = {
+        "Axis": axis.name,
+        "Drive": drive_in_words(axis),
+        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in DIRECTIONS),
+        "Steps": f"{how.step_um:g} µm at {how.velocity_mm_s:g} mm/s, {how.readings} readings after {how.settle_s:g} s at rest",
+    }
+    title = f"Lost motion of axis {axis.name} by torque"
+    parameters = facts(measured.settings, result)
+    return render_backlash(BacklashReport(title, result.reversals, how.method, verdict(result), identity, parameters))
+
+
+def form(axis: DriveAxis, measured: MeasuredBacklash) -> dict[str, Any]:
+    """The machine-readable result."""
+    result, method = measured.result, measured.how.method
+    found = fitted_lost_motion(result.reversals)
+    return {
+        "axis": axis.name,
+        "good": result.lost_motion_um is not None,
+        "detection_limit_exceeded": result.exceeded is not None,
+        "method": method,
+        "lost_motion_um": result.lost_motion_um,
+        "fitted": None if found is None else {"mean_um": found.mean_um, "u95_um": found.u95_um},
+        "four_sample": {"mean_um": mean_um(result.reversals, "four-sample")},
+        "by_direction_um": {NAMES[each]: mean_um(result.reversals, method, each) for each in DIRECTIONS},
+        "reversals": [reversal_json(one) for one in result.reversals],
+        "parameters": {
+            "before": result.found.values,
+            "amount": measured.settings.amount.name,
+            "amount_um": measured.settings.amount_um,
+            "written": result.written,
+        },
+    }

@@ -1,0 +1,246 @@
+"""Lost motion from the servo's torque (system B): measure it, put back what was interrupted, write it, switch its compensation.
+
+Beside the note of an interrupted measurement (`hil.backlash.neutral_settings`) one more file is kept in the axis's folder: what
+stood in the drive before a measured amount was first written, and which amount that was, so that the original can be had back and
+the compensation be switched off and on again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.drive import ServoDrive
+from drivers.errors import InputError, StateError
+from hil.app.jobs.job import Job, Workplace
+from hil.app.jobs.plan import Move, Plan, Write
+from hil.axis.axis_file import DriveAxis
+from hil.axis.backlash import BacklashConfig, default_backlash
+from hil.backlash.neutral_settings import BacklashSettings, Found, restore
+from hil.backlash.procedure import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
+from hil.backlash.result import NAMES
+from hil.backlash.settings import NOTE, TABLE, backlash_settings
+from hil.backlash.trace import ReversalTrace
+from hil.machine.events import Listener, silent
+from hil.records.files import read_text, replace_file
+
+MEASURE, LOOK = "backlash", "backlash look"
+WRITE, RESTORE, SWITCH = "backlash write", "backlash restore", "backlash switch"
+WRITTEN = "backlash-written.json"
+
+
+def backlash_config(axis: DriveAxis, **given: Any) -> BacklashConfig:
+    """What the axis file says of it, or the defaults, with what was given instead. Raises InputError."""
+    how = axis.backlash or default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
+    return replace(how, **{name: value for name, value in given.items() if value is not None})
+
+
+def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
+    """What holds the amount and the switch of the acceleration, by name."""
+    if how.parameter is None:
+        return [str(axis.store.directory / TABLE)]
+    return [name for name in (how.parameter, how.acceleration) if name]
+
+
+# -- measure -------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class MeasuredBacklash:
+    """A measurement, and the file with its readings."""
+
+    how: BacklashConfig
+    settings: BacklashSettings
+    result: TorqueBacklash
+    kept: Path
+
+
+def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Plan:
+    """What a measurement moves and writes."""
+    moves = []
+    for direction in DIRECTIONS:
+        ends = (how.start_mm(direction), how.turning_mm(direction), how.end_mm(direction))
+        moves.append(Move(f"reverse {NAMES[direction]}", min(ends), max(ends), how.travel_velocity_mm_s))
+    places = _parameters(axis, how)
+    writes = [Write("meanwhile", place) for place in places] if how.parameter else []
+    writes += [Write("parameter", places[0])] if write else []
+    return Plan(axis.name, axis.drive.backend, tuple(moves), tuple(writes), how.home, locked=write)
+
+
+def measure(
+    axis: DriveAxis,
+    how: BacklashConfig,
+    drive: ServoDrive,
+    *,
+    write: bool = False,
+    listener: Listener = silent,
+    tell: Callable[[str], None],
+) -> MeasuredBacklash:
+    """Measure on an open drive; every reversal is kept as it comes, also one that was broken off."""
+    settings = backlash_settings(axis, how, drive)
+    check_drive(drive, how)
+    kept = _next_file(axis.store.directory)
+    remember = partial(_remember, axis)
+    result = measure_backlash(
+        drive, how, settings, write=write, remember=remember, keep=_keeper(kept), listener=listener, tell=tell
+    )
+    return MeasuredBacklash(how, settings, result, kept)
+
+
+def measuring_job(axis: DriveAxis, how: BacklashConfig) -> Job:
+    """For the desk: returns a MeasuredBacklash; nothing is written to stay."""
+
+    def work(place: Workplace) -> MeasuredBacklash:
+        return measure(axis, how, place.drive, listener=place.listener, tell=place.tell)
+
+    return Job(MEASURE, measuring_plan(axis, how), work)
+
+
+def _next_file(directory: Path) -> Path:
+    taken = [int(path.stem.rpartition("-")[2]) for path in directory.glob("backlash-[0-9]*.jsonl")]
+    return directory / f"backlash-{max(taken, default=0) + 1:03d}.jsonl"
+
+
+def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
+    """One line of JSON for every reversal, whole or broken off."""
+
+    def keep(run: int, trace: ReversalTrace) -> None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"run": run, **trace.to_json()}) + "\n")
+
+    return keep
+
+
+# -- the parameter ---------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Compensating:
+    """The drive's backlash compensation at present.
+
+    amount: in the parameter's own unit, of which 1 is amount_um; original, written: before and by us, None while we wrote none
+    """
+
+    name: str
+    amount: float
+    amount_um: float
+    original: float | None = None
+    written: float | None = None
+    interrupted: bool = False  # a measurement did not get to put the settings back
+
+    @property
+    def on(self) -> bool:
+        return self.amount != 0.0
+
+
+def compensating(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> Compensating:
+    """Read it from the open drive."""
+    settings = backlash_settings(axis, how, drive)
+    written = _written(axis)
+    original = None if written is None else written["before"].get(settings.amount.name)
+    last = None if written is None else written["amount"]
+    noted = settings.note.exists()
+    return Compensating(settings.amount.name, settings.amount.read(), settings.amount_um, original, last, noted)
+
+
+def look_job(axis: DriveAxis, how: BacklashConfig) -> Job:
+    """For the desk: returns a Compensating; moves and writes nothing."""
+    plan = Plan(axis.name, axis.drive.backend)
+    return Job(LOOK, plan, lambda place: compensating(axis, how, place.drive))
+
+
+def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Job:
+    """For the desk: write a measured mean to the drive's parameter, and read it back; returns a Compensating."""
+
+    def work(place: Workplace) -> Compensating:
+        settings = backlash_settings(axis, how, place.drive)
+        before = {setting.name: setting.read() for setting in settings.settings()}
+        amount = settings.amount_of(lost_motion_um)
+        _remember(axis, before, amount)
+        settings.amount.write(amount)
+        return compensating(axis, how, place.drive)
+
+    return Job(WRITE, _parameter_plan(axis, how), work)
+
+
+def restore_job(axis: DriveAxis, how: BacklashConfig) -> Job:
+    """For the desk: put back what an interrupted measurement left changed, else what stood there before we wrote; a Compensating.
+
+    Which of the two is decided here, as the plan says it: what needs no builder never undoes what a builder wrote.
+    """
+    interrupted = unrestored(axis)
+
+    def work(place: Workplace) -> Compensating:
+        settings = backlash_settings(axis, how, place.drive)
+        if restore(settings) is None:
+            if interrupted:
+                raise StateError("nothing to restore: what an interrupted measurement left changed is put back already")
+            _write_original(axis, settings)
+        return compensating(axis, how, place.drive)
+
+    plan = _parameter_plan(axis, how)
+    return Job(RESTORE, replace(plan, locked=not interrupted), work)
+
+
+def switch_job(axis: DriveAxis, how: BacklashConfig, *, on: bool) -> Job:
+    """For the desk: the compensation off (its amount 0), or on again with the amount it had; returns a Compensating."""
+
+    def work(place: Workplace) -> Compensating:
+        settings = backlash_settings(axis, how, place.drive)
+        present = settings.amount.read()
+        if on and present == 0.0:
+            written = _written(axis)
+            if written is None or not written["amount"]:
+                raise StateError("there is no amount to switch on: measure the lost motion and write it first")
+            settings.amount.write(written["amount"])
+        elif not on and present != 0.0:
+            before = {setting.name: setting.read() for setting in settings.settings()}
+            _remember(axis, before, present)
+            settings.amount.write(0)
+        return compensating(axis, how, place.drive)
+
+    return Job(SWITCH, _parameter_plan(axis, how), work)
+
+
+def unrestored(axis: DriveAxis) -> bool:
+    """Whether an interrupted measurement left the drive's settings changed."""
+    return (axis.store.directory / NOTE).exists()
+
+
+def put_back(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> Found | None:
+    """What an interrupted measurement left changed is put back; None where nothing was. Raises NotRestoredError."""
+    return restore(backlash_settings(axis, how, drive))
+
+
+def _parameter_plan(axis: DriveAxis, how: BacklashConfig) -> Plan:
+    return Plan(axis.name, axis.drive.backend, writes=(Write("parameter", _parameters(axis, how)[0]),), locked=True)
+
+
+def _write_original(axis: DriveAxis, settings: BacklashSettings) -> None:
+    written = _written(axis)
+    if written is None:
+        raise StateError("nothing to restore: no amount was written since the drive was as it is")
+    for setting in settings.settings():
+        if setting.name in written["before"]:
+            setting.write(written["before"][setting.name])
+    (axis.store.directory / WRITTEN).unlink()
+
+
+def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:
+    """Keep what stood there before the first amount of ours, and the last amount of ours. To be called before that is written: a
+    power cut in between must not cost the original."""
+    earlier = _written(axis)
+    kept = before if earlier is None else earlier["before"]
+    form = {"before": kept, "amount": amount}
+    replace_file(axis.store.directory / WRITTEN, (json.dumps(form, indent=2) + "\n").encode())
+
+
+def _written(axis: DriveAxis) -> dict[str, Any] | None:
+    path = axis.store.directory / WRITTEN
+    if not path.exists():
+        return None
+    try:
+        form = json.loads(read_text(path))
+        return {"before": {str(k): float(v) for k, v in form["before"].items()}, "amount": float(form["amount"])}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("does not hold what was written to the drive, and what was there before", path=path) from error

@@ -1,0 +1,224 @@
+"""Lost motion from the servo's torque, with no position sensor (system B, CN103561904).
+
+note the drive's backlash parameter and its acceleration switch, both to 0
+each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer ways; the same from −
+both estimates of every reversal, the mean of both directions
+the parameters as they were, on every way out; the new amount only where it was asked for
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drivers.drive import Capability, ServoDrive
+from drivers.errors import CapabilityError, LimitError, ProtocolError
+from hil.axis.backlash import SLIDE_MM, SLIDES, BacklashConfig
+from hil.backlash.fitted import fit_wind_up
+from hil.backlash.neutral_settings import BacklashSettings, Found, Tell, neutral
+from hil.backlash.result import NAMES, Reversal, mean_um
+from hil.backlash.trace import ReversalTrace
+from hil.machine.events import Event, Listener, Measured, Point, silent
+from hil.machine.one_correction import refuse_while_drive_corrects
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
+
+DIRECTIONS = (-1, 1)
+"""Of the motion after the reversal: first + → −, then − → +."""
+READING_S = 0.002
+"""Between two torque readings of one place."""
+STEP_SLICE_S = 0.005
+"""How often the drive is looked at in a single step."""
+_FIT_EVERY = 8  # steps
+_SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to go on beyond the break-away
+
+Keep = Callable[[int, ReversalTrace], None]
+"""keep(run, trace): hears every reversal, also one that was broken off."""
+Remember = Callable[[dict[str, float], float], None]
+"""remember(before, amount): hears the parameters as they were, and the amount that is about to be written."""
+
+
+@dataclass(frozen=True)
+class TorqueBacklash:
+    """What came of it. found: the parameters before; written: the amount written; `reversals` in the order of time."""
+
+    reversals: tuple[Reversal, ...]
+    method: str
+    found: Found
+    written: float | None = None
+
+    @property
+    def lost_motion_um(self) -> float | None:
+        """Mean of both directions by the method asked for; None where the detection limit was exceeded."""
+        return mean_um(self.reversals, self.method)
+
+    @property
+    def exceeded(self) -> Reversal | None:
+        """The reversal that found no peak within the allowed steps."""
+        return next((one for one in self.reversals if one.lost_motion_um(self.method) is None), None)
+
+
+def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
+    """What the drive cannot do, said before anything is written or moved. Raises CapabilityError, LimitError, and StateError while the
+    drive's own correction table is in force: at a reversal it would turn the motor further than the drive shows."""
+    refuse_while_drive_corrects(drive, "what its table adds at a reversal would be missing from the lost motion")
+    drive.require(Capability.PROFILE_POSITION, Capability.TORQUE_ACTUAL)
+    sample = drive.sample()
+    if how.home and not sample.homed:
+        drive.require(Capability.HOMING)
+    if sample.torque_percent is None:
+        raise CapabilityError(f"drive {drive.name} does not tell its torque, and backlash is measured by torque")
+    check_reach(drive, *(place(each) for each in DIRECTIONS for place in (how.start_mm, how.turning_mm, how.end_mm)))
+
+
+def check_reach(drive: ServoDrive, *positions_load_mm: float) -> None:
+    """Raise LimitError for the first position outside the travel, before anything moves."""
+    for position in positions_load_mm:
+        try:
+            drive.limits.check_target(position)
+        except LimitError as error:
+            raise LimitError(f"nothing was moved: {error}") from error
+
+
+def measure_backlash(
+    drive: ServoDrive,
+    how: BacklashConfig,
+    settings: BacklashSettings,
+    *,
+    write: bool = False,
+    remember: Remember = lambda _before, _amount: None,
+    keep: Keep = lambda _run, _trace: None,
+    listener: Listener = silent,
+    tell: Tell = lambda _text: None,
+) -> TorqueBacklash:
+    """Measure on an open drive. tell: hears what could not be put back, while another error is under way.
+
+    Everything is put back before this returns or raises; with `write` the mean then takes the parameter's place, and is read back.
+    """
+    check_drive(drive, how)
+    reversals: list[Reversal] = []
+    with neutral(settings, tell) as found, Supervisor([WatchedAxis(drive)]) as supervisor:
+        supervisor.get_ready(home=how.home)
+        measurement = _Measurement(supervisor, how, keep, listener)
+        for run in range(1, how.runs + 1):
+            for direction in DIRECTIONS:
+                reversals.append(Reversal.of(run, measurement.reversal(run, direction)))
+                listener(measurement.result(reversals[-1]))
+                if reversals[-1].lost_motion_um(how.method) is None:
+                    return TorqueBacklash(tuple(reversals), how.method, found)
+    result = TorqueBacklash(tuple(reversals), how.method, found)
+    if not write or result.lost_motion_um is None:
+        return result
+    amount = settings.amount_of(result.lost_motion_um)
+    remember(found.values, amount)
+    _write(settings, amount)
+    return replace(result, written=amount)
+
+
+def _write(settings: BacklashSettings, amount: float) -> None:
+    settings.amount.write(amount)
+    kept = settings.amount.read()
+    if abs(kept - amount) > 0.5 * settings.amount.resolution:
+        raise ProtocolError(f"{settings.amount.name} was written {amount:g}, it reads back {kept:g}")
+
+
+@dataclass
+class _Recording:
+    """The rows of one reversal as they come."""
+
+    direction: int
+    weight_percent: float = 0.0
+    position_load_mm: list[float] = field(default_factory=list)
+    torque_percent: list[list[float]] = field(default_factory=list)
+    slides_percent: list[list[float]] = field(default_factory=list)
+
+    def trace(self) -> ReversalTrace:
+        torques = np.array(self.torque_percent)
+        slides = np.array(self.slides_percent).reshape(-1, torques.shape[1])
+        return ReversalTrace(self.direction, np.array(self.position_load_mm), torques, slides, self.weight_percent)
+
+
+@dataclass(frozen=True)
+class _Measurement:
+    """Whom it concerns and who listens."""
+
+    supervisor: Supervisor
+    how: BacklashConfig
+    keep: Keep
+    listener: Listener
+
+    def reversal(self, run: int, direction: int) -> ReversalTrace:
+        """One reversal: run in, turn back, and step until the table slides or the steps are used up.
+
+        The run-in goes to and fro: half of the torque that it leaves behind each way is the weight of a vertical axis.
+        """
+        how, turning, step_mm = self.how, self.how.turning_mm(direction), self.how.step_um / 1000.0
+        stage = self._stage(run, direction)
+        self.listener(Event(stage, "to the reference", 0, how.steps))
+        self.supervisor.move(turning, how.travel_velocity_mm_s)
+        left_behind = [self._step(place)[1] for place in (how.start_mm(direction), turning)]
+        recording = _Recording(direction, float(np.mean(left_behind)))
+        try:
+            for index in range(how.steps + 1):
+                position, torques = self._step(turning + direction * index * step_mm)
+                recording.position_load_mm.append(position)
+                recording.torque_percent.append(torques)
+                travelled_um = abs(position - recording.position_load_mm[0]) * 1000.0
+                said = f"{travelled_um:.1f} µm, {torques[0]:+.1f} %"
+                point = Point(_series(run, direction), travelled_um, float(np.mean(torques)))
+                self.listener(Event(stage, said, index, how.steps, point))
+                if index % _FIT_EVERY == 0 and _enough(recording.trace(), how.step_um):
+                    self._slide(recording)
+                    break
+        finally:
+            if recording.position_load_mm:
+                self.keep(run, recording.trace())
+        return recording.trace()
+
+    def _stage(self, run: int, direction: int) -> str:
+        return f"run {run} of {self.how.runs}, {NAMES[direction]}"
+
+    def result(self, one: Reversal) -> Event:
+        """What a reversal came to."""
+        direction = one.trace.direction
+        found = Measured(_series(one.run, direction), one.lost_motion_um(self.how.method), "µm")
+        return Event(self._stage(one.run, direction), "done", self.how.steps, self.how.steps, found)
+
+    def _slide(self, recording: _Recording) -> None:
+        """Longer ways in the new direction, at the measuring speed; what each leaves behind at rest."""
+        broken_away_mm = recording.position_load_mm[-1]
+        for index in range(1, SLIDES + 1):
+            place = broken_away_mm + recording.direction * index * SLIDE_MM
+            recording.slides_percent.append(self._step(place)[1])
+
+    def _step(self, position_load_mm: float) -> tuple[float, list[float]]:
+        """Go to one place and rest; where the motor is, and the torque readings."""
+        supervisor, axis = self.supervisor, self.supervisor.axes[0]
+        supervisor.move(position_load_mm, self.how.velocity_mm_s, slice_s=STEP_SLICE_S)
+        supervisor.watch(self.how.settle_s)
+        torques: list[float] = []
+        while True:
+            with supervisor.stopping_on_error():
+                sample = axis.look_enabled("reading the torque")
+            if sample.torque_percent is None:
+                raise CapabilityError(f"drive {axis.drive.name} no longer tells its torque")
+            torques.append(sample.torque_percent)
+            if len(torques) == self.how.readings:
+                return sample.position_load_mm, torques
+            supervisor.clock.sleep_s(READING_S)
+
+
+def _series(run: int, direction: int) -> str:
+    """How a reversal's points and figures are called."""
+    return f"{run}, {NAMES[direction]}"
+
+
+def _enough(trace: ReversalTrace, step_um: float) -> bool:
+    """Whether the table has been sliding long enough for its level to be known."""
+    fit = fit_wind_up(trace)
+    if fit is None:
+        return False
+    beyond_um = float(trace.travel_um[-1]) - fit.lost_motion_um
+    return beyond_um >= max(_SLIDING_STEPS * step_um, _SLIDING_SHARE * fit.lost_motion_um)

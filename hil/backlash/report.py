@@ -1,0 +1,161 @@
+"""The report of lost motion by torque: torque over travel of both reversals with what was read from it, every run, and the mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hil.app.report import markup
+from hil.app.report.page import header, page, tile
+from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
+from hil.backlash.result import NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
+
+
+@dataclass(frozen=True)
+class BacklashReport:
+    """What one measurement found. method: the estimate that counts; verdict: a sentence, empty when there is nothing to say."""
+
+    title: str
+    reversals: Sequence[Reversal]
+    method: str
+    verdict: str = ""
+    identity: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, str] = field(default_factory=dict)
+
+
+def render_backlash(report: BacklashReport) -> str:
+    """The whole page. Same data, same text."""
+    parts = [
+        header(report.title, report.identity.get("Measured", "")),
+        _tiles(report),
+        f'<p class="callout">{markup.text(report.verdict)}</p>' if report.verdict else "",
+        "<h2>Identity</h2>" + markup.definitions(dict(report.identity)) if report.identity else "",
+        *(_run(report, run) for run in sorted({one.run for one in report.reversals})),
+        _table(report.reversals),
+        "<h2>Parameters of the drive</h2>" + markup.definitions(dict(report.parameters)) if report.parameters else "",
+        _footer(),
+    ]
+    return page(report.title, parts)
+
+
+def torque_image(reversals: Sequence[Reversal], kind: str = "png") -> bytes:
+    """The drawing of one run as a file of its own, "png" or "svg"."""
+    return file_bytes(torque_plot(reversals, LIGHT), kind)
+
+
+def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
+    """Torque less the weight over the motor's travel since the reversal, a panel for each, in the sense of the new direction."""
+    with mpl.rc_context(RC):
+        figure = new_figure(9.6, 4.0, top_in=0.75)
+        panels = figure.subplots(1, max(1, len(reversals)), sharey=True, squeeze=False)[0]
+        for ax, one in zip(panels, reversals, strict=False):
+            _panel(ax, one, theme)
+            label_axes(
+                ax, theme, "Motor travel since the reversal, µm", "Torque, % of rated" if ax is panels[0] else ""
+            )
+        unique: dict[str, Artist] = {}
+        for ax in panels:
+            for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
+                unique.setdefault(name, handle)
+        figure.legend(list(unique.values()), list(unique), loc="upper left", ncols=3, labelcolor=theme.ink)
+        return figure
+
+
+def _panel(ax: Axes, one: Reversal, theme: Theme) -> None:
+    travel, color = one.trace.travel_um, theme.up if one.trace.direction > 0 else theme.down
+    single = one.trace.direction * (one.trace.torque_percent[:, 0] - one.trace.weight_percent)
+    ax.axhline(0, color=theme.muted, lw=1)
+    ax.plot(travel, single, "o", color=theme.muted, ms=2.2, mew=0, label="first reading of each step")
+    ax.plot(
+        travel, one.trace.rising_percent, color=color, lw=1.4, label=f"mean of the readings, {NAMES[1]} / {NAMES[-1]}"
+    )
+    if one.published_um is not None:
+        ax.axvline(
+            one.published_um, color=theme.muted, lw=1.2, linestyle=(0, (4, 2)), label="peak by the four-sample rule"
+        )
+    fit = one.fitted
+    if fit is not None:
+        along = np.linspace(fit.flank_um[0], fit.lost_motion_um, 60)
+        ax.plot(along, fit.flank_percent(along), color=theme.accent, lw=2, label="fitted flank and sliding level")
+        ax.plot([fit.lost_motion_um, travel[-1]], [fit.level_percent] * 2, color=theme.accent, lw=2)
+        reach = 1.96 * fit.u_um
+        at = fit.lost_motion_um
+        ax.axvspan(at - reach, at + reach, color=theme.accent, alpha=0.15, lw=0)
+        ax.plot([at], [fit.level_percent], "D", color=theme.accent, ms=6, label="lost motion ± U95")
+        ax.plot(
+            [fit.peak_um], [fit.peak_percent], "^", mfc="none", mec=theme.ink, ms=8, label="peak: the table breaks away"
+        )
+    ax.set_title(f"{NAMES[one.trace.direction]}", color=theme.ink)
+    ax.set_title(_found(one), loc="right", color=theme.muted, fontweight="normal")
+
+
+def _found(one: Reversal) -> str:
+    return "no wind-up that ends in sliding" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
+
+
+def _tiles(report: BacklashReport) -> str:
+    found: LostMotion | None = fitted_lost_motion(report.reversals)
+    rule = mean_um(report.reversals, "four-sample")
+    counts = {"fitted": "", "four-sample": ""} | {report.method: "this one counts"}
+    tiles = [
+        tile("Lost motion, fitted", markup.number(None if found is None else found.mean_um, 1), "µm", counts["fitted"]),
+        tile("± with 95 % confidence", markup.number(None if found is None else found.u95_um, 1), "µm"),
+        tile("By the four-sample rule", markup.number(rule, 1), "µm", counts["four-sample"]),
+    ]
+    for direction, name in NAMES.items():
+        tiles.append(tile(name, markup.number(mean_um(report.reversals, report.method, direction), 1), "µm"))
+    return '<div class="tiles">' + "".join(tiles) + "</div>"
+
+
+def _run(report: BacklashReport, run: int) -> str:
+    mine = [one for one in report.reversals if one.run == run]
+    svg = inline_svg(torque_plot(mine, PAGE), f"run{run}", f"Torque over travel through both reversals, run {run}")
+    caption = (
+        "Torque over the motor's travel since the reversal, with the sign of the new direction. The old wind-up is released,"
+        " torque passes zero, the new wind-up builds until the table breaks away, and then it slides."
+    )
+    tables = [_data(one) for one in mine]
+    return f"<h2>Run {run}</h2>" + markup.figure(svg, caption) + "".join(tables)
+
+
+def _data(one: Reversal) -> str:
+    trace = one.trace
+    columns = {"position_load_mm": trace.position_load_mm, "travel_um": trace.travel_um}
+    columns |= {
+        f"torque_{index + 1}_percent": trace.torque_percent[:, index] for index in range(trace.torque_percent.shape[1])
+    }
+    which = "plus-minus" if trace.direction < 0 else "minus-plus"
+    return markup.data_table(f"data-run-{one.run}-{which}", f"{NAMES[trace.direction]}, every reading", columns)
+
+
+def _table(reversals: Sequence[Reversal]) -> str:
+    rows = []
+    for one in reversals:
+        fit = one.fitted
+        rows.append(
+            [
+                f"{one.run}, {NAMES[one.trace.direction]}",
+                markup.number(one.published_um, 1),
+                markup.number(None if fit is None else fit.lost_motion_um),
+                markup.number(None if fit is None else 1.96 * fit.u_um),
+                markup.number(None if fit is None else fit.peak_um, 1),
+                markup.number(None if fit is None else fit.peak_percent),
+                markup.number(None if fit is None else fit.level_percent),
+            ]
+        )
+    head = ["run", "four-sample, µm", "fitted, µm", "± U95, µm", "break-away, µm", "its torque, %", "sliding, %"]
+    return "<h2>Every reversal</h2>" + markup.table(head, rows, css="numbers")
+
+
+def _footer() -> str:
+    return (
+        "<footer>Four-sample: the first step n−1 with |T(n−2)| ≥ |T(n−3)|, |T(n−1)| ≥ |T(n−2)| and |T(n)| &lt; |T(n−1)|, one reading a"
+        " step (CN103561904). Fitted: where the rising flank meets the level of sliding. What the guideway gives before it slides"
+        " cannot be told from wind-up by torque; the uncertainty has a share for it. The data are inside this file as JSON.</footer>"
+    )

@@ -1,0 +1,103 @@
+"""What a measurement of lost motion by torque comes to: both estimates of every reversal, their means, and the uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from hil.backlash.fitted import HIDDEN_SHARE, FittedWindUp, fit_wind_up
+from hil.backlash.four_sample import four_sample
+from hil.backlash.trace import ReversalTrace
+
+_NORMAL = float(ndtri(0.975))
+
+NAMES = {-1: "+ → −", 1: "− → +"}
+"""Names of the two reversals, by the direction after them."""
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """One measured reversal with both estimates; None: no peak, or no wind-up that ends in sliding."""
+
+    run: int
+    trace: ReversalTrace
+    published_um: float | None
+    fitted: FittedWindUp | None
+
+    @classmethod
+    def of(cls, run: int, trace: ReversalTrace) -> Reversal:
+        """Both estimates of a trace."""
+        return cls(run, trace, four_sample(trace), fit_wind_up(trace))
+
+    def lost_motion_um(self, method: str) -> float | None:
+        """By "fitted" or "four-sample"."""
+        if method == "four-sample":
+            return self.published_um
+        return None if self.fitted is None else self.fitted.lost_motion_um
+
+
+@dataclass(frozen=True)
+class LostMotion:
+    """A mean over reversals and its uncertainty: mean ± u95 with 95 % confidence."""
+
+    mean_um: float
+    u95_um: float
+
+
+def mean_um(reversals: Sequence[Reversal], method: str, direction: int | None = None) -> float | None:
+    """Mean of one direction, or the mean of both directions' means. None where a reversal has no value, or there is none."""
+    if direction is None:
+        both = [mean_um(reversals, method, each) for each in NAMES]
+        known = [value for value in both if value is not None]
+        return sum(known) / 2.0 if len(known) == 2 else None
+    values = [one.lost_motion_um(method) for one in reversals if one.trace.direction == direction]
+    found = [value for value in values if value is not None]
+    return sum(found) / len(found) if values and len(found) == len(values) else None
+
+
+def fitted_lost_motion(reversals: Sequence[Reversal]) -> LostMotion | None:
+    """Mean of both directions by the fitted curve, with its uncertainty at 95 %; None where a fit is missing.
+
+    Chance is what the fits say of it, or what runs of one direction scatter by where that is more; the share that torque cannot show
+    does not average out.
+    """
+    mean = mean_um(reversals, "fitted")
+    if mean is None:
+        return None
+    variance = sum(_chance_variance(reversals, direction) for direction in NAMES) / 4.0
+    u_um = math.hypot(math.sqrt(variance), HIDDEN_SHARE * mean)
+    return LostMotion(mean, _NORMAL * u_um)
+
+
+def _chance_variance(reversals: Sequence[Reversal], direction: int) -> float:
+    """Variance of one direction's mean."""
+    fits = [one.fitted for one in reversals if one.trace.direction == direction and one.fitted is not None]
+    stated = sum(fit.chance_um**2 for fit in fits) / len(fits) ** 2
+    if len(fits) < 2:
+        return stated
+    values = np.array([fit.lost_motion_um for fit in fits])
+    student = float(stdtrit(len(fits) - 1, 0.975) / _NORMAL)
+    seen = student**2 * float(values.var(ddof=1)) / len(fits)
+    return max(stated, seen)
+
+
+def reversal_json(one: Reversal) -> dict[str, Any]:
+    """Plain values of one reversal, without its trace."""
+    fit = one.fitted
+    return {
+        "run": one.run,
+        "reversal": NAMES[one.trace.direction],
+        "direction": one.trace.direction,
+        "steps": len(one.trace.position_load_mm) - 1,
+        "four_sample_um": one.published_um,
+        "fitted_um": None if fit is None else fit.lost_motion_um,
+        "fitted_u95_um": None if fit is None else _NORMAL * fit.u_um,
+        "break_away_um": None if fit is None else fit.peak_um,
+        "break_away_percent": None if fit is None else fit.peak_percent,
+        "sliding_percent": None if fit is None else fit.level_percent,
+    }

@@ -1,0 +1,57 @@
+"""What the screen of system B shows, made of the desk's last jobs; no drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Phase, Progress
+from hil.backlash import job as backlash
+from hil.backlash.documents import verdict
+from hil.backlash.job import Compensating, MeasuredBacklash
+from hil.backlash.result import NAMES
+
+
+@dataclass(frozen=True)
+class BacklashScreen:
+    """measurement: the last one; parameter: the drive's compensation as last seen, None before anybody looked.
+
+    by_direction_um: mean of the runs so far, by the direction after the reversal; mean_um: what would be written, only of a whole
+    measurement; warning: in English, "" for none
+    """
+
+    measurement: Progress | None
+    parameter: Compensating | None
+    by_direction_um: dict[int, float | None]
+    mean_um: float | None
+    warning: str
+
+
+def backlash_screen(desk: Desk) -> BacklashScreen:
+    """As the desk stands."""
+    measurement = desk.last(backlash.MEASURE)
+    result = None if measurement is None else measurement.result
+    mean_um = warning = None
+    if isinstance(result, MeasuredBacklash):
+        mean_um, warning = result.result.lost_motion_um, verdict(result.result)
+    if backlash.unrestored(desk.axis) and not (measurement is not None and measurement.running):
+        warning = "an interrupted measurement left the drive's backlash settings changed: restore them"
+    by_direction = {direction: _mean(measurement, direction) for direction in NAMES}
+    return BacklashScreen(measurement, _parameter(desk), by_direction, mean_um, warning or "")
+
+
+def _mean(measurement: Progress | None, direction: int) -> float | None:
+    """Over the runs of a direction that are done; None where one had no value."""
+    if measurement is None:
+        return None
+    values = [one.value for one in measurement.figures if one.name.endswith(NAMES[direction])]
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known and len(known) == len(values) else None
+
+
+def _parameter(desk: Desk) -> Compensating | None:
+    """By the last job that read it."""
+    jobs = [desk.last(kind) for kind in (backlash.LOOK, backlash.WRITE, backlash.RESTORE, backlash.SWITCH)]
+    done = [job for job in jobs if job is not None and job.phase is Phase.DONE]
+    latest = max(done, key=lambda job: job.number, default=None)
+    return latest.result if latest is not None and isinstance(latest.result, Compensating) else None

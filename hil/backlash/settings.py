@@ -1,0 +1,126 @@
+"""Where an axis keeps its backlash amount and its acceleration switch: in objects of a CANopen drive, in named parameters of any other
+drive, or, where the drive has none, in a file of our own beside the axis's campaigns."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.canopen.drive import CanOpenDrive
+from drivers.canopen.parameters import MOTION_TARGETS, NOT_PARAMETERS
+from drivers.drive import ServoDrive
+from drivers.errors import CapabilityError, InputError, ProtocolError, StateError
+from drivers.modbus.parameters import ModbusParameters
+from drivers.modbus.register_map import Memory
+from drivers.parameters import DriveParameters
+from hil.axis.axis_file import DriveAxis
+from hil.axis.backlash import BacklashConfig, object_key
+from hil.backlash.neutral_settings import BacklashSettings, Setting
+from hil.records.files import read_text, replace_file
+
+NOTE, TABLE = "backlash-before.json", "backlash.json"
+_TABLE_RESOLUTION_UM = 0.1
+_WRITES = 3  # of one measurement at most: 0, back, and the new amount; what could be zeroed must be put back too
+
+
+@dataclass(frozen=True)
+class ObjectSetting:
+    """An object of a CANopen drive, whole numbers >= 0; its length is what the drive answers with."""
+
+    drive: CanOpenDrive
+    name: str
+    key: tuple[int, int]
+    resolution: float = 1.0
+
+    def read(self) -> float:
+        return int.from_bytes(self.drive.sdo.read_bytes(*self.key), "little")
+
+    def write(self, value: float) -> None:
+        """Raises InputError for what does not fit the object, AbortError where the drive refuses, ProtocolError for another value."""
+        size = len(self.drive.sdo.read_bytes(*self.key))
+        whole = round(value)
+        if not 0 <= whole < 1 << (8 * size):
+            raise InputError(f"{self.name} is to be {whole}, expected what {size} bytes hold")
+        self.drive.sdo.write_bytes(*self.key, whole.to_bytes(size, "little"))
+        kept = self.read()
+        if kept != whole:
+            raise ProtocolError(f"drive {self.drive.name}: {self.name} was written {whole}, it reads back {kept:g}")
+
+
+@dataclass(frozen=True)
+class NamedSetting:
+    """A parameter of any drive by its name, in its own unit."""
+
+    parameters: DriveParameters
+    name: str
+    resolution: float
+
+    def read(self) -> float:
+        value = self.parameters.read(self.name)
+        if not isinstance(value, int | float):
+            raise InputError(f"parameter {self.name} is {value!r}, expected a number")
+        return value
+
+    def write(self, value: float) -> None:
+        """Raises what writing a parameter raises; it is read back there."""
+        whole = self.resolution == 1.0
+        self.parameters.write(self.name, round(value) if whole else value)
+
+
+@dataclass(frozen=True)
+class TableSetting:
+    """Our own file, for a drive without such a parameter: what a compensation that runs here adds at a reversal, µm."""
+
+    path: Path
+    name: str = "the bridge's own table"
+    resolution: float = _TABLE_RESOLUTION_UM
+
+    def read(self) -> float:
+        if not self.path.exists():
+            return 0.0
+        try:
+            value = json.loads(read_text(self.path))["backlash_um"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError('is no table of a backlash, expected {"backlash_um": …}', path=self.path) from error
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"backlash_um is {value!r}, expected a number", path=self.path)
+        return float(value)
+
+    def write(self, value: float) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(self.path, (json.dumps({"backlash_um": round(value, 6)}) + "\n").encode())
+
+
+def backlash_settings(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> BacklashSettings:
+    """The settings that an axis file names, on its open drive. Nothing is written; raises what finding them raises."""
+    directory = axis.store.directory
+    directory.mkdir(parents=True, exist_ok=True)
+    if how.parameter is None:
+        if how.acceleration is not None:
+            raise InputError("[backlash] names acceleration without parameter, expected both or none", path=axis.path)
+        return BacklashSettings(TableSetting(directory / TABLE), 1.0, None, directory / NOTE)
+    amount = _of_drive(drive, how.parameter)
+    acceleration = None if how.acceleration is None else _of_drive(drive, how.acceleration)
+    return BacklashSettings(amount, how.parameter_um, acceleration, directory / NOTE)
+
+
+def _of_drive(drive: ServoDrive, name: str) -> Setting:
+    key = object_key(name)
+    if isinstance(drive, CanOpenDrive) and key is not None:
+        if key[0] in MOTION_TARGETS or key[0] in NOT_PARAMETERS or key[0] < 0x2000:
+            raise CapabilityError(f"drive {drive.name}: {name} is no parameter of backlash; nothing was written")
+        return ObjectSetting(drive, name, key)
+    parameters = drive.parameters
+    if not parameters.describe(name).writable:
+        raise CapabilityError(f"drive {drive.name}: {name} cannot be written")
+    if not isinstance(parameters, ModbusParameters):
+        return NamedSetting(parameters, name, 1.0)
+    register = parameters.register(name)
+    left = register.wear_budget - parameters.wear.writes(drive.name, name)
+    if register.memory is Memory.EEPROM and left < _WRITES:
+        raise StateError(
+            f"drive {drive.name}: {name} is kept in EEPROM and its budget has {max(0, left)} writes left, a measurement takes"
+            f" {_WRITES}; raise wear_budget in the register map if this is meant"
+        )
+    return NamedSetting(parameters, name, abs(register.scale) or 1.0)

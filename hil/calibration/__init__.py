@@ -1,0 +1,1 @@
+"""Calibration (system A): measure passes, compute tables, prove them, revise; verify; explore."""

@@ -1,0 +1,1 @@
+"""The verbs of a calibration: `hil calibrate` and `hil verify`."""

@@ -1,0 +1,85 @@
+"""`hil verify`: measure with the correction in force at other targets than those it was made at."""
+
+from __future__ import annotations
+
+import argparse
+
+from drivers.errors import InputError
+from hil.app.jobs.figures import error_figures
+from hil.app.terminal.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    load_stored,
+    open_store,
+    print_plan,
+    seed,
+    tell_zero,
+)
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.app.terminal.recording_options import add_recording_options, machine_of, recording_name
+from hil.app.terminal.summary import print_stages
+from hil.axis.axis_file import load_axis
+from hil.calibration.job import run_verification, verification_plan
+from hil.figures.command import print_figures
+from hil.figures.iso230 import iso230
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil verify X.toml
+  hil verify X.toml --report verified.html --seed 3
+  hil verify X.toml --record machine.csv          drive and instrument, recorded together
+  hil verify X.toml --replay machine.csv          the same again from the recording: nothing is connected
+
+Exit status 1: sections lie outside the band of the axis file; they are named.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "verify",
+        description="Prove a calibration: measure with the stored correction in force, at targets between its own.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser)
+    add_recording_options(parser)
+    add_password_options(parser, key=False)
+    add_effects_option(parser)
+    parser.set_defaults(run=run, resumes="verify")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: verified; 1: sections outside the band."""
+    axis = load_axis(args.axis)
+    if args.dry_run:
+        print_plan(verification_plan(axis, args.seed))
+        return 0
+    compensation = load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
+    with machine_of(args, axis) as machine, terminal_progress() as listener:
+        tell_zero(args, machine)
+        how = {"seed": args.seed, "resume": args.resume, "recording": recording_name(args)}
+        result = run_verification(machine, compensation, listener, **how)
+    figures = error_figures(result.records)
+    try:
+        print_figures(iso230(result.records))
+    except InputError as error:  # an axis of two sections has one target between them
+        print(f"no figures of ISO 230-2: {error.what}")
+    print_stages({"verified": figures})
+    for section in result.outside:
+        print(f"outside the band: {section}")
+    if args.report:
+        from hil.app.report.documents import verification_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, verification_report(axis, compensation.tables, result).encode())
+    if args.json:
+        outside = [vars(section) for section in result.outside]
+        write_json(args.json, {"axis": axis.name, **figures, "good": result.good, "outside": outside})
+    return 0 if result.good else 1

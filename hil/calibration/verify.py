@@ -1,0 +1,43 @@
+"""Verification: measure with the correction in force at other targets than those it was made at, and judge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.correction.tables import Band, Outside, section_means, sections_outside
+from hil.machine.events import Listener, silent
+from hil.machine.measure import bidirectional_steps, measure, other_targets
+from hil.machine.session import AxisSession
+from hil.records.journal import Campaign
+from hil.records.rows import Records
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What a verification found; `outside` is empty without a band."""
+
+    records: Records
+    outside: tuple[Outside, ...]
+
+    @property
+    def good(self) -> bool:
+        return not self.outside
+
+
+def verify(
+    session: AxisSession,
+    campaign: Campaign,
+    name: str = "verify",
+    band: Band | None = None,
+    listener: Listener = silent,
+    *,
+    seed: int = 1,
+) -> Verification:
+    """Measure on a prepared session with whatever compensation it has in force.
+
+    seed: chooses the other targets; a different one, different targets.
+    """
+    steps = bidirectional_steps(other_targets(session.how, seed), session.how.runs)
+    records = measure(session, campaign, name, steps, listener)
+    outside = () if band is None else tuple(sections_outside(section_means(records), band))
+    return Verification(records, outside)

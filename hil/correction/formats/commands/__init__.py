@@ -1,0 +1,1 @@
+"""The verbs of controllers' files: `hil export` and `hil import`."""

@@ -1,0 +1,145 @@
+"""`hil export`: the tables in force as a file of a CNC controller."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.app.terminal.axis_options import add_password_options, open_store, positive
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.axis.axis_file import load_axis
+from hil.correction.bound import MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM, CorrectionBound
+from hil.correction.compensation import Compensation
+from hil.correction.formats import CONTROLLERS
+from hil.correction.formats.commands.options import (
+    CONTROLLER_OPTIONS,
+    add_options,
+    as_typed,
+    controller_names,
+    settings_from,
+)
+from hil.correction.formats.common import Export, tables_only
+from hil.correction.manual import read_manual_tables
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
+from hil.effects.model import FORMAT as MODEL_FORMAT
+from hil.effects.model import Model
+from hil.records.files import naming, read_bytes, replace_file
+
+EXAMPLE = """\
+example:
+  hil export X.toml --format linuxcnc --out x.comp
+  hil export X.toml --format sinumerik --axis X1 --reference-mm 0 --allow-shift --out CEC_X.INI
+  hil export typed.csv --format fanuc --axis 1 --step-mm 50 --magnification 2 --out X.NC
+  hil export tables.json --format twincat --axis 2 --name Y --out achskw2.lis
+
+SOURCE is an axis file (its sealed store is read), a table file of manual mode (.csv), or tables or a model as JSON. The file is read
+back before it is handed out; what a controller must be set to besides is printed.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "export",
+        description="Write the correction tables of an axis in the format of a CNC controller.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("source", metavar="SOURCE", help="AXIS.toml, TABLE.csv, or tables or a model as JSON")
+    parser.add_argument("--format", required=True, choices=controller_names(), help="the controller")
+    parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
+    parser.add_argument(
+        "--tables-only",
+        action="store_true",
+        help="leave out fitted effects that no table holds: of load, time, velocity …",
+    )
+    parser.add_argument(
+        "--bound",
+        nargs=2,
+        type=positive,
+        default=(MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM),
+        metavar=("UM", "UM_PER_MM"),
+        help=f"of a source without axis file: a larger or steeper correction is refused"
+        f" (default {MAX_CORRECTION_UM:g} {MAX_SLOPE_UM_PER_MM:g}; an axis file states its own)",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what would be written, and write nothing")
+    add_options(parser, "options of the formats", CONTROLLER_OPTIONS)
+    add_password_options(parser, key=False)
+    add_effects_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: written. Raises InputError for tables that the format cannot hold, saying what to change."""
+    controller = next(one for one in CONTROLLERS if one.name == args.format)
+    settings = settings_from(args, args.format, controller.settings, CONTROLLER_OPTIONS)
+    with naming(args.source), as_typed(CONTROLLER_OPTIONS):
+        tables = tables_only(read_source(args), leave_out_effects=args.tables_only)
+        if (
+            Path(args.source).suffix.lower() != ".toml"
+        ):  # an axis's store holds what it gives against the axis file's bound
+            Compensation(tables).check(CorrectionBound(*args.bound), f"{args.source}: correction not exported")
+        made = controller.export(tables, settings)
+    if not args.dry_run:
+        replace_file(args.out, made.text.encode("ascii"))
+    _say(args, tables, made)
+    if args.json:
+        write_json(
+            args.json,
+            {
+                "source": str(args.source),
+                "format": args.format,
+                "settings": vars(settings),
+                "tables": tables.digest(),
+                "points": made.points,
+                "deviation_um": made.deviation_um,
+                "shift_um": made.shift_um,
+                "notes": list(made.notes),
+                "written": None if args.dry_run else str(args.out),
+            },
+        )
+    return 0
+
+
+def read_source(args: argparse.Namespace) -> Compensation:
+    """What the source holds. Raises InputError naming it."""
+    suffix = Path(args.source).suffix.lower()
+    if suffix == ".toml":
+        return open_store(args, load_axis(args.source), writing=False).load(read_effects(args.effects))
+    if suffix == ".csv":
+        return Compensation(read_manual_tables(args.source))
+    if suffix != ".json":
+        raise InputError(f"is a {suffix or 'file without suffix'}, expected .toml, .csv or .json", path=args.source)
+    text = read_bytes(args.source).decode("utf-8", errors="replace")
+    try:
+        data = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"is not JSON: {error}", path=args.source) from error
+    if isinstance(data, dict) and data.get("format") == MODEL_FORMAT:
+        model = Model.from_json(text, args.source, read_effects(args.effects))
+        held = model.table
+        table = DirectionalTable(*(np.array(part) for part in (held.positions_mm, held.forward_um, held.backward_um)))
+        return Compensation(TableSet(TableMode.BIDIRECTIONAL, table.scaled(-1.0)), model.terms)
+    if isinstance(data, dict) and isinstance(data.get("tables"), dict):
+        data = data["tables"]
+    with naming(args.source):
+        return Compensation(TableSet.from_dict(data))
+
+
+def _say(args: argparse.Namespace, tables: TableSet, made: Export) -> None:
+    facts = {
+        "tables": tables.digest()[:16],
+        "points": f"{made.points} per direction",
+        "deviation": f"at most {made.deviation_um:.4f} µm from the tables, read back from the file",
+    }
+    if made.shift_um:
+        facts["shift"] = f"{made.shift_um:+.4f} µm taken out everywhere: zero at the reference point"
+    facts["would write" if args.dry_run else "written"] = str(args.out)
+    print_facts(facts)
+    for note in made.notes:
+        print(f"set: {note}")

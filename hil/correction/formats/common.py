@@ -1,0 +1,299 @@
+"""What the controller formats share: the tables as the two curves a controller runs, and moving them onto its points.
+
+A controller knows one correction per direction over its points, straight between them and constant beyond the ends. Everything here
+is pure: tables in, tables and figures out. Nothing about any one format belongs here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.correction.compensation import Compensation, ErrorTerm
+from hil.correction.fold import folded
+from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
+from hil.effects import Term
+from hil.records.rows import Floats, parse_number, shown
+
+NM_IN_UM = 1e-3
+
+
+@dataclass(frozen=True)
+class Export:
+    """A controller's file, and what is known about it.
+
+    text: the file's contents
+    points: interpolation points per direction
+    deviation_um: largest difference, anywhere and in either direction, between what the file makes the controller add and the
+        tables (after the shift): resampling and rounding together, found by reading the file back
+    shift_um: the constant taken out of the correction because the format needs zero at the reference point
+    notes: what has to be set on the controller besides loading the file
+    """
+
+    text: str
+    points: int
+    deviation_um: float
+    shift_um: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def tables_only(compensation: Compensation, *, leave_out_effects: bool) -> TableSet:
+    """The tables of what is in force, with the fitted effects that tables can hold: those of position and direction alone.
+
+    Raises InputError when there are others too and they are not to be left out.
+    """
+    whole = folded(compensation)
+    held_by_none = [*dict.fromkeys(_name(term) for term in whole.terms)]
+    if whole.rise is not None:
+        held_by_none.append("the rise of the lost motion after a reversal")
+    if held_by_none and not leave_out_effects:
+        raise InputError(
+            f"what is in force holds {', '.join(held_by_none)}, and a controller's table holds none of that; leave it out"
+            " (--tables-only) to export the tables alone: the axis is then corrected less than it was proven"
+        )
+    return whole.tables
+
+
+def _name(term: ErrorTerm) -> str:
+    return term.effect.id if isinstance(term, Term) else type(term).__name__
+
+
+def both_directions(tables: TableSet, *, cross_axis: bool = False) -> DirectionalTable:
+    """The whole correction at rest on a position in each direction, as one table on the nodes of all parts.
+
+    Raises InputError for a straightness table that corrects another axis, unless `cross_axis` says that the caller takes care of it.
+    """
+    if tables.straightness is not None and tables.straightness_axis and not cross_axis:
+        raise InputError(
+            f"the straightness table corrects axis {tables.straightness_axis}, and this format holds one axis; export it"
+            " as SINUMERIK CEC, or leave the straightness out"
+        )
+    nodes = tables.nodes_mm
+    return DirectionalTable(nodes, tables.correction_um(nodes, 1), tables.correction_um(nodes, -1))
+
+
+def largest_difference_um(first: DirectionalTable, second: DirectionalTable) -> float:
+    """The largest difference of two tables anywhere, µm: both are straight between nodes, so it lies on a node of one of them."""
+    nodes = np.union1d(first.position_mm, second.position_mm)
+    return max(float(np.max(np.abs(first.at(nodes, sign) - second.at(nodes, sign)))) for sign in (1, -1))
+
+
+def shifted(table: DirectionalTable, by_um: float) -> DirectionalTable:
+    """The table with a constant added."""
+    return DirectionalTable(table.position_mm, table.plus_um + by_um, table.minus_um + by_um)
+
+
+def anchored(
+    table: DirectionalTable, reference_mm: float, direction: int, *, allow_shift: bool, tolerance_um: float
+) -> tuple[DirectionalTable, float]:
+    """The table with zero at the reference point, arrived at in `direction`, and the constant that was taken out, µm.
+
+    Raises InputError when there is more than `tolerance_um` to take out and a shift was not allowed: it moves the whole axis, and a
+    specified accuracy that is a constant would vanish in it.
+    """
+    value = float(table.at(reference_mm, direction))
+    if abs(value) > tolerance_um and not allow_shift:
+        raise InputError(
+            f"the correction at the reference point {reference_mm:g} mm is {value:.3f} µm and the format needs zero there;"
+            f" name a reference where it is zero, or allow the shift (allow_shift): the axis as a whole then stands"
+            f" {-value:+.3f} µm elsewhere"
+        )
+    return shifted(table, -value), value
+
+
+def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[SingleTable, float]:
+    """One curve (of the + direction) and one backlash, where the two directions allow it.
+
+    The backlash is the middle of the difference plus - minus, and half of what is left goes into each direction.
+    Raises InputError when a direction would be off by more than `tolerance_um`.
+    """
+    difference = table.plus_um - table.minus_um
+    low, high = float(difference.min()), float(difference.max())
+    if (high - low) / 4 > tolerance_um:
+        raise InputError(
+            f"the two directions differ by {low:.3f} to {high:.3f} µm along the axis, and one table with one backlash holds a"
+            f" constant; export both directions, or allow a deviation (tolerance_um) of {(high - low) / 4:.3f}"
+        )
+    backlash = (low + high) / 2
+    return SingleTable(table.position_mm, (table.plus_um + table.minus_um + backlash) / 2), backlash
+
+
+def two_directional(single: SingleTable, backlash_um: float) -> DirectionalTable:
+    """What a controller with one table and a backlash runs: the - direction is plus - backlash."""
+    return DirectionalTable(single.position_mm, single.value_um, single.value_um - backlash_um)
+
+
+def rounded_nodes(table: DirectionalTable, resolution_mm: float) -> DirectionalTable:
+    """The table on its own nodes rounded to a format's resolution; nodes that fall together become one."""
+    nodes = np.unique(np.round(table.position_mm / resolution_mm)) * resolution_mm
+    return on_nodes(table, nodes)
+
+
+def on_nodes(table: DirectionalTable, nodes: Floats) -> DirectionalTable:
+    """The same curves on other nodes."""
+    return DirectionalTable(nodes, table.at(nodes, 1), table.at(nodes, -1))
+
+
+def equidistant(
+    table: DirectionalTable,
+    step_mm: float | None,
+    *,
+    resolution_mm: float,
+    max_points: int,
+    tolerance_um: float,
+    origin_mm: float | None = None,
+) -> tuple[DirectionalTable, float]:
+    """The table on a grid of equal steps that covers it, and the step, mm.
+
+    step_mm: the step, or None for the widest one that keeps the tolerance
+    resolution_mm: the step is a multiple of this
+    origin_mm: a position that must lie on the grid and inside it; None starts the grid at the first node
+    Raises InputError when the step is bad, or needs more than `max_points`, or deviates from the table by more than `tolerance_um`.
+    """
+    first, last = float(table.position_mm[0]), float(table.position_mm[-1])
+    if origin_mm is not None:
+        first, last = min(first, origin_mm), max(last, origin_mm)
+    origin = first if origin_mm is None else origin_mm
+    span = last - first
+    if span <= 0:
+        raise InputError(f"the table holds one position, {first:g} mm, and this format needs at least two")
+    if step_mm is not None:
+        given = round(step_mm / resolution_mm) * resolution_mm
+        if step_mm <= 0 or abs(given - step_mm) > 1e-9:
+            raise InputError(f"the step is {step_mm:g} mm, expected a multiple of {resolution_mm:g} mm above zero")
+        grid = _grid(origin, first, last, given)
+        if len(grid) > max_points:
+            raise InputError(
+                f"a step of {given:g} mm needs {len(grid)} points, and at most {max_points} fit; widen the step to"
+                f" {span / max(max_points - 2, 1):.3f} mm or more"
+            )
+        resampled = on_nodes(table, grid)
+        _check_resampling(largest_difference_um(resampled, table), given, tolerance_um)
+        return resampled, given
+    best, best_step, best_points = np.inf, 0.0, 0
+    tried = None
+    for intervals in range(1, max_points):
+        step = float(np.ceil(span / intervals / resolution_mm - 1e-9)) * resolution_mm
+        if step in (tried, 0.0):
+            continue
+        tried = step
+        grid = _grid(origin, first, last, step)
+        if len(grid) > max_points:
+            continue
+        resampled = on_nodes(table, grid)
+        deviation = largest_difference_um(resampled, table)
+        if deviation <= tolerance_um:
+            return resampled, step
+        if deviation < best:
+            best, best_step, best_points = deviation, step, len(grid)
+    raise InputError(
+        f"no equal step with at most {max_points} points keeps the table within {tolerance_um:g} µm; the best,"
+        f" {best_step:g} mm with {best_points} points, deviates by {best:.3f} µm: allow that"
+        " (tolerance_um), or more points (max_points)"
+    )
+
+
+def _grid(origin: float, first: float, last: float, step: float) -> Floats:
+    below = int(np.ceil((origin - first) / step - 1e-9))
+    above = int(np.ceil((last - origin) / step - 1e-9))
+    return np.asarray(origin + np.arange(-below, above + 1) * step, dtype=np.float64)
+
+
+def _check_resampling(deviation_um: float, step_mm: float, tolerance_um: float) -> None:
+    if deviation_um > tolerance_um:
+        raise InputError(
+            f"with a step of {step_mm:g} mm the table deviates by {deviation_um:.3f} µm, more than {tolerance_um:g} µm;"
+            " allow that (tolerance_um), or narrow the step"
+        )
+
+
+def thinned(table: DirectionalTable, max_points: int, tolerance_um: float) -> DirectionalTable:
+    """The table on fewer of its nodes, no more than `max_points`, nowhere off by more than `tolerance_um`.
+
+    Keeps the ends and, again and again, the node that is furthest off (Ramer, Douglas and Peucker), until all are inside.
+    Raises InputError when that takes more points.
+    """
+    if len(table.position_mm) <= max_points:
+        return table
+    kept = [0, len(table.position_mm) - 1]
+    while True:
+        candidate = DirectionalTable(table.position_mm[kept], table.plus_um[kept], table.minus_um[kept])
+        off = np.maximum(
+            np.abs(candidate.at(table.position_mm, 1) - table.plus_um),
+            np.abs(candidate.at(table.position_mm, -1) - table.minus_um),
+        )
+        worst = int(np.argmax(off))
+        if off[worst] <= tolerance_um:
+            return candidate
+        if len(kept) == max_points:
+            raise InputError(
+                f"the table has {len(table.position_mm)} points, and at most {max_points} fit; with that many it deviates by"
+                f" {off[worst]:.3f} µm: allow that (tolerance_um), or measure fewer sections"
+            )
+        kept = sorted({*kept, worst})
+
+
+def check_written(written: TableSet, wanted: DirectionalTable, *, limit_um: float) -> float:
+    """How far a file that was read back is from what was wanted, µm. Raises InputError beyond the limit."""
+    deviation = largest_difference_um(both_directions(written), wanted)
+    if deviation > limit_um:
+        raise InputError(
+            f"the file would deviate from the tables by {deviation:.3f} µm, more than {limit_um:.3f} µm; allow that"
+            " (tolerance_um), or choose finer points"
+        )
+    return deviation
+
+
+def evenly(first: float, step: float, count: int) -> Floats:
+    """`count` positions from `first` on."""
+    return np.asarray(first + step * np.arange(count), dtype=np.float64)
+
+
+def table_set(positions: Floats, plus_um: Floats, minus_um: Floats) -> TableSet:
+    """A bidirectional set from two curves as a file held them."""
+    return TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(positions, plus_um, minus_um))
+
+
+def one_directional_set(positions: Floats, plus_um: Floats, backlash_um: float) -> TableSet:
+    """A one-directional set from a curve and a constant backlash as a file held them."""
+    backlash = SingleTable(positions, np.full(len(positions), backlash_um))
+    return TableSet(
+        TableMode.UNIDIRECTIONAL_BACKLASH, DirectionalTable(positions, plus_um, plus_um - backlash_um), backlash
+    )
+
+
+def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers from 1, stripped, any line end; the empty ones too."""
+    yield from ((number, line.strip()) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1))
+
+
+def number(text: str, what: str, line: int, decimal: str = ".") -> float:
+    """A finite number from a file, with this decimal mark; a printed minus is one too. Raises InputError with the line.
+
+    The other mark is no part of a number: between thousands it would make another one of it.
+    """
+    value = _number(text, decimal)
+    if value is None or not np.isfinite(value):
+        other = "," if decimal == "." else "."
+        hint = (
+            f"; with another decimal mark (decimal {other}) it is one" if value is None and _number(text, other) else ""
+        )
+        raise InputError(f"{what} is {shown(text)}, expected a number{hint}", line=line)
+    return value
+
+
+def _number(text: str, decimal: str) -> float | None:
+    typed = text.replace("\N{MINUS SIGN}", "-")
+    if decimal == ",":
+        typed = typed.replace(".", "?").replace(",", ".")
+    return parse_number(typed)
+
+
+def require(condition: bool, complaint: str) -> None:
+    """Raise InputError with this complaint about a setting unless the condition holds."""
+    if not condition:
+        raise InputError(complaint)

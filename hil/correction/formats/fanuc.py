@@ -1,0 +1,304 @@
+"""FANUC stored pitch error compensation, as a G10 L50 program that writes parameters and points.
+
+Sources: FANUC Series 0i-B Parameter Manual B-63980EN (parameters 3620 to 3624 with the numbering and its example), FANUC 16i/18i
+technical report A-77810E (bidirectional compensation, 3605#0, 3626, 3627), operator's manual (programmable parameter input: G10 L50,
+N parameter P axis R value, N 10000 + point R value, G11).
+
+Point n belongs to one section: with the reference at number 3620 and interval L it is the section from (n - 3620 - 1)·L to
+(n - 3620)·L from the reference. Its value, -7 to 7 times the magnification 3623 in detection units, is output when the axis crosses
+the section upwards and taken back downwards. So the correction at a grid position is the *sum* of the values between it and the
+reference, zero at the reference. Values are chosen from the rounded sums: the accumulated error stays within half a step.
+Bidirectional: the values above serve the + direction, those from number 3626 on the - direction, as increments upwards too, and 3627
+(in detection units) is the correction at the reference when it is reached against the direction of reference return.
+One-directional: one set of points, and the backlash 1851.
+The coordinates are the machine's, the reference position is at `reference_mm`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputError
+from hil.correction.formats.common import (
+    Export,
+    anchored,
+    both_directions,
+    check_written,
+    equidistant,
+    evenly,
+    numbered_lines,
+    one_directional,
+    one_directional_set,
+    require,
+    table_set,
+    two_directional,
+)
+from hil.correction.tables import DirectionalTable, TableSet
+from hil.records.rows import Floats
+
+LARGEST = 7
+LAST_NUMBER = 1023
+LARGEST_NUMBER = 99_999  # that any control could mean
+LARGEST_ABSOLUTE = 32767
+LARGEST_BACKLASH = 9999
+POINT_BASE = 10000
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class FanucSettings:
+    """axis: the controlled axis's number (P)
+
+    detection_unit_um: what one unit of the axis is; magnification: 3623
+    first_number: the first point number that is free for this axis
+    reference_mm: machine coordinate of the reference position; reference_direction: direction of reference return
+    step_mm: 3624, None for the widest that keeps tolerance_um; setting_unit_mm: what 3624 counts (IS-B 0.001 mm)
+    rapid_mm_min: largest feed of the axis, where given the interval is checked against rapid/7500
+    bidirectional: 3605#0, or one set of points and 1851; bits_3605: the other bits of 3605, which the program writes too
+    program: O number
+    """
+
+    axis: int = 1
+    detection_unit_um: float = 1.0
+    magnification: int = 1
+    first_number: int = 0
+    reference_mm: float = 0.0
+    reference_direction: int = 1
+    allow_shift: bool = False
+    step_mm: float | None = None
+    setting_unit_mm: float = 0.001
+    rapid_mm_min: float | None = None
+    tolerance_um: float = 0.1
+    bidirectional: bool = True
+    bits_3605: int = 0
+    program: int = 9000
+
+    def __post_init__(self) -> None:
+        require(1 <= self.axis <= 99, f"axis number is {self.axis}, expected 1 to 99")
+        require(self.detection_unit_um > 0, f"detection unit is {self.detection_unit_um} µm, expected more than 0")
+        require(1 <= self.magnification <= 100, f"magnification (3623) is {self.magnification}, expected 1 to 100")
+        require(
+            0 <= self.first_number < LAST_NUMBER, f"first number is {self.first_number}, expected 0 to {LAST_NUMBER}"
+        )
+        require(
+            self.reference_direction in (1, -1), f"reference return is {self.reference_direction}, expected 1 or -1"
+        )
+        require(self.setting_unit_mm > 0, f"setting unit is {self.setting_unit_mm} mm, expected more than 0")
+        require(0 <= self.bits_3605 <= 255, f"bits of 3605 are {self.bits_3605}, expected 0 to 255")
+        require(1 <= self.program <= 9999, f"program number is {self.program}, expected 1 to 9999")
+        require(self.tolerance_um >= 0, f"tolerance is {self.tolerance_um} µm, expected 0 or more")
+
+    @property
+    def step_um(self) -> float:
+        """What a point value of 1 moves."""
+        return self.detection_unit_um * self.magnification
+
+
+def export(tables: TableSet, settings: FanucSettings = FanucSettings()) -> Export:
+    """The program of these tables. Raises InputError for what it cannot hold, saying what to change."""
+    wanted, shift = anchored(
+        both_directions(tables),
+        settings.reference_mm,
+        settings.reference_direction,
+        allow_shift=settings.allow_shift,
+        tolerance_um=settings.step_um / 2,
+    )
+    backlash_um, curves = 0.0, wanted
+    if not settings.bidirectional:
+        single, backlash_um = one_directional(wanted, settings.tolerance_um)
+        curves = two_directional(single, backlash_um)
+    sets = 2 if settings.bidirectional else 1
+    grid, interval = equidistant(
+        curves,
+        settings.step_mm,
+        resolution_mm=settings.setting_unit_mm,
+        max_points=(LAST_NUMBER - settings.first_number) // sets,
+        tolerance_um=settings.tolerance_um,
+        origin_mm=settings.reference_mm,
+    )
+    _check_interval(interval, settings)
+    text, points = _program(grid, interval, backlash_um, settings)
+    limit = 2 * settings.tolerance_um + settings.step_um / 2 + settings.detection_unit_um / 2 + 1e-6
+    deviation = check_written(load(text, settings), wanted, limit_um=limit)
+    notes = (
+        f"values are in {settings.detection_unit_um:g} µm (detection unit) times 3623; the reference position is"
+        f" {settings.reference_mm:g} mm, reference return in {'+' if settings.reference_direction > 0 else '-'}",
+        "parameter writing on (PWE), run the program, power off and on, return to the reference; the other bits of 3605"
+        f" become {settings.bits_3605 & 0xFE:08b}",
+        "1851 (backlash) of the axis = 0: both directions are in the points"
+        if settings.bidirectional
+        else "1851 is in the program",
+    )
+    return Export(text, points, deviation, shift, notes)
+
+
+def dump(tables: TableSet, settings: FanucSettings = FanucSettings()) -> str:
+    """The text of `export`."""
+    return export(tables, settings).text
+
+
+def _check_interval(step_mm: float, settings: FanucSettings) -> None:
+    if settings.rapid_mm_min is not None and step_mm < settings.rapid_mm_min / 7500:
+        raise InputError(
+            f"an interval of {step_mm:g} mm is less than the {settings.rapid_mm_min / 7500:.3f} mm that"
+            f" {settings.rapid_mm_min:g} mm/min need (feed/7500); allow more deviation, for a wider one"
+        )
+
+
+def _program(grid: DirectionalTable, interval: float, backlash_um: float, settings: FanucSettings) -> tuple[str, int]:
+    """The text and how many points a direction has."""
+    steps = np.round((grid.position_mm - settings.reference_mm) / interval).astype(np.int64)
+    zero = int(np.flatnonzero(steps == 0)[0])
+    sections = len(steps) - 1
+    reference = settings.first_number + zero - 1  # the section below the reference carries its number
+    reference = max(reference, 0)
+    low, high = reference - zero + 1, reference - zero + sections
+    toward, against = ("plus", "minus") if settings.reference_direction > 0 else ("minus", "plus")
+    curve = {"plus": grid.plus_um, "minus": grid.minus_um}
+    values = {toward: _increments(curve[toward], zero, 0, settings)}
+    absolute = 0
+    minus_low = high + 1
+    if settings.bidirectional:
+        absolute = int(np.round(curve[against][zero] / settings.detection_unit_um))
+        values[against] = _increments(curve[against], zero, absolute, settings)
+        if abs(absolute) > LARGEST_ABSOLUTE:
+            raise InputError(f"3627 would be {absolute}, more than {LARGEST_ABSOLUTE} detection units")
+    else:
+        values = {"plus": values[toward]}
+    top = minus_low + sections - 1 if settings.bidirectional else high
+    if top > LAST_NUMBER:
+        raise InputError(
+            f"point numbers run to {top}, and the control has {LAST_NUMBER}; begin lower or widen the interval"
+        )
+    axis = f"P{settings.axis}"
+    bits = settings.bits_3605 & 0xFE | int(settings.bidirectional)
+    lines = ["%", f"O{settings.program:04d}", "G10 L50"]
+    lines += [
+        f"N3605 {axis} R{bits:08b}",
+        f"N3620 {axis} R{reference}",
+        f"N3621 {axis} R{low}",
+        f"N3622 {axis} R{high}",
+    ]
+    lines += [f"N3623 {axis} R{settings.magnification}", f"N3624 {axis} R{round(interval / settings.setting_unit_mm)}"]
+    if settings.bidirectional:
+        lines += [f"N3626 {axis} R{minus_low}", f"N3627 {axis} R{absolute}"]
+    else:
+        backlash = int(np.round(backlash_um / settings.detection_unit_um))
+        if abs(backlash) > LARGEST_BACKLASH:
+            raise InputError(f"1851 would be {backlash}, more than {LARGEST_BACKLASH} detection units")
+        lines.append(f"N1851 {axis} R{backlash}")
+    lines += _points(low, values["plus"])
+    if settings.bidirectional:
+        lines += _points(minus_low, values["minus"])
+    return "\n".join([*lines, "G11", "M30", "%"]) + "\n", sections
+
+
+def _increments(correction_um: Floats, zero: int, at_zero_units: int, settings: FanucSettings) -> Ints:
+    """Point values whose sums from the reference follow the curve; `at_zero_units` is what the control adds there already."""
+    step = settings.step_um
+    base = at_zero_units * settings.detection_unit_um
+    sums = np.round((correction_um - base) / step).astype(np.int64)
+    sums[zero] = 0
+    values: Ints = np.diff(sums)
+    largest = int(np.max(np.abs(values)))
+    if largest > LARGEST:
+        needed = settings.magnification * -(-largest // LARGEST)
+        raise InputError(
+            f"a point would hold {largest} steps of {step:g} µm, and one holds {LARGEST}; a magnification (3623) of {needed},"
+            " or a shorter interval, would do"
+        )
+    return values
+
+
+def _points(first: int, values: Ints) -> list[str]:
+    return [f"N{POINT_BASE + first + offset} R{value}" for offset, value in enumerate(values)]
+
+
+# -- reading -----------------------------------------------------------------------------------------------------------
+
+_BLOCK = re.compile(r"N(\d{1,9})\s*(?:P(\d{1,9})\s*)?R(-?\d{1,9})$")
+_PARAMETERS = (1851, 3605, 3620, 3621, 3622, 3623, 3624, 3626, 3627)
+
+
+def load(text: str, settings: FanucSettings = FanucSettings()) -> TableSet:
+    """The tables of one axis from a G10 L50 program.
+
+    The settings say what the file does not: axis, detection unit, setting unit, the reference's coordinate and direction of return.
+    Raises InputError with the line for blocks that are not understood, and for parameters or points that are lacking.
+    """
+    parameters: dict[int, int] = {}
+    points: dict[int, int] = {}
+    inside = ended = False
+    for line_number, raw in numbered_lines(text):
+        line = re.sub(r"\([^)]*\)", "", raw).rstrip(";").strip().upper()
+        if re.fullmatch(r"G10\s*L50", line):
+            inside = True
+        elif line == "G11":
+            inside, ended = False, True
+        elif inside and (match := _BLOCK.match(line)):
+            name = int(match[1])
+            value = int(match[3], 2 if name == 3605 and set(match[3]) <= {"0", "1"} else 10)
+            if name >= POINT_BASE:
+                _point(points, name - POINT_BASE, value, line_number)
+            elif match[2] is None:
+                raise InputError(f"parameter {name} lacks its axis (P)", line=line_number)
+            elif int(match[2]) == settings.axis and name in _PARAMETERS:
+                if name in parameters:
+                    raise InputError(f"parameter {name} of axis {settings.axis} is given twice", line=line_number)
+                parameters[name] = value
+        elif line and (inside or not re.fullmatch(r"%|O\d+|M30|M0?2|M99", line)):
+            raise InputError(f"{raw!r} is no block of parameter input", line=line_number)
+    if not ended:
+        raise InputError("holds no parameter input from G10 L50 to G11")
+    return _tables(parameters, points, settings)
+
+
+def _point(points: dict[int, int], name: int, value: int, line: int) -> None:
+    if name in points:
+        raise InputError(f"point {name} is given twice", line=line)
+    if abs(value) > LARGEST:
+        raise InputError(f"point {name} is {value}, expected -{LARGEST} to {LARGEST}", line=line)
+    points[name] = value
+
+
+def _tables(parameters: dict[int, int], points: dict[int, int], settings: FanucSettings) -> TableSet:
+    def parameter(name: int) -> int:
+        if name not in parameters:
+            raise InputError(f"lacks parameter {name} of axis {settings.axis}")
+        return parameters[name]
+
+    reference, low, high = parameter(3620), parameter(3621), parameter(3622)
+    interval = parameter(3624) * settings.setting_unit_mm
+    step_um = parameter(3623) * settings.detection_unit_um
+    if not (0 <= low <= high <= LARGEST_NUMBER and low - 1 <= reference <= high and interval > 0):
+        raise InputError(
+            f"3620 to 3622 are {reference}, {low}, {high} with an interval of {interval:g} mm: expected 3621 - 1 <= 3620 <= 3622"
+        )
+
+    def sums(first: int) -> Floats:
+        lacking = [name for name in range(first, first + high - low + 1) if name not in points]
+        if lacking:
+            raise InputError(f"lacks point {lacking[0]} (N{POINT_BASE + lacking[0]})")
+        values = [points[first + offset] for offset in range(high - low + 1)]
+        running = np.concatenate([[0], np.cumsum(values)])
+        return np.asarray((running - running[reference - low + 1]) * step_um, dtype=np.float64)
+
+    positions = evenly(settings.reference_mm + interval * (low - 1 - reference), interval, high - low + 2)
+    plus = sums(low)
+    if not parameters.get(3605, 0) & 1:
+        backlash_um = parameters.get(1851, 0) * settings.detection_unit_um
+        if not backlash_um:
+            return table_set(positions, plus, plus)
+        if settings.reference_direction < 0:
+            plus = plus + backlash_um
+        return one_directional_set(positions, plus, backlash_um)
+    minus = sums(parameter(3626))
+    absolute_um = parameter(3627) * settings.detection_unit_um
+    if settings.reference_direction > 0:
+        return table_set(positions, plus, minus + absolute_um)
+    return table_set(positions, plus + absolute_um, minus)

@@ -1,0 +1,37 @@
+"""Tables as the file of manual mode (hil.correction.manual reads it): so that a controller's table can be looked at, edited and stored."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.correction.tables import TableMode, TableSet
+from hil.records.rows import Floats
+
+
+def dump(tables: TableSet, comment: str = "") -> str:
+    """The text of a manual table file with these tables, on the nodes of all their parts.
+
+    Raises InputError for a straightness table of another axis, which such a file does not hold.
+    """
+    if tables.straightness is not None and tables.straightness_axis:
+        raise InputError(
+            f"the file holds a correction of axis {tables.straightness_axis} too, and a table file holds one axis; write JSON"
+        )
+    parts = [tables.pitch.position_mm]
+    parts += [part.position_mm for part in (tables.backlash, tables.specified, tables.straightness) if part is not None]
+    nodes = np.unique(np.concatenate(parts))
+    columns: dict[str, Floats] = {"position_mm": nodes, "plus_um": tables.pitch.at(nodes, 1)}
+    if tables.mode is TableMode.BIDIRECTIONAL:
+        columns["minus_um"] = tables.pitch.at(nodes, -1)
+    elif tables.backlash is not None:
+        columns["backlash_um"] = tables.backlash.at(nodes)
+    if tables.specified is not None:
+        columns["specified_plus_um"] = tables.specified.at(nodes, 1)
+        columns["specified_minus_um"] = tables.specified.at(nodes, -1)
+    if tables.straightness is not None:
+        columns["straightness_um"] = tables.straightness.at(nodes)
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines.append(",".join(columns))
+    lines += [",".join(repr(float(value)) for value in row) for row in np.column_stack(list(columns.values()))]
+    return "\n".join(lines) + "\n"

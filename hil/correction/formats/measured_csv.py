@@ -1,0 +1,179 @@
+"""Measurements as a table of somebody's making: any names of columns, any delimiter, decimal point or comma, lengths in any unit.
+
+Which column is what is told, never guessed: `target_mm`, `measured_mm` (or `error_um` = measured - target), `direction`, `run`, and
+any other column of ours. Columns that are not named are left out. Where the file has no run and direction, `infer` reads them off the
+order of the targets: up is +, down is -, and a new run begins where the direction is the first one again.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.correction.formats.common import number, numbered_lines, require
+from hil.correction.formats.keysight import LENGTH_MM
+from hil.records.rows import UM_PER_MM, Floats, Records
+
+DIRECTIONS = {
+    **dict.fromkeys(("+1", "1", "+", "↑", "up", "fwd", "forward", "pos", "positive", "f"), 1.0),
+    **dict.fromkeys(("-1", "-", "−", "↓", "down", "rev", "reverse", "backward", "neg", "negative", "b", "r"), -1.0),
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a quantity stands: the header's text, and for a length its unit."""
+
+    header: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class MeasuredCsvSettings:
+    """columns: our name -> where it stands; delimiter "" finds it among tab, semicolon and comma; decimal: "." or ","
+
+    infer: read run and direction off the order of the targets
+    """
+
+    columns: Mapping[str, Column] = field(default_factory=dict)
+    delimiter: str = ""
+    decimal: str = "."
+    infer: bool = False
+
+    def __post_init__(self) -> None:
+        require(self.decimal in (".", ","), f"decimal mark is {self.decimal!r}, expected . or ,")
+        require(len(self.delimiter) <= 1, f"delimiter is {self.delimiter!r}, expected one character")
+        both = {"measured_mm", "error_um"} <= set(self.columns)
+        require(not both, "columns name measured_mm and error_um, expected one of them, not both")
+        for name, column in self.columns.items():
+            if column.unit:
+                require(
+                    column.unit.lower() in LENGTH_MM,
+                    f"column {name}: unit is {column.unit!r}, expected such as mm or um",
+                )
+                require(
+                    name.endswith(("_mm", "_um")), f"column {name} is no length, it cannot have the unit {column.unit}"
+                )
+
+    def column(self, name: str) -> Column:
+        """Where `name` stands: as told, else under its own name."""
+        return self.columns.get(name, Column(name))
+
+
+def load(text: str, settings: MeasuredCsvSettings = MeasuredCsvSettings()) -> Records:
+    """The rows in the order of the file. Raises InputError with the line for cells that are not what they should be."""
+    rows = [
+        (line_number, line)
+        for line_number, line in numbered_lines(text.removeprefix("\ufeff"))
+        if line and not line.startswith("#")
+    ]
+    if len(rows) < 2:
+        raise InputError("holds no table, expected a header and at least one row")
+    delimiter = settings.delimiter or _delimiter(rows[0][1])
+    header_line, header = rows[0][0], [cell.strip() for cell in _cells(rows[0][1], delimiter, rows[0][0])]
+    wanted = _wanted(header, settings, header_line)
+    columns: dict[str, list[float]] = {name: [] for name in wanted}
+    for line_number, line in rows[1:]:
+        cells = _cells(line, delimiter, line_number)
+        if len(cells) != len(header):
+            raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=line_number)
+        for name, index in wanted.items():
+            columns[name].append(_value(name, cells[index].strip(), settings, line_number))
+    return _records({name: np.array(values) for name, values in columns.items()}, settings, rows[1][0])
+
+
+def _delimiter(header: str) -> str:
+    for candidate in ("\t", ";", ","):
+        if candidate in header:
+            return candidate
+    raise InputError("the header has no tab, semicolon or comma to part its columns; name the delimiter")
+
+
+def _cells(line: str, delimiter: str, line_number: int) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except csv.Error as error:
+        raise InputError(f"is no row of a table: {error}", line=line_number) from error
+
+
+def _wanted(header: list[str], settings: MeasuredCsvSettings, line: int) -> dict[str, int]:
+    wanted: dict[str, int] = {}
+    optional = {"run", "direction"} if settings.infer else set()
+    names = ["target_mm", "run", "direction"]
+    names.append(
+        "error_um" if "error_um" in settings.columns and "measured_mm" not in settings.columns else "measured_mm"
+    )
+    names += [name for name in settings.columns if name not in names]
+    for name in names:
+        place = settings.column(name).header
+        if header.count(place) > 1:
+            raise InputError(f"header names {place!r} twice", line=line)
+        if place in header:
+            wanted[name] = header.index(place)
+        elif name not in optional or name in settings.columns:
+            hint = "; or let run and direction be inferred" if name in ("run", "direction") else ""
+            raise InputError(f"header lacks {place!r} for {name} (it has {', '.join(header)}){hint}", line=line)
+    return wanted
+
+
+def _value(name: str, cell: str, settings: MeasuredCsvSettings, line: int) -> float:
+    if name == "direction":
+        if cell.lower() not in DIRECTIONS:
+            raise InputError(
+                f"direction is {cell!r}, expected +1 or -1 (or up and down, forward and reverse)", line=line
+            )
+        return DIRECTIONS[cell.lower()]
+    value = number(cell, name, line, settings.decimal)
+    if name == "run" and value != int(value):
+        raise InputError(f"run is {cell!r}, expected a whole number", line=line)
+    unit = settings.column(name).unit.lower()
+    if not unit:
+        return value
+    return value * LENGTH_MM[unit] * (UM_PER_MM if name.endswith("_um") else 1.0)
+
+
+def _records(columns: dict[str, Floats], settings: MeasuredCsvSettings, first_line: int) -> Records:
+    target = columns["target_mm"]
+    if "error_um" in columns:
+        columns["measured_mm"] = target + columns.pop("error_um") / UM_PER_MM
+    if settings.infer and ("run" not in columns or "direction" not in columns):
+        run, direction = inferred(target, first_line)
+        columns.setdefault("run", run)
+        columns.setdefault("direction", direction)
+    order = ["run", "direction", "target_mm", "measured_mm"]
+    return Records.of({name: columns[name] for name in (*order, *(name for name in columns if name not in order))})
+
+
+def inferred(target_mm: Floats, first_line: int) -> tuple[Floats, Floats]:
+    """Run and direction of targets in the order of time, shape (n,) each.
+
+    A target equal to the one before it is where the axis turned: it belongs to the new direction. Raises InputError when the first two
+    rows say no direction.
+    """
+    steps = np.sign(np.diff(target_mm))
+    if len(steps) == 0 or steps[0] == 0:
+        raise InputError("the first two targets are the same, so the direction cannot be inferred", line=first_line)
+    direction = [float(steps[0])]
+    for index, step in enumerate(steps):
+        if step:
+            direction.append(float(step))
+            continue
+        following = steps[index + 1] if index + 1 < len(steps) else 0.0
+        direction.append(float(following) or -direction[-1])
+    signs = np.array(direction)
+    begins = np.concatenate([[False], (signs[1:] == signs[0]) & (signs[:-1] != signs[0])])
+    return 1.0 + np.cumsum(begins), signs
+
+
+def parse_column(text: str) -> tuple[str, Column]:
+    """`name=header` or `name=header:unit`, as it is typed. Raises InputError."""
+    name, separator, place = text.partition("=")
+    match = re.fullmatch(r"(.+?)(?::([A-Za-zµμ]+))?", place)
+    if not separator or not name.strip() or match is None:
+        raise InputError(f"column is {text!r}, expected NAME=HEADER or NAME=HEADER:UNIT")
+    return name.strip(), Column(match[1].strip(), match[2] or "")

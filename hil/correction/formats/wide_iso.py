@@ -1,0 +1,116 @@
+"""Measurements as reports of ISO 230-2 print them: a row per target, a column per run and direction.
+
+The first column is the target; the others are headed by run and direction in either order: `1+ 1- 2+ 2-`, `1↑ 1↓`,
+`run 1 forward`, `up 3`. Cells are deviations (measured - target) or positions. The rows of the result come run by run in the order in
+which they were measured: + upwards through the targets, then - downwards.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.correction.formats.common import number, numbered_lines, require
+from hil.correction.formats.measured_csv import DIRECTIONS
+from hil.records.rows import Records
+
+CELLS = {"deviation_um": 1e-3, "deviation_mm": 1.0, "position_mm": 1.0}
+
+_SIGN = "|".join(sorted((re.escape(name) for name in DIRECTIONS if not name[-1].isdigit()), key=len, reverse=True))
+_RUN_FIRST = re.compile(rf"(?:run|cycle|j)?\s*=?\s*(\d{{1,9}})\s*[,_ ]?\s*({_SIGN})", re.IGNORECASE)
+_SIGN_FIRST = re.compile(rf"({_SIGN})\s*[,_ ]?\s*(?:run|cycle|j)?\s*=?\s*(\d{{1,9}})", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class WideIsoSettings:
+    """cells: deviation_um, deviation_mm or position_mm; delimiter "" finds it; decimal: "." or "," """
+
+    cells: str = "deviation_um"
+    delimiter: str = ""
+    decimal: str = "."
+
+    def __post_init__(self) -> None:
+        require(self.cells in CELLS, f"cells are {self.cells!r}, expected {', '.join(CELLS)}")
+        require(self.decimal in (".", ","), f"decimal mark is {self.decimal!r}, expected . or ,")
+        require(len(self.delimiter) <= 1, f"delimiter is {self.delimiter!r}, expected one character")
+
+
+def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
+    """The rows of all runs. Raises InputError with the line; a cell left empty is refused like any that is no number."""
+    rows = [
+        (line_number, _cells(line, settings.delimiter))
+        for line_number, line in numbered_lines(text.removeprefix("\ufeff"))
+        if line and not line.startswith("#")
+    ]
+    if len(rows) < 2:
+        raise InputError("holds no table, expected a header and a row per target")
+    header_line, header = rows[0]
+    columns = [_column(label, header_line) for label in header[1:]]
+    if not columns:
+        raise InputError("the header has no column of a run, expected such as 1+ or 1-", line=header_line)
+    if len(set(columns)) != len(columns):
+        raise InputError("the header names a run and direction twice", line=header_line)
+    table: list[tuple[float, list[float]]] = []
+    for line_number, cells in rows[1:]:
+        if len(cells) != len(header):
+            raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=line_number)
+        values = [number(cell, label, line_number, settings.decimal) for cell, label in zip(cells, header, strict=True)]
+        if any(values[0] == target for target, _ in table):
+            raise InputError(f"target {cells[0]} comes a second time", line=line_number)
+        table.append((values[0], values[1:]))
+    table.sort()
+    scale = CELLS[settings.cells]
+    measured: list[tuple[float, float, float, float]] = []
+    for run, direction in sorted(columns, key=lambda column: (column[0], -column[1])):
+        index = columns.index((run, direction))
+        for target, values in table if direction > 0 else reversed(table):
+            cell = values[index] * scale
+            measured.append((run, direction, target, cell if settings.cells == "position_mm" else target + cell))
+    names = ("run", "direction", "target_mm", "measured_mm")
+    return Records.of(dict(zip(names, np.array(measured).T, strict=True)))
+
+
+def dump(records: Records, settings: WideIsoSettings = WideIsoSettings()) -> str:
+    """The same table from records, which reads back as it was to 1 nm.
+
+    Raises InputError where a run lacks a target that another has, or has one twice: such a table has no cell for it.
+    """
+    cells: dict[tuple[int, float], dict[float, float]] = {}
+    scale = CELLS[settings.cells]
+    for run, direction, target, measured in zip(
+        records.run, records.direction, records.target_mm, records.measured_mm, strict=True
+    ):
+        column = cells.setdefault((int(run), float(direction)), {})
+        if float(target) in column:
+            raise InputError(f"run {int(run)} holds target {target:g} mm in direction {direction:+g} twice")
+        column[float(target)] = measured if settings.cells == "position_mm" else (measured - target) / scale
+    targets = sorted(set(records.target_mm.tolist()))
+    columns = sorted(cells, key=lambda key: (key[0], -key[1]))
+    for (run, direction), column in cells.items():
+        if missing := set(targets) - column.keys():
+            raise InputError(
+                f"run {run} lacks target {min(missing):g} mm in direction {direction:+g}, which others have"
+            )
+    delimiter = settings.delimiter or (";" if settings.decimal == "," else ",")
+    decimals = 3 if settings.cells == "deviation_um" else 6
+    lines = [delimiter.join(["target_mm", *(f"{run}{'+' if direction > 0 else '-'}" for run, direction in columns)])]
+    for target in targets:
+        values = [repr(target), *(f"{cells[key][target]:.{decimals}f}" for key in columns)]
+        lines.append(delimiter.join(value.replace(".", settings.decimal) for value in values))
+    return "\n".join(lines) + "\n"
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    separator = delimiter or next((candidate for candidate in ("\t", ";", ",") if candidate in line), None)
+    return [cell.strip() for cell in line.split(separator)]
+
+
+def _column(label: str, line: int) -> tuple[int, float]:
+    if match := _RUN_FIRST.fullmatch(label.strip()):
+        return int(match[1]), DIRECTIONS[match[2].lower()]
+    if match := _SIGN_FIRST.fullmatch(label.strip()):
+        return int(match[2]), DIRECTIONS[match[1].lower()]
+    raise InputError(f"column {label!r} names no run and direction, expected such as 1+ or run 1 reverse", line=line)

@@ -1,0 +1,93 @@
+"""The form that runs: the wind-up as a state, carried from set-point to set-point, with no step at any reversal.
+
+After each reversal the correction follows the rise that was measured after a full stroke, from wherever it stood, in either
+direction. A stroke that passes the place of the reversal before last closes a loop: the loop is forgotten, and the stroke goes on
+along the branch the loop interrupted, which it meets exactly there (Masing's rules for rate-independent hysteresis; Masing 1926).
+So the correction moves between its two ends for any sequence of strokes, and after full ones equals the published form.
+What has to be remembered for that are the places of the reversals alone; the form comes in only where a correction is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drivers.errors import InputError
+from hil.correction.rise import FULL_UM, Rises
+
+Turns = tuple[float, ...]
+"""Places, mm, of the reversals that are still remembered, the oldest first. Without any a full stroke has ended.
+
+Each lies within the loop of the two before it.
+"""
+
+
+def remembered(turns: Turns, position_mm: float, arrived_by: int, target_mm: float) -> Turns:
+    """The turns after a straight motion to another place; arrived_by: direction, +1 or -1, of the motion before."""
+    direction = 1 if target_mm > position_mm else -1
+    if direction != arrived_by:
+        turns = (*turns, position_mm)
+    while len(turns) >= 2 and direction * (target_mm - turns[-2]) >= 0.0:
+        turns = turns[:-2]
+    return turns
+
+
+def wound_um(form: Rises, position_mm: float, direction: int, turns: Turns) -> float:
+    """0 after a full stroke in −, `form.amount_um` after one in +, between them otherwise."""
+    sign = direction if len(turns) % 2 == 0 else -direction  # of the full stroke that the oldest turn ended
+    wound = form.amount_um if sign > 0 else 0.0
+    places: Sequence[float] = (*turns, position_mm)
+    for start, end in zip(turns, places[1:], strict=True):
+        sign = -sign
+        wound += sign * form.risen_um(abs(end - start))
+    return wound
+
+
+def wound_share(form: Rises, position_mm: float, direction: int, turns: Turns) -> float:
+    """The same as a share of the whole, 0 … 1: how much of the way from one direction's correction to the other's has been gone."""
+    if form.amount_um < FULL_UM:
+        return 1.0 if direction > 0 else 0.0
+    return min(1.0, max(0.0, wound_um(form, position_mm, direction, turns) / form.amount_um))
+
+
+@dataclass(frozen=True)
+class WindUp:
+    """The state. position_mm: last set-point; direction: of the motion that ended there; turns_mm: the reversals that matter."""
+
+    position_mm: float
+    direction: int
+    turns_mm: Turns = ()
+
+    def __post_init__(self) -> None:
+        if self.direction not in (1, -1) or not math.isfinite(self.position_mm):
+            raise InputError(
+                f"position {self.position_mm:g} mm, direction of arrival {self.direction}: expected a finite position and +1 or -1"
+            )
+
+    def correction_um(self, form: Rises) -> float:
+        """What to add to the command, µm: 0 after a full stroke in −, `form.amount_um` after one in +, between them otherwise.
+
+        It counts from the − side; beside tables, which hold both ends already, only the share in between is used
+        (`hil.correction.compensation`).
+        """
+        return wound_um(form, self.position_mm, self.direction, self.turns_mm)
+
+
+def after_full_stroke(position_mm: float, direction: int) -> WindUp:
+    """Where to start: at a place reached by a long motion in a known direction. Raises InputError for any direction but +1 and -1."""
+    return WindUp(position_mm, direction)
+
+
+def moved_to(form: Rises, state: WindUp, position_mm: float) -> tuple[WindUp, float]:
+    """The state after a straight motion to a set-point, and the correction there in µm; a motion of no length changes nothing.
+
+    How a motion is cut into set-points makes no difference. Raises InputError for a position that is not finite.
+    """
+    if not math.isfinite(position_mm):
+        raise InputError(f"set-point is {position_mm} mm, expected a finite position")
+    if position_mm == state.position_mm:
+        return state, state.correction_um(form)
+    turns = remembered(state.turns_mm, state.position_mm, state.direction, position_mm)
+    after = WindUp(position_mm, 1 if position_mm > state.position_mm else -1, turns)
+    return after, after.correction_um(form)

@@ -1,0 +1,1 @@
+"""The verbs of sealed files: `hil seal`, `open`, `sign`, `check`."""

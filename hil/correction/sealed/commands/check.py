@@ -1,0 +1,69 @@
+"""`hil check`: is this file as the builder signed it? Needs no password."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from pathlib import Path
+
+from drivers.errors import InputError
+from hil.app.terminal.output import add_json_option, binding_facts, print_facts, write_json
+from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
+from hil.records.files import naming, read_bytes
+
+EXAMPLE = """\
+example:
+  hil check axis.sealed --builder builder.pub
+  hil check report.html --builder builder.pub      # with report.html.sig beside it
+
+exit code: 0 as the builder signed it, 1 not, 2 cannot be checked.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "check",
+        description="Check a sealed file, or a file with a detached signature, against the builder's public key.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", metavar="FILE", help="a sealed file, or any file with a FILE.sig")
+    parser.add_argument("--builder", metavar="BUILDER.pub", required=True, help="the builder's public key")
+    parser.add_argument("--signature", metavar="SIG", help="the detached signature (default: FILE.sig)")
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check; 0 good, 1 not. Raises InputError for what cannot be checked at all."""
+    data, public = read_bytes(args.file), load_public_key(args.builder)
+    facts: dict[str, object] = {"file": str(args.file), "builder": fingerprint(public)}
+    header: dict[str, str] = {}
+    try:
+        if is_sealed(data):
+            info = check(data, public)
+            facts |= info.as_json()
+            header = binding_facts(info.binding)
+        else:
+            signature = Path(args.signature or f"{args.file}.sig")
+            if not signature.exists():
+                raise InputError(f"is not a sealed file, and there is no signature {signature}", path=args.file)
+            with naming(signature):
+                check_detached(data, read_bytes(signature), public)
+            facts["sha256"] = hashlib.sha256(data).hexdigest()
+        verdict, reason, kind = True, "as the builder signed it", None
+    except SealedError as error:
+        verdict, reason, kind = False, error.what, type(error).__name__
+    facts |= {"good": verdict, "reason": reason, "kind": kind}
+    shown = {name: _text(value) for name, value in facts.items() if name not in ("good", "kind", "reason", "binding")}
+    print_facts(shown | header)
+    print(f"{'good' if verdict else 'NOT GOOD'}: {reason}")
+    if args.json:
+        write_json(args.json, facts)
+    return 0 if verdict else 1
+
+
+def _text(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} ({size} bytes)" for name, size in value.items())
+    return str(value)

@@ -1,0 +1,84 @@
+"""`hil open`: the contents of a sealed file, for those who have the reading password."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+from drivers.errors import InputError
+from hil.app.terminal.output import add_json_option, binding_facts, write_json
+from hil.app.terminal.passwords import add_reading_options, reading_passwords
+from hil.correction.sealed import check, load_public_key, open_sealed
+from hil.records.files import naming, read_bytes, replace_file
+
+EXAMPLE = """\
+example:
+  hil open axis.sealed --builder builder.pub --entry pitch.json
+  hil open axis.sealed --builder builder.pub --out unlocked/
+
+The builder's signature is checked first; nothing is decrypted from a file that is not as the builder signed it.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "open",
+        description="Check a sealed file and decrypt its entries, to standard output (one entry) or into a directory.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("sealed", metavar="SEALED", help="the sealed file")
+    parser.add_argument("--builder", metavar="BUILDER.pub", required=True, help="the builder's public key")
+    parser.add_argument("--entry", metavar="NAME", action="append", help="only this entry; may be repeated")
+    parser.add_argument("--out", metavar="DIR", help="write the entries as files into DIR (made if need be)")
+    parser.add_argument("--force", action="store_true", help="replace files that are already in DIR")
+    add_reading_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Open. Raises the SealedError that says what is wrong, InputError for bad arguments."""
+    data, public = read_bytes(args.sealed), load_public_key(args.builder)
+    with naming(args.sealed):
+        info = check(data, public)
+        present = list(info.entries)
+        names = list(dict.fromkeys(args.entry or present))
+        for name in names:
+            if name not in present:
+                raise InputError(f"holds no entry {name}, only {', '.join(present)}")
+        if args.out is None and len(names) > 1:
+            raise InputError(f"holds {', '.join(names)}; choose one with --entry, or give a directory with --out")
+        opened = open_sealed(data, reading_passwords(args, names, os.environ), public, names=names)
+    for name, text in binding_facts(info.binding).items():  # standard output may be the entry itself
+        print(f"{name}: {text}", file=sys.stderr)
+    written = {} if args.out is None else _write(Path(args.out), opened, force=args.force)
+    if args.out is None:
+        sys.stdout.buffer.write(opened[names[0]])
+        sys.stdout.buffer.flush()
+    if args.json:
+        facts = {
+            name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest(), "written": written.get(name)}
+            for name, content in opened.items()
+        }
+        binding = None if info.binding is None else info.binding.as_json()
+        write_json(args.json, {"sealed": str(args.sealed), "entries": facts, "binding": binding})
+    return 0
+
+
+def _write(directory: Path, opened: dict[str, bytes], *, force: bool) -> dict[str, str]:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be made a directory: {error.strerror}", path=directory) from error
+    if not force:
+        for name in opened:
+            if os.path.lexists(directory / name):
+                raise InputError("exists already; --force replaces it", path=directory / name)
+    for name, content in opened.items():
+        replace_file(directory / name, content, mode=0o600)
+        print(directory / name)
+    return {name: str(directory / name) for name in opened}

@@ -1,0 +1,72 @@
+"""`hil seal`: lock files into one sealed file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from drivers.errors import InputError
+from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.passwords import KEY, add_key_options, add_reading_options, password, reading_passwords
+from hil.correction.sealed import check, is_sealed, load_private_key, reseal, seal
+from hil.records.files import naming, read_bytes, replace_file
+
+EXAMPLE = """\
+example:
+  hil sign --new-key builder                                        # once: builder.key (keep it), builder.pub (goes with the machine)
+  hil seal pitch.json backlash.json --out axis.sealed --key builder.key
+  hil seal backlash.json --out axis.sealed --key builder.key --update --entry-password backlash.json=pw.txt
+
+Each file becomes an entry of its own name, encrypted with its password; the builder's key signs the whole.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "seal",
+        description="Lock files into one sealed file that machines can run with and only the builder can change.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("files", metavar="FILE", nargs="+", help="files to seal, one entry each")
+    parser.add_argument(
+        "--out", metavar="SEALED", required=True, help="the sealed file; an older one is replaced in one step"
+    )
+    parser.add_argument(
+        "--update",
+        action="store_true",
+        help="keep the other entries of SEALED as they are (their passwords are not needed)",
+    )
+    add_key_options(parser, required=True)
+    add_reading_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Seal. Raises InputError for bad files, keys and passwords."""
+    entries: dict[str, bytes] = {}
+    for file in args.files:
+        name = Path(file).name
+        if name in entries:
+            raise InputError(f"a second file of the name {name}, expected every name once", path=file)
+        entries[name] = read_bytes(file)
+    out = Path(args.out)
+    if args.update or out.exists():
+        old = read_bytes(out)
+        if not is_sealed(old):
+            raise InputError("exists and is not a sealed file; it is not overwritten", path=out)
+    key_password = password(args.key_password_file, KEY, "password of the builder's key", os.environ)
+    key = load_private_key(args.key, key_password)
+    passwords = reading_passwords(args, list(entries), os.environ, new=True)
+    with naming(out):
+        sealed = reseal(old, entries, passwords, key) if args.update else seal(entries, passwords, key)
+        info = check(sealed, key.public_key())
+    replace_file(out, sealed)
+    print_facts(
+        {"sealed": str(out), "entries": ", ".join(info.entries), "builder": info.builder, "sha256": info.sha256}
+    )
+    if args.json:
+        write_json(args.json, {"sealed": str(out), **info.as_json()})
+    return 0

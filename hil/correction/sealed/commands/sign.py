@@ -1,0 +1,92 @@
+"""`hil sign`: the builder's signature, on a sealed file or beside any other file; and the key pair to sign with."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+from drivers.errors import InputError
+from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.passwords import KEY, add_key_options, password
+from hil.correction.sealed import (
+    fingerprint,
+    is_sealed,
+    load_private_key,
+    load_public_key,
+    new_key,
+    resign,
+    save_private_key,
+    save_public_key,
+    sign_detached,
+)
+from hil.records.files import naming, read_bytes, replace_file
+
+EXAMPLE = """\
+example:
+  hil sign --new-key builder                              # makes builder.key (password-protected) and builder.pub
+  hil sign report.html --key builder.key                  # writes report.html.sig
+  hil sign axis.sealed --key new.key --builder old.pub    # hands a sealed file on to another key
+
+A sealed file is signed anew only if its present signature is good: nobody signs a file that was changed on its way.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "sign",
+        description="Sign a record, a report or a sealed file with the builder's key; or make a key pair.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "file", metavar="FILE", nargs="?", help="a sealed file (signed anew) or any other (gets a FILE.sig)"
+    )
+    parser.add_argument("--new-key", metavar="NAME", help="make the key pair NAME.key and NAME.pub")
+    parser.add_argument(
+        "--builder", metavar="OLD.pub", help="whose signature a sealed file carries now (default: the key's own)"
+    )
+    add_key_options(parser, required=False)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sign, or make a key pair. Raises InputError for bad arguments, the SealedError that says why a file is not signed."""
+    if args.new_key is not None:
+        if args.file or args.key or args.builder:
+            raise InputError("--new-key stands alone: sign with the new key in a second step")
+        result = _new_pair(args)
+    else:
+        if not args.file or not args.key:
+            raise InputError("nothing to sign with: give FILE and --key, or --new-key NAME")
+        result = _sign(args)
+    print_facts(result)
+    if args.json:
+        write_json(args.json, result)
+    return 0
+
+
+def _new_pair(args: argparse.Namespace) -> dict[str, str]:
+    private_path, public_path = f"{args.new_key}.key", f"{args.new_key}.pub"
+    for path in (private_path, public_path):
+        if os.path.lexists(path):
+            raise InputError("exists already; a builder's key is never overwritten", path=path)
+    secret = password(args.key_password_file, KEY, "password of the new key", os.environ, new=True)
+    key = new_key()
+    save_private_key(private_path, key, secret)
+    save_public_key(public_path, key.public_key())
+    return {"private": private_path, "public": public_path, "builder": fingerprint(key.public_key())}
+
+
+def _sign(args: argparse.Namespace) -> dict[str, str]:
+    data = read_bytes(args.file)
+    key = load_private_key(args.key, password(args.key_password_file, KEY, "password of the builder's key", os.environ))
+    if is_sealed(data):
+        present = key.public_key() if args.builder is None else load_public_key(args.builder)
+        with naming(args.file):
+            signed = resign(data, present, key)
+        written = args.file
+    else:
+        signed, written = sign_detached(data, key), f"{args.file}.sig"
+    replace_file(written, signed)
+    return {"signed": str(args.file), "written": str(written), "builder": fingerprint(key.public_key())}

@@ -1,0 +1,190 @@
+"""The builder's key pair (Ed25519, RFC 8032) as files, and detached signatures for files that stay readable.
+
+The private key is kept as a password-encrypted PKCS #8 PEM file. Its key derivation is scrypt (RFC 7914, section 7.1: scrypt in
+PBES2), memory-hard like that of the sealed files; any tool that knows PKCS #8 with scrypt reads it.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import unicodedata
+from pathlib import Path
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import padding
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
+from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+    load_pem_public_key,
+)
+
+from drivers.errors import InputError
+from hil.correction.sealed.container import SIGNATURE_BYTES, Cost
+from hil.correction.sealed.errors import DamagedError, ForeignSignatureError, WrongPasswordError
+from hil.records.files import read_bytes, replace_file
+
+KEY_COST = Cost(n=1 << 14, r=8, p=5)
+"""As strong as the sealed files' default in half its memory, which is what other tools accept without being told to."""
+
+_DETACHED = b"hil detached signature, version 1\0"
+_DETACHED_FORMAT = "hil-signature-1"
+
+
+def new_key() -> Ed25519PrivateKey:
+    """A new builder's key."""
+    return Ed25519PrivateKey.generate()
+
+
+def raw(public: Ed25519PublicKey) -> bytes:
+    """The 32 bytes of a public key."""
+    return public.public_bytes(Encoding.Raw, PublicFormat.Raw)
+
+
+def fingerprint(public: Ed25519PublicKey | bytes) -> str:
+    """A short name of a public key to compare by eye: the first 16 bytes of its SHA-256, in groups of four hex digits."""
+    data = public if isinstance(public, bytes) else raw(public)
+    digits = hashlib.sha256(data).hexdigest()[:32]
+    return " ".join(digits[i : i + 4] for i in range(0, 32, 4))
+
+
+def password_bytes(password: str) -> bytes:
+    """A password as bytes: NFC, so that the same characters typed on another system are the same password."""
+    if not password:
+        raise InputError("the password is empty, expected at least one character")
+    return unicodedata.normalize("NFC", password).encode("utf-8")
+
+
+def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *, cost: Cost = KEY_COST) -> None:
+    """Write an encrypted PKCS #8 PEM file, readable by its owner only. Raises InputError when the file exists already."""
+    if os.path.lexists(path):
+        raise InputError("exists already; a builder's key is never overwritten", path=path)
+    replace_file(path, _encrypted_pem(key, password_bytes(password), cost), mode=0o600)
+
+
+def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:
+    """Read a private key. Raises WrongPasswordError, or InputError when the file is no encrypted Ed25519 key."""
+    data = read_bytes(path)
+    if b"-----BEGIN ENCRYPTED PRIVATE KEY-----" not in data:
+        raise InputError("is not a password-protected private key (PEM, PKCS #8)", path=path)
+    try:
+        key = load_pem_private_key(data, password_bytes(password))
+    except ValueError as error:
+        raise WrongPasswordError("the password does not open this key, or the file is damaged", path=path) from error
+    if not isinstance(key, Ed25519PrivateKey):
+        raise InputError("is a private key of another kind, expected Ed25519", path=path)
+    return key
+
+
+def save_public_key(path: str | Path, public: Ed25519PublicKey) -> None:
+    """Write a public key as PEM. Raises InputError when the file exists already."""
+    if os.path.lexists(path):
+        raise InputError("exists already; a builder's key is never overwritten", path=path)
+    replace_file(path, public.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+
+
+def load_public_key(path: str | Path) -> Ed25519PublicKey:
+    """Read a public key. Raises InputError when the file is no Ed25519 public key."""
+    try:
+        public = load_pem_public_key(read_bytes(path))
+    except ValueError as error:
+        raise InputError("is not a public key (PEM)", path=path) from error
+    if not isinstance(public, Ed25519PublicKey):
+        raise InputError("is a public key of another kind, expected Ed25519", path=path)
+    return public
+
+
+def sign_detached(data: bytes, key: Ed25519PrivateKey) -> bytes:
+    """The contents of a `.sig` file for `data`: a small JSON text with the builder's public key and the signature."""
+    form = {
+        "format": _DETACHED_FORMAT,
+        "builder": raw(key.public_key()).hex(),
+        "signature": key.sign(_DETACHED + data).hex(),
+    }
+    return (json.dumps(form, indent=2) + "\n").encode("ascii")
+
+
+def check_detached(data: bytes, signature: bytes, public: Ed25519PublicKey) -> None:
+    """Return if `signature` (the contents of a `.sig` file) is the builder's over `data`.
+
+    Raises ForeignSignatureError (good, but another key's), DamagedError (data or signature changed), InputError (no .sig file).
+    """
+    try:
+        form = json.loads(signature)
+        if form["format"] != _DETACHED_FORMAT:
+            raise ValueError("format")
+        builder, value = bytes.fromhex(form["builder"]), bytes.fromhex(form["signature"])
+        if len(builder) != len(raw(public)) or len(value) != SIGNATURE_BYTES:
+            raise ValueError("length")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError("is not a detached signature of this program") from error
+    check_signature(_DETACHED + data, value, builder, public)
+
+
+def check_signature(message: bytes, signature: bytes, stated: bytes, public: Ed25519PublicKey) -> None:
+    """Return if the builder signed `message`. `stated` is the public key that the file says it was signed with."""
+    try:
+        public.verify(signature, message)
+    except InvalidSignature:
+        pass
+    else:
+        if stated == raw(public):
+            return
+        raise DamagedError("the builder's public key in it was changed")
+    if stated != raw(public):
+        try:
+            Ed25519PublicKey.from_public_bytes(stated).verify(signature, message)
+        except (InvalidSignature, ValueError) as error:
+            raise DamagedError("signature does not fit: the file was changed, or not signed by this builder") from error
+        raise ForeignSignatureError(
+            f"signed with another key, fingerprint {fingerprint(stated)}, expected {fingerprint(public)}"
+        )
+    raise DamagedError("signature does not fit: the file was changed after the builder signed it")
+
+
+def _encrypted_pem(key: Ed25519PrivateKey, password: bytes, cost: Cost) -> bytes:
+    """EncryptedPrivateKeyInfo (RFC 5958) with PBES2: scrypt (RFC 7914, 7.1) and AES-256-CBC."""
+    plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
+    salt, vector = os.urandom(16), os.urandom(16)
+    secret = Scrypt(salt=salt, length=32, n=cost.n, r=cost.r, p=cost.p).derive(password)
+    padder = padding.PKCS7(128).padder()
+    encryptor = Cipher(algorithms.AES(secret), modes.CBC(vector)).encryptor()
+    ciphertext = encryptor.update(padder.update(plain) + padder.finalize()) + encryptor.finalize()
+    derivation = _sequence(_OID_SCRYPT, _sequence(_octets(salt), _integer(cost.n), _integer(cost.r), _integer(cost.p)))
+    scheme = _sequence(_OID_PBES2, _sequence(derivation, _sequence(_OID_AES256_CBC, _octets(vector))))
+    body = base64.encodebytes(_sequence(scheme, _octets(ciphertext))).replace(b"\n", b"")
+    lines = [body[i : i + 64] for i in range(0, len(body), 64)]
+    return b"\n".join([b"-----BEGIN ENCRYPTED PRIVATE KEY-----", *lines, b"-----END ENCRYPTED PRIVATE KEY-----", b""])
+
+
+_OID_PBES2 = bytes.fromhex("06092a864886f70d01050d")
+_OID_SCRYPT = bytes.fromhex("06092b06010401da47040b")
+_OID_AES256_CBC = bytes.fromhex("060960864801650304012a")
+
+
+def _tagged(tag: int, body: bytes) -> bytes:
+    size = len(body)
+    length = (
+        bytes([size]) if size < 0x80 else bytes([0x81, size]) if size < 0x100 else b"\x82" + size.to_bytes(2, "big")
+    )
+    return bytes([tag]) + length + body
+
+
+def _sequence(*parts: bytes) -> bytes:
+    return _tagged(0x30, b"".join(parts))
+
+
+def _octets(body: bytes) -> bytes:
+    return _tagged(0x04, body)
+
+
+def _integer(value: int) -> bytes:
+    return _tagged(0x02, value.to_bytes(value.bit_length() // 8 + 1, "big"))

@@ -1,0 +1,260 @@
+"""What can be done with a sealed file: seal, check, open, replace entries, sign anew; in memory and on disk.
+
+Key of an entry: scrypt over its password. Cipher: ChaCha20-Poly1305 (RFC 8439) with a random nonce, `container.associated_data`
+authenticated. Signature: Ed25519 over the whole file. Entries that share a password share a salt, so a common password is
+stretched once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
+from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
+
+from drivers.errors import InputError
+from hil.correction.sealed import container, keys
+from hil.correction.sealed.container import Binding, Container, Cost, EntryHeader, Header
+from hil.correction.sealed.errors import SealedError, WrongPasswordError
+from hil.records.files import naming, read_bytes, replace_file
+
+Passwords = str | Mapping[str, str]
+"""One common password, or one for each entry by name."""
+
+_TAG_BYTES = 16
+_DOMAIN = b"hil sealed file\0"
+
+
+@dataclass(frozen=True)
+class SealedInfo:
+    """What a sealed file shows without a password, its signature found good.
+
+    `entries` maps each name to its size in bytes; `sha256` is the hash of the file, in hex; `builder` the signer's fingerprint;
+    `binding` what it is bound to, None for a file of version 1.
+    """
+
+    version: int
+    builder: str
+    entries: Mapping[str, int]
+    kdf: str
+    cipher: str
+    sha256: str
+    binding: Binding | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """The same as plain JSON values."""
+        binding = None if self.binding is None else self.binding.as_json()
+        return {**vars(self), "entries": dict(self.entries), "binding": binding}
+
+
+def seal(
+    entries: Mapping[str, bytes],
+    passwords: Passwords,
+    builder_key: Ed25519PrivateKey,
+    *,
+    cost: Cost | None = None,
+    bound_to: Mapping[str, Any] | None = None,
+) -> bytes:
+    """The bytes of a sealed file with these entries; bound_to: see `Binding.of`.
+
+    Raises InputError for a bad name, no entry, a missing password, or a binding that is too large.
+    """
+    builder = keys.raw(builder_key.public_key())
+    header = Header(os.urandom(16), cost or Cost(), builder, entries=(), binding=_next_binding(None, bound_to))
+    return _build(header, {}, entries, passwords, builder_key)
+
+
+def _next_binding(before: Binding | None, bound_to: Mapping[str, Any] | None) -> Binding:
+    """The one that follows `before`, bound to the same unless to something else."""
+    kept = {} if before is None else before.of
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return Binding(1 if before is None else before.counter + 1, now, kept if bound_to is None else bound_to)
+
+
+def check(data: bytes, builder_public: Ed25519PublicKey) -> SealedInfo:
+    """Check layout and signature without a password. Raises the SealedError that says what is wrong."""
+    parts = _checked(data, builder_public)
+    sizes = {
+        entry.name: len(ciphertext) - _TAG_BYTES
+        for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
+    }
+    return SealedInfo(
+        version=parts.header.version,
+        builder=keys.fingerprint(parts.header.builder),
+        entries=sizes,
+        kdf=f"{container.KDF} {parts.header.cost}",
+        cipher=container.CIPHER,
+        sha256=hashlib.sha256(data).hexdigest(),
+        binding=parts.header.binding,
+    )
+
+
+def open_sealed(
+    data: bytes, passwords: Passwords, builder_public: Ed25519PublicKey, *, names: Iterable[str] | None = None
+) -> dict[str, bytes]:
+    """The entries by name, after the signature over the whole file was found good.
+
+    Opens the entries in `names`; without it every entry for a common password, or those that `passwords` names. Raises the
+    SealedError that says what is wrong, InputError for a name the file does not hold.
+    """
+    parts = _checked(data, builder_public)
+    present = [entry.name for entry in parts.header.entries]
+    wanted = list(names) if names is not None else present if isinstance(passwords, str) else list(passwords)
+    for name in wanted:
+        if name not in present:
+            raise InputError(f"sealed file holds no entry {name}, only {', '.join(present)}")
+    stretched = _Stretched(parts.header.cost)
+    opened: dict[str, bytes] = {}
+    for number, (entry, ciphertext) in enumerate(zip(parts.header.entries, parts.ciphertexts, strict=True)):
+        if entry.name in wanted:
+            cipher = ChaCha20Poly1305(stretched.key(_password(passwords, entry.name), entry.salt))
+            try:
+                plain = cipher.decrypt(entry.nonce, ciphertext, container.associated_data(parts.header, number))
+            except InvalidTag as error:
+                raise WrongPasswordError(f"wrong password for entry {entry.name}") from error
+            opened[entry.name] = plain
+    return opened
+
+
+def reseal(
+    data: bytes,
+    changes: Mapping[str, bytes],
+    passwords: Passwords,
+    builder_key: Ed25519PrivateKey,
+    *,
+    bound_to: Mapping[str, Any] | None = None,
+) -> bytes:
+    """A sealed file with the entries in `changes` replaced or added, and signed anew; its counter is one more.
+
+    bound_to: what the file is bound to from now on; None leaves that as it was. Only the changed entries' passwords are needed; the
+    others stay encrypted as they are. Raises the SealedError that says what is wrong unless the present file is signed with the
+    same key, InputError for a binding that is too large.
+    """
+    parts = _checked(data, builder_key.public_key())
+    kept = {
+        entry.name: (entry, ciphertext)
+        for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
+    }
+    # contents are bound to their place in the file, so what is kept keeps its place
+    header = replace(parts.header, binding=_next_binding(parts.header.binding, bound_to))
+    return _build(header, kept, changes, passwords, builder_key)
+
+
+def resign(data: bytes, builder_public: Ed25519PublicKey, new_builder_key: Ed25519PrivateKey) -> bytes:
+    """The same file, binding and counter included, signed with another builder's key; needs no password.
+
+    The present signature must be `builder_public`'s.
+    """
+    parts = _checked(data, builder_public)
+    header = replace(parts.header, builder=keys.raw(new_builder_key.public_key()))
+    signed = container.pack(header, parts.ciphertexts)
+    return signed + new_builder_key.sign(_DOMAIN + signed)
+
+
+def is_sealed(data: bytes) -> bool:
+    """Whether the bytes begin like a sealed file."""
+    return data.startswith(container.MAGIC)
+
+
+def write_sealed(
+    path: str | Path,
+    entries: Mapping[str, bytes],
+    passwords: Passwords,
+    builder_key: Ed25519PrivateKey,
+    *,
+    cost: Cost | None = None,
+    bound_to: Mapping[str, Any] | None = None,
+) -> None:
+    """Seal into a file, replacing an older one in one step and keeping its permissions."""
+    replace_file(path, seal(entries, passwords, builder_key, cost=cost, bound_to=bound_to))
+
+
+def read_sealed(
+    path: str | Path, passwords: Passwords, builder_public: Ed25519PublicKey, *, names: Iterable[str] | None = None
+) -> dict[str, bytes]:
+    """Open a file as `open_sealed` does; errors name the file."""
+    with naming(path):
+        return open_sealed(read_bytes(path), passwords, builder_public, names=names)
+
+
+def _build(
+    base: Header,
+    kept: Mapping[str, tuple[EntryHeader, bytes]],
+    changes: Mapping[str, bytes],
+    passwords: Passwords,
+    builder_key: Ed25519PrivateKey,
+) -> bytes:
+    _check_names(changes, passwords, kept)
+    stretched = _Stretched(base.cost)
+    salts: dict[str, bytes] = {}
+    entries: list[EntryHeader] = []
+    for name in dict.fromkeys([*kept, *changes]):
+        if name in changes:
+            salt = salts.setdefault(_password(passwords, name), os.urandom(16))
+            entries.append(EntryHeader(name, salt, os.urandom(12)))
+        else:
+            entries.append(kept[name][0])
+    header = replace(base, entries=tuple(entries))
+    ciphertexts = []
+    for number, entry in enumerate(entries):
+        if entry.name in changes:
+            cipher = ChaCha20Poly1305(stretched.key(_password(passwords, entry.name), entry.salt))
+            data = bytes(changes[entry.name])
+            ciphertexts.append(cipher.encrypt(entry.nonce, data, container.associated_data(header, number)))
+        else:
+            ciphertexts.append(kept[entry.name][1])
+    signed = container.pack(header, tuple(ciphertexts))
+    return signed + builder_key.sign(_DOMAIN + signed)
+
+
+def _check_names(changes: Mapping[str, bytes], passwords: Passwords, kept: Mapping[str, object]) -> None:
+    if not changes:
+        raise InputError("nothing to seal, expected at least one entry")
+    if len({*changes, *kept}) > container.MAX_ENTRIES:
+        raise InputError(f"too many entries to seal, expected at most {container.MAX_ENTRIES}")
+    for name in changes:
+        if not container.NAME.fullmatch(name):
+            raise InputError(f"entry name {name!r} cannot be used, expected up to 100 letters, digits, '.', '_' or '-'")
+    if not isinstance(passwords, str):
+        for name in passwords:
+            if name not in changes:
+                raise InputError(f"a password is given for entry {name}, which is not among those to seal")
+
+
+def _checked(data: bytes, builder_public: Ed25519PublicKey) -> Container:
+    parts = container.unpack(data)
+    try:
+        keys.check_signature(_DOMAIN + parts.signed, parts.signature, parts.header.builder, builder_public)
+    except SealedError as error:
+        raise type(error)(f"sealed file refused: {error.what}") from error
+    return parts
+
+
+def _password(passwords: Passwords, name: str) -> str:
+    if isinstance(passwords, str):
+        return passwords
+    if name not in passwords:
+        raise InputError(f"no password is given for entry {name}")
+    return passwords[name]
+
+
+class _Stretched:
+    """Keys of one file by password and salt, each derived once."""
+
+    def __init__(self, cost: Cost) -> None:
+        self._cost = cost
+        self._keys: dict[tuple[str, bytes], bytes] = {}
+
+    def key(self, password: str, salt: bytes) -> bytes:
+        if (password, salt) not in self._keys:
+            derive = Scrypt(salt=salt, length=32, n=self._cost.n, r=self._cost.r, p=self._cost.p)
+            self._keys[password, salt] = derive.derive(keys.password_bytes(password))
+        return self._keys[password, salt]

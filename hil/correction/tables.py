@@ -1,0 +1,497 @@
+"""Correction tables of one axis, and the arithmetic of system A on them (JP4875672B2).
+
+What may go in: frozen tables and pure functions of tables. Every table holds *corrections* in µm (what is added to the command),
+so pitch correction = A - B in the + direction and A - C in the - direction (A target, B and C mean measured positions).
+Between nodes corrections are linear in position; beyond the ends the end value holds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drivers.errors import InputError
+from hil.records.rows import Floats, Records
+
+FORMAT = "hil-tables/1"
+
+
+class TableMode(Enum):
+    """How the two directions are stored."""
+
+    BIDIRECTIONAL = "bidirectional"  # one pitch table per direction; the backlash is inside them
+    UNIDIRECTIONAL_BACKLASH = "unidirectional+backlash"  # the + direction, and the backlash beside it
+
+
+def _column(values: ArrayLike, what: str) -> Floats:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{what} must be a list of finite numbers") from error
+    if array.ndim != 1 or not np.all(np.isfinite(array)):
+        raise InputError(f"{what} must be a list of finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def _positions(values: ArrayLike) -> Floats:
+    array = _column(values, "position_mm")
+    if len(array) == 0 or np.any(np.diff(array) <= 0):
+        raise InputError("position_mm must hold at least one position, strictly ascending")
+    return array
+
+
+def _is_plus(direction: ArrayLike) -> NDArray[np.bool_]:
+    """Where a direction is +1; a direction that is neither +1 nor -1 is refused, never guessed."""
+    signs = np.asarray(direction, dtype=np.float64)
+    if not np.all(np.abs(signs) == 1.0):
+        raise InputError("direction of arrival is unknown: expected +1 or -1")
+    return np.asarray(signs > 0)
+
+
+def _same_length(name: str, array: Floats, positions: Floats) -> None:
+    if len(array) != len(positions):
+        raise InputError(f"{name} has {len(array)} values for {len(positions)} positions")
+
+
+@dataclass(frozen=True, eq=False)
+class SingleTable:
+    """One value per position: a backlash table (D = C - B, µm) or a straightness correction (µm)."""
+
+    position_mm: Floats
+    value_um: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_mm", _positions(self.position_mm))
+        object.__setattr__(self, "value_um", _column(self.value_um, "value_um"))
+        _same_length("value_um", self.value_um, self.position_mm)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SingleTable) and _single_dict(self) == _single_dict(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.position_mm.tolist()))
+
+    def at(self, position_mm: ArrayLike) -> Floats:
+        """Value in µm at positions of any shape."""
+        return np.asarray(
+            np.interp(np.asarray(position_mm, dtype=np.float64), self.position_mm, self.value_um), dtype=np.float64
+        )
+
+    def on(self, position_mm: Floats) -> SingleTable:
+        """The same function on other nodes (exact where they contain the old ones)."""
+        return SingleTable(position_mm, self.at(position_mm))
+
+    def plus(self, other: SingleTable) -> SingleTable:
+        """The sum, on the nodes of both."""
+        nodes = np.union1d(self.position_mm, other.position_mm)
+        return SingleTable(nodes, self.at(nodes) + other.at(nodes))
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionalTable:
+    """A correction per direction at the same positions, µm."""
+
+    position_mm: Floats
+    plus_um: Floats
+    minus_um: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_mm", _positions(self.position_mm))
+        for name in ("plus_um", "minus_um"):
+            object.__setattr__(self, name, _column(getattr(self, name), name))
+            _same_length(name, getattr(self, name), self.position_mm)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, DirectionalTable) and _directional_dict(self) == _directional_dict(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.position_mm.tolist()))
+
+    @classmethod
+    def constant(cls, position_mm: Floats, value_um: float) -> DirectionalTable:
+        """The same value everywhere, in both directions."""
+        values = np.full(len(position_mm), value_um)
+        return cls(position_mm, values, values)
+
+    def at(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
+        """Correction in µm at positions, arrived at in a direction, broadcast together. InputError unless it is +1 or -1."""
+        position = np.asarray(position_mm, dtype=np.float64)
+        plus = np.interp(position, self.position_mm, self.plus_um)
+        minus = np.interp(position, self.position_mm, self.minus_um)
+        return np.asarray(np.where(_is_plus(direction), plus, minus), dtype=np.float64)
+
+    def plus_table(self) -> SingleTable:
+        return SingleTable(self.position_mm, self.plus_um)
+
+    def minus_table(self) -> SingleTable:
+        return SingleTable(self.position_mm, self.minus_um)
+
+    def plus(self, other: DirectionalTable) -> DirectionalTable:
+        """The sum, on the nodes of both."""
+        nodes = np.union1d(self.position_mm, other.position_mm)
+        return DirectionalTable(nodes, self.at(nodes, 1) + other.at(nodes, 1), self.at(nodes, -1) + other.at(nodes, -1))
+
+    def scaled(self, factor: float) -> DirectionalTable:
+        return DirectionalTable(self.position_mm, self.plus_um * factor, self.minus_um * factor)
+
+
+@dataclass(frozen=True)
+class TableSet:
+    """The tables in force on one axis.
+
+    mode: how `pitch` is to be read. In BIDIRECTIONAL mode `pitch` holds both directions, and `backlash`, when present, is
+    knowledge kept for machines that can store one direction only: it is **not** added. In UNIDIRECTIONAL_BACKLASH mode only
+    `pitch.plus_um` is used and the - direction is plus - backlash.
+    specified: the specified-accuracy correction (E in the + direction, F in the - direction), or None
+    straightness: a correction in µm from a straightness (tilt) measurement, or None
+    straightness_axis: which axis's command it is added to; "" is this axis, otherwise the name of the cross axis
+    """
+
+    mode: TableMode
+    pitch: DirectionalTable
+    backlash: SingleTable | None = None
+    specified: DirectionalTable | None = None
+    straightness: SingleTable | None = None
+    straightness_axis: str = ""
+
+    def __post_init__(self) -> None:
+        if self.mode is TableMode.UNIDIRECTIONAL_BACKLASH and self.backlash is None:
+            raise InputError("table mode unidirectional+backlash needs a backlash table")
+
+    @classmethod
+    def zero(cls, position_mm: Floats) -> TableSet:
+        """No correction."""
+        return cls(TableMode.BIDIRECTIONAL, DirectionalTable.constant(position_mm, 0.0))
+
+    @property
+    def nodes_mm(self) -> Floats:
+        """The nodes of all parts that are added to the axis's own command, ascending: between them `correction_um` is linear."""
+        parts = [self.pitch.position_mm]
+        if self.mode is TableMode.UNIDIRECTIONAL_BACKLASH and self.backlash is not None:
+            parts.append(self.backlash.position_mm)
+        if self.specified is not None:
+            parts.append(self.specified.position_mm)
+        if self.straightness is not None and not self.straightness_axis:
+            parts.append(self.straightness.position_mm)
+        return np.unique(np.concatenate(parts))
+
+    def pitch_um(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
+        """The pitch part with the direction's share of the backlash, counted once, µm."""
+        if self.mode is TableMode.BIDIRECTIONAL or self.backlash is None:
+            return self.pitch.at(position_mm, direction)
+        plus = self.pitch.at(position_mm, 1)
+        return np.asarray(np.where(_is_plus(direction), plus, plus - self.backlash.at(position_mm)))
+
+    def correction_um(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
+        """The whole correction at rest on a position, arrived at in a direction, µm."""
+        total = self.pitch_um(position_mm, direction)
+        if self.specified is not None:
+            total = total + self.specified.at(position_mm, direction)
+        if self.straightness is not None and not self.straightness_axis:
+            total = total + self.straightness.at(position_mm)
+        return total
+
+    def cross_correction_um(self, position_mm: ArrayLike, cross_axis: str) -> Floats:
+        """What this axis's position adds to the command of another axis, µm; zero unless a straightness table names it."""
+        if self.straightness is None or not cross_axis or cross_axis != self.straightness_axis:
+            return np.zeros(np.shape(position_mm))
+        return self.straightness.at(position_mm)
+
+    def combined(self) -> TableSet:
+        """Pitch and specified-accuracy in one table with one look-up; the same output everywhere.
+
+        The difference F - E of the two directions moves into the backlash table, which may have been measured by other means:
+        plus' = pitch + E, D' = D - (F - E).
+        """
+        if self.specified is None:
+            return self
+        nodes = np.union1d(self.pitch.position_mm, self.specified.position_mm)
+        if self.backlash is not None:
+            nodes = np.union1d(nodes, self.backlash.position_mm)
+        part = {sign: self.pitch_um(nodes, sign) + self.specified.at(nodes, sign) for sign in (1, -1)}
+        pitch = DirectionalTable(nodes, part[1], part[-1])
+        backlash = self.backlash
+        if backlash is not None:
+            moved = self.specified.at(nodes, 1) - self.specified.at(nodes, -1)
+            backlash = SingleTable(nodes, backlash.at(nodes) + moved)
+        return replace(self, pitch=pitch, backlash=backlash, specified=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON-able form; `from_dict` gives the same tables back bit for bit."""
+        return {
+            "format": FORMAT,
+            "mode": self.mode.value,
+            "pitch": _directional_dict(self.pitch),
+            "backlash": None if self.backlash is None else _single_dict(self.backlash),
+            "specified": None if self.specified is None else _directional_dict(self.specified),
+            "straightness": None if self.straightness is None else _single_dict(self.straightness),
+            "straightness_axis": self.straightness_axis,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> TableSet:
+        """Raises InputError for anything that is not exactly such a form."""
+        if not isinstance(data, Mapping) or data.get("format") != FORMAT:
+            found = data.get("format") if isinstance(data, Mapping) else type(data).__name__
+            raise InputError(f"tables have format {found!r}, expected {FORMAT!r}")
+        _check_keys(data, ("format", "mode", *_PARTS, "straightness_axis"), "tables")
+        try:
+            mode = TableMode(data["mode"])
+        except ValueError as error:
+            modes = " or ".join(mode.value for mode in TableMode)
+            raise InputError(f"tables have mode {data['mode']!r}, expected {modes}") from error
+        axis = data["straightness_axis"]
+        if not isinstance(axis, str):
+            raise InputError(f"tables have straightness_axis {axis!r}, expected a name or an empty one")
+        if data["pitch"] is None:
+            raise InputError("tables lack pitch")
+        part: dict[str, Any] = {
+            name: None if data[name] is None else _part(kind, data[name], name) for name, kind in _PARTS.items()
+        }
+        return cls(mode=mode, straightness_axis=axis, **part)
+
+    def digest(self) -> str:
+        """SHA-256 over the canonical JSON form, hex: the name by which a report says which tables were in force."""
+        text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+_PARTS: Mapping[str, type[SingleTable | DirectionalTable]] = {
+    "pitch": DirectionalTable,
+    "backlash": SingleTable,
+    "specified": DirectionalTable,
+    "straightness": SingleTable,
+}
+
+
+def _check_keys(data: Mapping[str, Any], expected: Sequence[str], what: str) -> None:
+    for name in expected:
+        if name not in data:
+            raise InputError(f"{what} lack {name}")
+    for name in data:
+        if name not in expected:
+            raise InputError(f"{what} hold an unknown entry {name!r}")
+
+
+def _part(kind: type[SingleTable | DirectionalTable], data: object, name: str) -> Any:
+    """One table of the plain form; only JSON numbers are numbers in it, neither true nor "1"."""
+    if not isinstance(data, Mapping):
+        raise InputError(f"{name} is {type(data).__name__}, expected a table")
+    columns = tuple(column.name for column in fields(kind))
+    _check_keys(data, columns, name)
+    for column in columns:
+        if not isinstance(data[column], list):
+            raise InputError(f"{name}.{column} is {type(data[column]).__name__}, expected a list of finite numbers")
+        for value in data[column]:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"{name}.{column} holds {value!r:.40}, expected a finite number")
+    try:
+        return kind(**data)
+    except InputError as error:
+        raise InputError(f"{name}: {error.what}") from error
+
+
+def _directional_dict(table: DirectionalTable) -> dict[str, list[float]]:
+    return {
+        "position_mm": table.position_mm.tolist(),
+        "plus_um": table.plus_um.tolist(),
+        "minus_um": table.minus_um.tolist(),
+    }
+
+
+def _single_dict(table: SingleTable) -> dict[str, list[float]]:
+    return {"position_mm": table.position_mm.tolist(), "value_um": table.value_um.tolist()}
+
+
+@dataclass(frozen=True)
+class SectionMeans:
+    """Means of the repeated runs, per section (target) and direction.
+
+    plus_um, minus_um: mean error (B - A, C - A) of the machine as it was commanded, µm, NaN where a direction was not measured
+    """
+
+    target_mm: Floats
+    plus_um: Floats
+    minus_um: Floats
+    pooled_std_um: float  # standard deviation of a single run about its section's mean; NaN with one run
+
+
+def section_means(records: Records, error_um: Floats | None = None) -> SectionMeans:
+    """Means per target and direction of `error_um` (default: error as measured), shape (rows,).
+
+    Rows belong to one section when their targets are equal to the nanometre.
+    """
+    error = records.error_um if error_um is None else error_um
+    keys = np.round(records.target_mm, 6)
+    targets = np.unique(keys)
+    means = {1: np.full(len(targets), np.nan), -1: np.full(len(targets), np.nan)}
+    squares, degrees = 0.0, 0
+    for index, target in enumerate(targets):
+        for direction in (1, -1):
+            values = error[(keys == target) & (records.direction == direction)]
+            if len(values):
+                means[direction][index] = values.mean()
+                squares += float(np.sum((values - values.mean()) ** 2))
+                degrees += len(values) - 1
+    pooled = math.sqrt(squares / degrees) if degrees else math.nan
+    return SectionMeans(targets, means[1], means[-1], pooled)
+
+
+def compute_tables(
+    records: Records, mode: TableMode = TableMode.BIDIRECTIONAL, straightness: SingleTable | None = None
+) -> TableSet:
+    """Pitch and backlash tables from measured runs (system A).
+
+    Uses the error of the uncorrected machine (measured - command), so records taken with a correction in force serve as well. A
+    straightness table that goes into the same set (and the same command) takes its part of the error: what it corrects at a
+    section is not corrected again by the pitch table.
+    Raises InputError when a section lacks one of its directions.
+    """
+    means = section_means(records, records.uncorrected_error_um)
+    for direction, values in (("+", means.plus_um), ("-", means.minus_um)):
+        lacking = means.target_mm[np.isnan(values)]
+        if len(lacking):
+            raise InputError(f"section at {lacking[0]:g} mm was not measured in the {direction} direction")
+    share = 0.0 if straightness is None else straightness.at(means.target_mm)
+    pitch = DirectionalTable(means.target_mm, -means.plus_um - share, -means.minus_um - share)
+    backlash = SingleTable(means.target_mm, pitch.plus_um - pitch.minus_um)
+    return TableSet(mode, pitch, backlash, straightness=straightness)
+
+
+# -- specified accuracy ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Band:
+    """A specified accuracy: the machine's mean error is to lie between low and high, µm, in every section and direction."""
+
+    low_um: float
+    high_um: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low_um) and math.isfinite(self.high_um) and self.low_um < self.high_um):
+            raise InputError(f"band is {self.low_um} to {self.high_um} µm, expected low < high")
+
+    @property
+    def middle_um(self) -> float:
+        return (self.low_um + self.high_um) / 2
+
+    @property
+    def width_um(self) -> float:
+        return self.high_um - self.low_um
+
+    def holds(self, error_um: ArrayLike) -> NDArray[np.bool_]:
+        """True where an error lies inside; NaN (not measured) lies outside."""
+        error = np.asarray(error_um, dtype=np.float64)
+        return np.asarray((error >= self.low_um) & (error <= self.high_um))
+
+    def check_repeatability(self, pooled_std_um: float) -> None:
+        """Refuse a band that is narrower than the machine's own repeatability (4 s, ISO 230-2), naming both figures."""
+        if math.isnan(pooled_std_um):
+            raise InputError("a band needs the machine's repeatability, and that at least 2 runs")
+        repeatability_um = 4 * pooled_std_um
+        if self.width_um < repeatability_um:
+            raise InputError(
+                f"band {self.low_um:g} to {self.high_um:g} µm is {self.width_um:.2f} µm wide, narrower than the machine's"
+                f" repeatability of {repeatability_um:.2f} µm (4 s); widen the band or improve the machine"
+            )
+
+
+def initial_specified(target_mm: Floats, band: Band) -> DirectionalTable:
+    """E = F = the middle of the band with its sign, in every section and direction."""
+    return DirectionalTable.constant(target_mm, band.middle_um)
+
+
+def revised_value_um(
+    target_um: float, specified_um: float, measured_um: float, wanted_um: float | None = None
+) -> float:
+    """One revision of system A: E + {(A + E) - B}, all in µm. Worked case: A 0.5, E 6.5, B 6.0 gives 7.5.
+
+    `wanted_um` is the deviation that is really wanted; in the first round it is E itself, as published. From the second round
+    on E has moved away from it, and aiming at A + E again would run away from the band.
+    """
+    wanted = specified_um if wanted_um is None else wanted_um
+    return specified_um + ((target_um + wanted) - measured_um)
+
+
+@dataclass(frozen=True)
+class Outside:
+    """One section and direction whose mean error lies outside the band."""
+
+    target_mm: float
+    direction: int
+    error_um: float
+
+    def __str__(self) -> str:
+        return f"{self.target_mm:g} mm {'+' if self.direction > 0 else '-'} ({self.error_um:+.2f} µm)"
+
+
+def sections_outside(means: SectionMeans, band: Band) -> list[Outside]:
+    """The measured sections and directions outside the band; what was not measured is not judged."""
+    found = []
+    for direction, errors in ((1, means.plus_um), (-1, means.minus_um)):
+        for target, error in zip(means.target_mm, errors, strict=True):
+            if not math.isnan(error) and not bool(band.holds(error)):
+                found.append(Outside(float(target), direction, float(error)))
+    return sorted(found, key=lambda section: (section.target_mm, -section.direction))
+
+
+def revise(
+    specified: DirectionalTable, outside: Iterable[Outside], band: Band, *, fine_step_um: float | None = None
+) -> DirectionalTable:
+    """Revise only the sections outside.
+
+    Without `fine_step_um` by system A's formula with the middle of the band as the wanted deviation; with it, by one such step
+    towards the band.
+    """
+    values = {1: specified.plus_um.copy(), -1: specified.minus_um.copy()}
+    for section in outside:
+        index = int(np.argmin(np.abs(specified.position_mm - section.target_mm)))
+        if abs(specified.position_mm[index] - section.target_mm) > 1e-6:
+            raise InputError(f"no section of the specified-accuracy table at {section.target_mm:g} mm")
+        if fine_step_um is None:
+            old = float(values[section.direction][index])
+            values[section.direction][index] = revised_value_um(0.0, old, section.error_um, band.middle_um)
+        else:
+            step = math.copysign(fine_step_um, band.middle_um - section.error_um)
+            values[section.direction][index] += step
+    return DirectionalTable(specified.position_mm, values[1], values[-1])
+
+
+# -- straightness --------------------------------------------------------------------------------------------------------
+
+
+def split_specified(tables: TableSet, straightness_share: float) -> TableSet:
+    """Share the specified-accuracy correction out between pitch and straightness.
+
+    part_straightness = share · mean(E, F), part_pitch = specified - part_straightness; stored pitch = pitch + part_pitch, stored
+    straightness = straightness + part_straightness, and no separate specified table is left. Both are added to the command, so
+    the total is what it was; a straightness table that corrects a cross axis cannot take a share.
+    Raises InputError for a share outside 0..1, without a specified table, or with a cross-axis straightness table.
+    """
+    if not 0.0 <= straightness_share <= 1.0:
+        raise InputError(f"straightness share is {straightness_share}, expected 0 to 1")
+    if tables.specified is None:
+        raise InputError("there is no specified-accuracy correction to share out")
+    if tables.straightness_axis:
+        raise InputError(f"the straightness table corrects axis {tables.straightness_axis}, it cannot take a share")
+    nodes = tables.specified.position_mm
+    part = straightness_share * (tables.specified.plus_um + tables.specified.minus_um) / 2
+    part_straightness = SingleTable(nodes, part)
+    part_pitch = tables.specified.plus(DirectionalTable(nodes, -part, -part))
+    straightness = part_straightness if tables.straightness is None else tables.straightness.plus(part_straightness)
+    return replace(replace(tables, specified=part_pitch).combined(), straightness=straightness)
+
+
+def straightness_table(position_mm: ArrayLike, deviation_um: ArrayLike) -> SingleTable:
+    """Straightness correction from a measured deviation across the axis: correction = -deviation, µm."""
+    return SingleTable(_positions(position_mm), -_column(deviation_um, "deviation_um"))

@@ -1,0 +1,1 @@
+"""The verbs on records: `hil diagnose`, `fit`, `apply`, `campaign`."""

@@ -1,0 +1,76 @@
+"""`hil apply`: the correction of a model for each row of records, and what it would leave."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.records_input import add_records_argument, read_model, read_records
+from hil.effects.non_parametric import without_cause
+from hil.effects.user_effects import blaming
+from hil.records.files import replace_file
+from hil.records.rows import to_csv
+
+EXAMPLE = """\
+example:
+  hil apply --model model.json records.csv --out corrected.csv
+
+OUT.csv holds the rows with two columns more: correction_um, what the model adds to the command of that row from what is
+known when the row is commanded; residual_um, the error of the uncorrected machine (measured - command) plus that correction.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "apply",
+        description="Apply a model of `hil fit` or `hil diagnose` to records.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--model", metavar="MODEL", required=True, help="model file of `hil fit` or `hil diagnose --out`"
+    )
+    add_records_argument(parser)
+    parser.add_argument("--out", metavar="OUT.csv", required=True, help="the records with two columns added")
+    add_effects_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Apply and write. Raises InputError when the records lack a column the model needs."""
+    effects = read_effects(args.effects)
+    with blaming(effects):
+        model = read_model(args.model, effects)
+        records = read_records(args.records, args.runs)
+        try:
+            correction = model.correction_um(records.columns)
+        except InputError as error:
+            raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+    before = records.uncorrected_error_um
+    after = before + correction
+    out = records.with_column("correction_um", correction).with_column("residual_um", after)
+    replace_file(args.out, to_csv(out).encode("utf-8"))
+    figures = {
+        "rows": len(records),
+        "before_rms_um": float(np.sqrt(np.mean(before**2))),
+        "after_rms_um": float(np.sqrt(np.mean(after**2))),
+        "after_peak_um": float(np.max(np.abs(after))),
+    }
+    print_facts(
+        {
+            "rows": str(len(records)),
+            "uncorrected": f"{figures['before_rms_um']:.3f} µm RMS",
+            "with the model": f"{figures['after_rms_um']:.3f} µm RMS, {figures['after_peak_um']:.3f} µm at most",
+            "written": str(args.out),
+        }
+    )
+    for term in without_cause(model.terms):
+        print(f"{term.effect.id}: {term.effect.explain(term)}")
+    if args.json:
+        write_json(args.json, figures)
+    return 0

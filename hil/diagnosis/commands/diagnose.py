@@ -1,0 +1,120 @@
+"""`hil diagnose`: trace what a correction leaves to the effect that the model lacks."""
+
+from __future__ import annotations
+
+import argparse
+
+from drivers.errors import InputError
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
+from hil.app.terminal.records_input import add_records_argument, read_model, read_records
+from hil.axis.axis_file import load_axis
+from hil.diagnosis import Diagnosis, diagnose
+from hil.diagnosis.follow_up import follow_up, means_of_records
+from hil.diagnosis.pictures import with_plots
+from hil.effects.user_effects import blaming, check_on
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil diagnose records.csv --json diagnosis.json --out extended.json
+  hil diagnose check.csv --model model.json --json diagnosis.json --out extended.json
+  hil diagnose records.csv --effects coolant_level.py
+  hil diagnose records.csv --out extended.json --non-parametric     corrects what is unexplained too, its cause unknown
+
+Without --model the declared model (a table per direction) is fitted from the records themselves. Exit 0: what is left is
+explained or within the noise; 1: structure is left that nothing in the catalogue explains.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "diagnose",
+        description="Find the effect that the declared model lacks, name what it could be confused with, and extend the model.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_records_argument(parser)
+    parser.add_argument(
+        "--model", metavar="MODEL", help="the declared model (`hil fit`); default: fitted from the records"
+    )
+    parser.add_argument("--out", metavar="EXTENDED", help="write the extended model; `hil apply` uses it")
+    parser.add_argument(
+        "--axis", metavar="AXIS.toml", help="the axis file: its pitch decides where the next measurement looks"
+    )
+    parser.add_argument(
+        "--non-parametric",
+        action="store_true",
+        help="where something is unexplained: put a smooth function of the columns that carry it into the extended model, though its"
+        " cause is unknown; refused where it does not help on runs left out, or a column is not known when a command is issued",
+    )
+    add_effects_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, print, write. Returns 1 when something is left unexplained. Raises InputError for bad records or model."""
+    if args.non_parametric and not args.out:
+        raise InputError("--non-parametric is about the extended model, expected --out EXTENDED with it")
+    effects = read_effects(args.effects)
+    with blaming(effects):
+        declared = read_model(args.model, effects) if args.model else None
+        records = read_records(args.records, args.runs)
+        try:
+            check_on(effects, records.columns)
+            diagnosis = diagnose(records, declared, effects=effects)
+        except InputError as error:
+            raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+        if args.non_parametric:
+            diagnosis = _without_a_cause(diagnosis)
+        means = means_of_records(records, _pitches(args.axis))
+        follow = follow_up(diagnosis, records, declared, means, effects=effects)
+    if args.out:
+        replace_file(args.out, diagnosis.extended.to_json().encode("utf-8"))
+    if args.json:
+        write_json(args.json, with_plots(follow.to_json(), follow.diagnosis, records))
+    print_diagnosis(follow.diagnosis)
+    if follow.run is not None:
+        print(f"next measurement: {follow.run.describe()}; then diagnose both files together")
+    return 1 if diagnosis.unexplained else 0
+
+
+def _without_a_cause(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis with what is unexplained corrected. Raises InputError where that cannot be had."""
+    if isinstance(diagnosis.non_parametric, str):
+        raise InputError(f"--non-parametric is refused: {diagnosis.non_parametric}")
+    return diagnosis.non_parametric
+
+
+def _pitches(axis: str | None) -> tuple[float, ...]:
+    """Lengths at which the mechanics of an axis repeat."""
+    return () if axis is None else (load_axis(axis).scaling.feed_mm_per_shaft_rev,)
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """The outcome for people, on standard output."""
+    before, after = diagnosis.before, diagnosis.after
+    print_facts(
+        {
+            "noise floor": f"{diagnosis.noise_floor} µm",
+            "declared": ", ".join(diagnosis.declared.declared),
+            "before": f"{before.rms_um:.3f} µm RMS, {before.peak_um:.3f} µm at most (held out, {diagnosis.held_out})",
+            "after": f"{after.rms_um:.3f} µm RMS, {after.peak_um:.3f} µm at most",
+        }
+    )
+    if not diagnosis.findings:
+        print("nothing in the catalogue is missing from the model")
+    else:
+        print_table(
+            ["effect", "confidence", ("action", "left"), ("what", "left")],
+            [[f.effect, f"{f.confidence:.3f}", f.action.value, f.explanation] for f in diagnosis.findings],
+        )
+    for finding in diagnosis.findings:
+        for rival in finding.rivals:
+            print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
+    if diagnosis.unexplained:
+        carried = "; ".join(map(str, diagnosis.carriers))
+        print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
+    for note in diagnosis.notes:
+        print(f"note: {note}")

@@ -1,0 +1,86 @@
+"""`hil fit`: the baseline model of an axis from records."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.records_input import add_records_argument, read_records
+from hil.diagnosis.search.declare import fit_with
+from hil.effects.user_effects import blaming, check_on
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil fit records.csv --out model.json
+  hil fit records.csv --runs 1-3 --out model.json
+  hil fit records.csv --with velocity_lag --out model.json
+  hil fit records.csv --with coolant_level --effects coolant_level.py --out model.json
+
+The model is a table of the error per direction of arrival, smoothed as far as the repeats allow, and the effects that are known to be
+there. `hil apply` uses it; `hil diagnose` finds out which effects there are.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "fit",
+        description="Fit the bidirectional error table of an axis to measurement records.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_records_argument(parser)
+    parser.add_argument("--out", metavar="MODEL", required=True, help="the model file to write")
+    parser.add_argument(
+        "--with",
+        dest="wanted",
+        metavar="EFFECT",
+        action="append",
+        default=[],
+        help="an effect that the model shall hold beside the table, by its id; may be repeated",
+    )
+    add_effects_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, write the model, print what is left. Raises InputError for records that cannot be fitted."""
+    known = {effect.id: effect for effect in read_effects(args.effects)}
+    for name in args.wanted:
+        if name not in known:
+            raise InputError(f"--with {name}: there is no such effect; there are {', '.join(known)}")
+    wanted = [known[name] for name in dict.fromkeys(args.wanted)]
+    records = read_records(args.records, args.runs)
+    with blaming(wanted):
+        try:
+            check_on(wanted, records.columns)
+            model = fit_with(records, wanted)
+        except InputError as error:
+            raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
+    replace_file(args.out, model.to_json().encode("utf-8"))
+    uncorrected = records.uncorrected_error_um
+    left = uncorrected - model.error_um(records.columns)
+    figures = {
+        "rows": len(records),
+        "runs": len(records.runs),
+        "error_rms_um": float(np.sqrt(np.mean(uncorrected**2))),
+        "residual_rms_um": float(np.sqrt(np.mean(left**2))),
+    }
+    print_facts(
+        {
+            "records": f"{figures['rows']} rows, {figures['runs']} runs",
+            "error RMS": f"{figures['error_rms_um']:.3f} µm",
+            "left by the model": f"{figures['residual_rms_um']:.3f} µm RMS on the rows it was fitted to",
+            "model": f"{args.out}: {', '.join(model.declared)}",
+        }
+    )
+    for term in model.terms:
+        print(term.effect.explain(term))
+    if args.json:
+        write_json(args.json, {"declared": model.declared, "model": str(args.out), **figures})
+    return 0

@@ -1,0 +1,100 @@
+"""Diagnosis of what stands on disk, with everything that is drawn of it as plain values: kept beside the rows as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.app.report.data import NamedCampaign
+from hil.app.report.views import View, finding_view, position_view
+from hil.axis.axis_file import AxisConfig
+from hil.diagnosis import Diagnosis, diagnose
+from hil.diagnosis.follow_up import FollowUp, follow_up, means_of_records
+from hil.diagnosis.pictures import with_plots
+from hil.diagnosis.stored import sources
+from hil.effects.user_effects import blaming, catalogue_with, check_on
+from hil.records.files import read_text, replace_file
+from hil.records.rows import Floats, Records, concatenate, parse_csv
+
+MOST_POINTS = 1200
+"""Of one curve: more show nothing more on a screen."""
+MOST_TURNS = 6.0
+"""A curve along x goes up and down over its range no more often."""
+SIGNS = {1: "+", -1: "−"}
+
+
+def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
+    """Diagnose passes of one campaign together, as `hil diagnose` does, and write what came of it. Raises InputError."""
+    effects = catalogue_with()
+    with blaming(effects):
+        records = concatenate([parse_csv(read_text(path), path) for path in paths])
+        check_on(effects, records.columns)
+        diagnosis = diagnose(records, effects=effects)
+        means = means_of_records(records, (axis.scaling.feed_mm_per_shaft_rev,))
+        follow = follow_up(diagnosis, records, None, means, effects=effects)
+    form = {**shown_diagnosis(follow, records), "sources": sources(paths)}
+    replace_file(out, (json.dumps(form) + "\n").encode())
+
+
+def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
+    """The contract's object, each finding with its plot, and `drawn`: the curves of a screen.
+
+    records: those that were diagnosed. `drawn` is {"position": curves, "findings": [curves or None, one for each finding], "forms":
+    [form and inputs of each finding's effect]}.
+    """
+    diagnosis = follow.diagnosis
+    form = with_plots(follow.to_json(), diagnosis, records)
+    whole = NamedCampaign("diagnosed", records.with_column("residual_um", diagnosis.before_um))
+    findings = form["findings"]
+    alone = len(findings) == 1
+    views = [finding_view(one, whole, alone=alone) for one in findings]
+    drawn = {
+        "position": _curves(position_view(whole.records, findings)) | _along_position(diagnosis, records),
+        "findings": [None if view is None else _curves(view) for view in views],
+        "forms": [{"name": one.term.form.name, "inputs": list(one.term.needs)} for one in diagnosis.findings],
+    }
+    return {**form, "drawn": drawn}
+
+
+def _along_position(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
+    """What is laid over the position as whole curves, not at the rows alone: of effects of position and direction; {} for others."""
+    terms = [finding.term for finding in diagnosis.findings]
+    if not terms or any(set(term.needs) - {"target_mm", "direction"} for term in terms):
+        return {}
+    x = np.linspace(np.min(records.target_mm), np.max(records.target_mm), MOST_POINTS)
+    laid_over = {}
+    for sign, name in SIGNS.items():
+        if np.any(records.direction == sign):
+            at = {"target_mm": x, "direction": np.full(len(x), float(sign))}
+            laid_over[name] = _points(
+                x,
+                sum((term.error_um(at) - np.mean(term.error_um(records.columns)) for term in terms), np.zeros(len(x))),
+            )
+    return {"laid_over": laid_over, "smooth": True}
+
+
+def _curves(view: View) -> dict[str, Any]:
+    """label, over: what stands at the x axis and what is laid over; residual, laid_over: by direction, points (x, µm) along x.
+
+    smooth: what is laid over is a curve along x; else it depends on more than x, and its points are not to be joined.
+    """
+    residual, laid_over, smooth = {}, {}, True
+    for sign, name in SIGNS.items():
+        here = view.direction == sign
+        if np.any(here):
+            order = np.argsort(view.x[here], kind="stable")
+            residual[name] = _points(view.x[here][order], view.residual_um[here][order])
+            over_um = view.over_um[here][order]
+            laid_over[name] = _points(view.x[here][order], over_um)
+            smooth = smooth and bool(np.sum(np.abs(np.diff(over_um))) <= MOST_TURNS * np.ptp(over_um))
+    return {"label": view.label, "over": view.over, "residual": residual, "laid_over": laid_over, "smooth": smooth}
+
+
+def _points(x: Floats, y_um: Floats) -> list[list[float]]:
+    """Evenly thinned."""
+    step = -(-len(x) // MOST_POINTS)
+    return [[float(f"{a:.7g}"), float(f"{b:.5g}")] for a, b in zip(x[::step], y_um[::step], strict=True)]

@@ -1,0 +1,1 @@
+"""The loop at the machine: calibrate, explore, diagnose, add the missing effect, explore again."""

@@ -1,0 +1,208 @@
+"""`hil close-loop`: calibrate, verify in another regime, diagnose, add what is missing, measure again."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from drivers.errors import InputError
+from hil.app.terminal.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    open_store,
+    print_dry_run,
+    tell_zero,
+)
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.motion_options import add_in_motion_options, feeds, passes_of
+from hil.app.terminal.output import write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.app.terminal.recording_options import add_recording_options, machine_of, recording_name
+from hil.app.terminal.summary import print_findings, print_stages
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.calibration.explore import Exploration
+from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
+from hil.diagnosis.loop.next_run import runs_of
+from hil.diagnosis.loop.procedure import MOST_RUNS, Consent, Loop, Turn, Turning
+from hil.diagnosis.next.planned_run import PlannedRun
+from hil.diagnosis.next.plans import read_plan
+from hil.effects.user_effects import blaming
+from hil.machine.conditions import AskedConditions, Conditions
+from hil.machine.measure import bidirectional_steps
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil close-loop X.toml --report loop.html
+  hil close-loop X.toml --resume
+  hil close-loop X.toml --plan plan.csv --person none
+  hil close-loop X.toml --record machine.csv      drive and instrument, recorded together; --replay plays them again
+  hil close-loop X.toml --feeds 20,60,110 --stretch 60
+
+Where two causes could have made what is left, the measurement that tells them apart best for its time is made next: by itself
+where the axis can, after asking where somebody has to lend a hand. With --feeds, a second turn is made in motion, for what cannot
+be seen at rest; the drive must take set-points in its cycle. Where the axis file does not state the instrument's latency
+(latency_s), it is measured before. Exit status 1: structure is left that nothing in the
+catalogue explains, a measurement is waiting for a person, or the axis came out no better.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "close-loop",
+        description="Find what error a calibration leaves, trace it to an effect, add that effect, and prove it on the machine.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted loop")
+    parser.add_argument("--runs", type=int, default=8, help="runs of each exploring campaign (default 8)")
+    parser.add_argument("--rows", type=int, default=42, help="positions of each run (default 42)")
+    parser.add_argument(
+        "--warm-up", metavar="S", type=float, default=240.0, help="mean seconds of strokes, or rest, between runs"
+    )
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    parser.add_argument(
+        "--plan", metavar="PLAN.csv", help="explore by this plan (`hil campaign design`) instead of --runs and --rows"
+    )
+    parser.add_argument(
+        "--person",
+        choices=("ask", "none"),
+        help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
+    )
+    _add_in_motion(parser)
+    add_zero_options(parser)
+    add_recording_options(parser)
+    add_effects_option(parser)
+    add_password_options(parser, key=True)
+    parser.set_defaults(run=run, resumes="close-loop")
+
+
+def _add_in_motion(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--feeds", metavar="MM_S", type=feeds, help="then passes at these feeds, e.g. 20,60,110 (mm/s)")
+    add_in_motion_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: what is left is within the noise or explained; 1: not."""
+    axis = load_axis(args.axis)
+    effects = read_effects(args.effects)
+    plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
+    if args.dry_run:
+        steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
+        print_dry_run(axis, steps, [f"rows below {axis.store.directory}", str(axis.tables_path)])
+        rows = (
+            f"the {sum(len(part.steps) for part in plan)} rows of {args.plan}"
+            if plan
+            else (f"{args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each")
+        )
+        late = "" if axis.instrument.latency_s is not None else "passes for the instrument's latency, then "
+        passes = (
+            f"; then {late}twice passes at {', '.join(f'{feed:g}' for feed in args.feeds)} mm/s" if args.feeds else ""
+        )
+        print(
+            f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart{passes}"
+        )
+        return 0
+    if args.feeds and (args.record or args.replay):
+        raise InputError(
+            "--feeds does not go with --record or --replay: a recorded drive takes no set-points in its cycle"
+        )
+    store = None if args.replay else open_store(args, axis, writing=True)
+    how = Exploration(args.runs, args.rows, args.warm_up)
+    in_motion = None
+    if args.feeds:
+        in_motion = passes_of(args, args.feeds, axis.instrument)
+    turning = Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion)
+    with (
+        blaming(effects),
+        machine_of(args, axis, _asked(axis)) as machine,
+        terminal_progress() as listener,
+    ):
+        tell_zero(args, machine)
+        loop = run_loop(machine, store, turning, listener, resume=args.resume, recording=recording_name(args))
+    if store is None:
+        print("nothing is stored: this was a recording")
+    stages = loop_stages(loop)
+    print_stages(stages)
+    print_findings(loop.turn.diagnosis)
+    print_runs(loop.turn)
+    if loop.in_motion is not None:
+        print("in motion:")
+        if loop.in_motion.latency is not None:
+            print(loop.in_motion.latency.describe())
+        print_findings(loop.in_motion.diagnosis)
+    if args.report:
+        from hil.app.report.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, loop_report(axis, loop).encode())
+    good = loop_is_good(loop)
+    if args.json:
+        write_json(
+            args.json,
+            {
+                "axis": axis.name,
+                "stages": stages,
+                "diagnosis": loop.turn.diagnosis.to_json() if loop.turn.follow is None else loop.turn.follow.to_json(),
+                "further": [run.describe() for run in loop.turn.further],
+                "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
+                "latency": _measured_latency(loop),
+                "good": good,
+            },
+        )
+    return 0 if good else 1
+
+
+def _measured_latency(loop: Loop) -> dict[str, Any] | None:
+    turn = loop.in_motion
+    return None if turn is None or turn.latency is None else turn.latency.to_json()
+
+
+def _asked(axis: AxisConfig) -> Conditions | None:
+    """Loads and the like are brought about by whoever sits at the terminal."""
+    levels = axis.conditions.levels
+    if axis.drive.backend == "bench":
+        return None
+    if not sys.stdin.isatty():
+        if not levels:
+            return None
+        raise InputError("[conditions] are asked for on a terminal, and there is none", path=axis.path)
+
+    def ask(name: str, value: float) -> None:
+        input(
+            f"the axis is without power; please make {name} = {value:g}, then press Enter: it is enabled again and moves "
+        )
+
+    return AskedConditions(levels, ask)
+
+
+def _consent(person: str | None) -> Consent | None:
+    """Asks on the terminal whether a run that needs a person shall be made; None where nobody is there."""
+    if person == "none" or (person is None and not sys.stdin.isatty()):
+        return None
+
+    def ask(run: PlannedRun) -> bool:
+        print(f"next measurement: {run.describe()}", file=sys.stderr)
+        try:
+            return input("make it now? [y/N] ").strip().lower() in ("y", "yes")
+        except EOFError:
+            return False
+
+    return ask
+
+
+def print_runs(turn: Turn) -> None:
+    """Which measurements the loop asked for, what is still undecided, and what would decide it."""
+    for run in turn.further:
+        print(f"measured to tell causes apart: {run.describe()}")
+    follow = turn.follow
+    if follow is None:
+        return
+    for finding in follow.diagnosis.findings:
+        if finding.effect in follow.undecided:
+            for rival in finding.rivals:
+                print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
+    if follow.run is not None:
+        print(f"next measurement, not made: {follow.run.describe()}")

@@ -1,0 +1,107 @@
+"""The loop on one axis: calibrate, explore, diagnose, add what is missing, measure again (system E)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+from hil.app.jobs.figures import error_figures
+from hil.app.jobs.job import Job, Workplace, tell_unchecked
+from hil.axis.axis_file import AxisConfig
+from hil.correction.store import SealedStore
+from hil.diagnosis.follow_up import FollowUp
+from hil.diagnosis.job import shown_diagnosis
+from hil.diagnosis.loop.jobs.person import Person
+from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, Looped, loop_plan
+from hil.diagnosis.loop.jobs.stored import turn_is_good
+from hil.diagnosis.loop.procedure import Loop, Turn, Turning, close_loop
+from hil.diagnosis.stored import STORED
+from hil.figures.history import purpose_of_replay
+from hil.machine.computing import watched
+from hil.machine.events import Listener, silent
+from hil.machine.wiring import Machine
+from hil.records.journal import Campaign
+
+
+def loop_purpose(axis: AxisConfig, turning: Turning) -> dict[str, Any]:
+    """What decides which rows a loop measures."""
+    plan, in_motion = turning.plan, turning.in_motion
+    exploration = vars(turning.exploration) if plan is None else {"plan": repr(list(plan))}
+    purpose = {**axis.purpose(CLOSE_LOOP), "exploration": exploration}
+    if in_motion is not None:
+        purpose["in_motion"] = {**vars(in_motion), "feeds_mm_s": list(in_motion.feeds_mm_s)}
+    return purpose
+
+
+def run_loop(
+    machine: Machine,
+    store: SealedStore | None,
+    turning: Turning,
+    listener: Listener = silent,
+    *,
+    resume: bool = False,
+    recording: str = "",
+) -> Loop:
+    """Prepare and turn the loop; every compensation is sealed before it is used, and the diagnosis kept beside the rows.
+
+    recording: file name of what is replayed, if anything is; store: None then, what comes of a recording is kept nowhere.
+    """
+    axis = machine.axis
+    purpose = loop_purpose(axis, turning)
+    campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
+    tell_unchecked(campaign, listener)
+    machine.session.prepare(campaign.directory)
+    save = store.save if store is not None else lambda _compensation: None
+    loop = close_loop(machine.session, campaign, axis.correction, save, listener, turning=turning)
+    for name, turn in (("before", loop.turn), ("motion-before", loop.in_motion)):
+        if turn is not None:
+            follow = turn.follow or FollowUp(turn.diagnosis, None, None, ())
+            campaign.write(f"{name}{STORED}", json.dumps(shown_diagnosis(follow, turn.diagnosed)).encode())
+    campaign.finish()
+    return loop
+
+
+def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False) -> Job:
+    """For the desk: returns a Looped. The axis is watched while the diagnosis is made; a run that needs a person asks for one."""
+
+    def work(place: Workplace) -> Looped:
+        machine, person = place.machine(), Person(place)
+        how = replace(turning, computing=watched, consent=turning.consent or person.consents)
+        session = machine.session
+        before, session.conditions = session.conditions, person.conditions(axis, session.conditions)
+        try:
+            loop = run_loop(machine, place.opened_store(), how, place.listener, resume=resume)
+        finally:
+            session.conditions = before
+        return Looped(loop_stages(loop), loop_is_good(loop))
+
+    return Job(CLOSE_LOOP, loop_plan(axis, turning.exploration, turning.in_motion), work)
+
+
+def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
+    """The measured stages of a loop with their figures."""
+    stages = {
+        "uncorrected": error_figures(loop.calibration.before),
+        "table": error_figures(loop.calibration.rounds[-1].records),
+        "table, explored": error_figures(loop.turn.before),
+        "extended, explored": error_figures(loop.turn.after),
+    }
+    if loop.in_motion is not None:
+        stages["in motion"] = error_figures(loop.in_motion.before)
+        stages["in motion, extended"] = error_figures(loop.in_motion.after)
+    return stages
+
+
+def loop_is_good(loop: Loop) -> bool:
+    """Everything found, no measurement left that needs a person, and the axis measured no worse than before."""
+    follow = loop.turn.follow
+    waits = follow is not None and follow.run is not None and bool(follow.run.person)
+    turns = [loop.turn] if loop.in_motion is None else [loop.turn, loop.in_motion]
+    return not waits and all(_turn_is_good(turn) for turn in turns)
+
+
+def _turn_is_good(turn: Turn) -> bool:
+    before, after = error_figures(turn.before)["rms_um"], error_figures(turn.after)["rms_um"]
+    found = turn.diagnosis
+    return turn_is_good(before, after, found.noise_floor.value, unexplained=found.unexplained)

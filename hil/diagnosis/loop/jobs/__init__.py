@@ -1,0 +1,1 @@
+"""Parts of the loop's job: its plan, its person, what it stored."""

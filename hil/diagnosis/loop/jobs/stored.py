@@ -1,0 +1,91 @@
+"""What stands on disk of an axis's last loop: the figures of its stages, as far as they were measured, and how it came out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import InputError
+from hil.app.jobs.figures import error_figures
+from hil.app.report.views import object_of, value_of
+from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
+from hil.diagnosis.stored import STORED, measurement_of, read_stored
+from hil.figures.history import Pass, read_campaign
+from hil.records.journal import FINISHED
+from hil.records.rows import Records, concatenate
+
+STAGES = {
+    "uncorrected": "measure",
+    "table": "round",
+    "table, explored": "before",
+    "extended, explored": "after",
+    "in motion": "motion-before",
+    "in motion, extended": "motion-after",
+}
+"""In the order of time, with the measurement that each is of."""
+TURNS = {"before": ("table, explored", "extended, explored"), "motion-before": ("in motion", "in motion, extended")}
+"""Of what a diagnosis was made, with the stages before and after what came of it."""
+
+
+@dataclass(frozen=True)
+class StoredLoop:
+    """place: its folder; stages: the figures of each, as `error_figures`; good: nothing is left to be done, None before its end"""
+
+    place: str
+    stages: Mapping[str, Mapping[str, Any]]
+    good: bool | None
+
+
+def stored_loop(directory: Path) -> StoredLoop | None:
+    """The last loop of an axis's folder that has rows; None where there is none."""
+    begun = [path for path in directory.glob(f"{CLOSE_LOOP}-[0-9]*") if path.name.rpartition("-")[2].isdecimal()]
+    for place in sorted(begun, key=lambda path: int(path.name.rpartition("-")[2]), reverse=True):
+        try:
+            measured = _measured(read_campaign(place).passes)
+        except InputError:
+            continue
+        stages = {stage: error_figures(measured[name]) for stage, name in STAGES.items() if name in measured}
+        if stages:
+            ended = (place / FINISHED).exists()
+            return StoredLoop(place.name, stages, _is_good(place, stages) if ended else None)
+    return None
+
+
+def turn_is_good(before_um: float, after_um: float, noise_um: float, *, unexplained: bool) -> bool:
+    """Whether a turn left nothing: all is explained, and the axis measured no worse than before, or within the noise; RMS each."""
+    return not unexplained and after_um <= max(before_um, 2 * noise_um)
+
+
+def _measured(passes: tuple[Pass, ...]) -> dict[str, Records]:
+    """Rows by measurement; of the rounds of a calibration the last alone."""
+    parts: dict[str, list[Pass]] = {}
+    for one in sorted((one for one in passes if one.records is not None), key=_number):
+        name = measurement_of(one.name)
+        parts.setdefault("round" if name.startswith("round-") else name, []).append(one)
+    rows = {name: [one.records for one in group if one.records is not None] for name, group in parts.items()}
+    return {name: group[-1] if name == "round" else concatenate(group) for name, group in rows.items()}
+
+
+def _number(one: Pass) -> int:
+    match = re.search(r"-(\d+)$", one.name)
+    return 0 if match is None else int(match[1])
+
+
+def _is_good(place: Path, stages: Mapping[str, Mapping[str, Any]]) -> bool | None:
+    """By the diagnoses that it kept; None without them."""
+    turns = []
+    for name, (before, after) in TURNS.items():
+        if after not in stages or before not in stages:
+            continue
+        try:
+            form = read_stored(place / f"{name}{STORED}")
+        except InputError:
+            return None
+        waits = bool(object_of(form.get("next_measurement")).get("person"))
+        noise_um, unexplained = value_of(form, "noise_floor_um") or 0.0, form.get("unexplained") is True
+        rms_um = (stages[before]["rms_um"], stages[after]["rms_um"])
+        turns.append(not waits and turn_is_good(*rms_um, noise_um, unexplained=unexplained))
+    return all(turns) if turns else None

@@ -1,0 +1,70 @@
+"""Making the measurement that a diagnosis asks for, on the machine: what the axis can do, and a planned run as steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hil.axis.axis_file import MeasurementConfig
+from hil.calibration.explore import Run, explore
+from hil.diagnosis.next.planned_run import Means, PlannedRun, Point
+from hil.machine.conditions import SET_UP
+from hil.machine.events import Listener, silent
+from hil.machine.measure import Step
+from hil.machine.session import AxisSession
+from hil.records.journal import Campaign
+from hil.records.rows import Records
+
+
+def means_of_measurement(how: MeasurementConfig) -> Means:
+    """What the targets and times of an axis file allow; conditions, sensors and persons are for whoever knows of them."""
+    return Means(
+        min(how.targets_mm),
+        max(how.targets_mm),
+        feed_mm_s=how.velocity_mm_s,
+        reading_s=how.dwell_s + how.reading_s,
+        overrun_mm=how.overrun_mm,
+        targets=min(len(how.targets_mm), 21),
+    )
+
+
+def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
+    """What an axis can do: its session's targets and times, its conditions, the sensors it reads.
+
+    With a person at hand the optics can be set up anew; new sensors cannot be read while the axis is connected.
+    """
+    how, conditions = session.how, session.conditions
+    asked = conditions.by_hand
+    levels = {name: tuple(float(v) for v in values) for name, values in conditions.levels.items() if name not in SET_UP}
+    return replace(
+        means_of_measurement(how),
+        levels=levels,
+        by_itself=frozenset() if asked else frozenset(levels),
+        sensors=frozenset(session.known()),
+        mountable=SET_UP if asked else frozenset(),
+        pitches_mm=pitches_mm,
+    )
+
+
+def runs_of(points: Sequence[Point]) -> list[Run]:
+    """Planned rows as parts of a campaign: a new part wherever something is set, the axis is warmed, or it rests."""
+    runs: list[Run] = []
+    steps: list[Step] = []
+    first = points[0]
+    for point in points:
+        step = Step(
+            point.run, point.direction, point.target_mm, point.overrun_mm, point.feed_mm_s, dwell_s=point.dwell_s
+        )
+        if steps and (point.strokes_s or point.rest_s or point.levels != first.levels):
+            runs.append(Run(tuple(steps), first.strokes_s, first.rest_s, first.levels))
+            steps, first = [], point
+        steps.append(step)
+    runs.append(Run(tuple(steps), first.strokes_s, first.rest_s, first.levels))
+    return runs
+
+
+def measure_run(
+    session: AxisSession, campaign: Campaign, name: str, run: PlannedRun, listener: Listener = silent
+) -> Records:
+    """Measure a planned run with the compensation now in force."""
+    return explore(session, campaign, name, runs_of(run.points), listener)

@@ -1,0 +1,238 @@
+"""What a measured campaign can never show: too few repeats, targets in step with a pitch, columns that go together, sensors not there.
+
+What may go in: properties of the design alone - where, when, with what - never of the error that was measured. Columns are taken
+beside the declared table, which is free in both directions, and beside an offset of each run.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.noise.evidence import Bench, Frame, Noise
+from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
+from hil.diagnosis.verdict.hypotheses import imagined
+from hil.effects import ALL, Effect, Form
+from hil.effects.cyclic import COMMON_MM
+from hil.records.rows import Records
+
+Floats = NDArray[np.float64]
+
+LEAST_REPEATS = 8
+"""Degrees of freedom of the noise floor below which it is uncertain by more than a quarter."""
+NEAR_MM = 0.02
+"""Targets that near are one target repeated."""
+BLIND = 0.01
+"""Share of an effect's norm beside the table below which the campaign cannot show it."""
+ALIKE = 0.95
+"""Canonical correlation above which two effects cannot be told apart."""
+IN_STEP = 0.9
+"""Length of the mean phase vector of the targets above which they all sit at one phase of a pitch."""
+MOST_POINTS = 7
+"""Points of a form's grid that stand for it."""
+MOST_ROWS = 2000
+MOTION = "velocity_mm_s"
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Something the campaign cannot show. kind: repeats | pitch | blind | alike | missing | order."""
+
+    kind: str
+    effects: tuple[str, ...]
+    what: str
+    figure: float
+
+
+@dataclass(frozen=True)
+class CampaignCheck:
+    """rows, runs; repeats: degrees of freedom of the noise floor; gaps: what cannot be shown; visible: effects that can."""
+
+    rows: int
+    runs: int
+    repeats: int
+    gaps: tuple[Gap, ...]
+    visible: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        gaps = [{"kind": g.kind, "effects": list(g.effects), "what": g.what, "figure": g.figure} for g in self.gaps]
+        return {
+            "rows": self.rows,
+            "runs": self.runs,
+            "repeats": self.repeats,
+            "can_show": list(self.visible),
+            "gaps": gaps,
+        }
+
+
+def check_campaign(
+    records: Records, pitches_mm: tuple[float, ...] = (), effects: Sequence[Effect] = ALL
+) -> CampaignCheck:
+    """What these records can never show. Raises InputError for too few rows."""
+    if len(records) > MOST_ROWS:
+        records = records.where(np.arange(len(records)) % (-(-len(records) // MOST_ROWS)) == 0)
+    with threadpool_limits(1, "blas"):
+        campaign = prepare(records, pitches_mm)
+        repeats = repeats_of(campaign)
+        frame = _frame(campaign)
+        parts = {effect.id: _parts(campaign, frame, effect) for effect in effects}
+        visible = tuple(name for name, part in parts.items() if part is not None and part.share >= BLIND)
+        gaps = [
+            *_repeat_gap(repeats),
+            *_pitch_gaps(campaign, pitches_mm or COMMON_MM, pitches_mm),
+            *_order_gap(campaign),
+            *_blind_gaps(parts),
+            *_missing_gaps(campaign, effects, parts),
+            *_alike_gaps({name: parts[name] for name in visible}),
+        ]
+    return CampaignCheck(len(campaign), campaign.runs, repeats, tuple(gaps), visible)
+
+
+def repeats_of(campaign: Campaign) -> int:
+    """Degrees of freedom for pure error: rows at a target and from a side that were measured before."""
+    keys = np.round(campaign.x / NEAR_MM) * campaign.d + 1e-3 * campaign.d
+    return len(keys) - len(np.unique(keys))
+
+
+def _frame(campaign: Campaign) -> Frame:
+    free = campaign.repeated
+    noise = Noise(offset=0.8) if free else Noise(offset=0.8, even=START_ROUGHNESS, odd=START_ROUGHNESS)
+    return Bench(campaign).frame(noise, campaign.error_um)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """An effect beside the table: the share of its norm that is left, at best, and its columns there by form."""
+
+    share: float
+    forms: tuple[tuple[Form, Floats], ...]
+
+
+def _parts(campaign: Campaign, frame: Frame, effect: Effect) -> _Part | None:
+    """None where the records allow no form of the effect."""
+    best, kept = 0.0, []
+    forms = [form for form in effect.forms(campaign.survey) if form.scan]
+    for form in forms:
+        grid = grid_choices(effect, form)
+        some = (
+            grid
+            if len(grid) <= MOST_POINTS
+            else [grid[i] for i in np.linspace(0, len(grid) - 1, MOST_POINTS).astype(int)]
+        )
+        for choice in some:
+            columns = choice.columns(campaign)
+            rest, share = _beside(frame, columns)
+            best = max(best, share)
+            if share >= BLIND and not form.shrunk:
+                kept.append((form, rest))
+    return _Part(best, tuple(kept)) if forms else None
+
+
+def _beside(frame: Frame, columns: Floats) -> tuple[Floats, float]:
+    """What is left of columns (n, k) beside the table, orthonormal, and the largest share of a column's norm."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    w = frame.prepared(columns / scale)
+    design = np.hstack([frame.whitened.table, frame.beside])
+    shadow = frame.shadow(w)
+    rest = w - design @ (frame.inverse_lower.T @ shadow)
+    share = float(np.max(np.linalg.norm(rest, axis=0)))
+    left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    return np.asarray(left[:, sizes > max(1e-3 * float(sizes[0]), 1e-12)]), share
+
+
+def _repeat_gap(repeats: int) -> list[Gap]:
+    if repeats >= LEAST_REPEATS:
+        return []
+    what = f"{repeats} repeated targets give no noise floor; expected at least {LEAST_REPEATS}, some within one run"
+    return [Gap("repeats", (), what, float(repeats))]
+
+
+def _pitch_gaps(campaign: Campaign, likely: Sequence[float], given: Sequence[float]) -> list[Gap]:
+    """Pitches with which all targets are in step, and pairs of pitches that look the same at these targets."""
+    span = 2 * campaign.survey.half_span_mm
+    found = []
+    for pitch in sorted({p for base in likely for p in (base, base / 2)} if given else set(likely)):
+        if pitch > span / 2:
+            continue
+        in_step = abs(complex(np.mean(np.exp(2j * np.pi * np.unique(campaign.x) / pitch))))
+        if in_step > IN_STEP:
+            what = f"all targets are in step with a pitch of {pitch:g} mm: an error with that period is a constant here"
+            found.append(Gap("pitch", ("cyclic",), what, in_step))
+    return found
+
+
+def _order_gap(campaign: Campaign) -> list[Gap]:
+    """Runs that only go one way through the travel confound position with time."""
+    worst = 1.0
+    for run in range(campaign.runs):
+        rows = campaign.run == run
+        x = campaign.x[rows]
+        if len(x) < 4 or np.ptp(x) == 0.0:
+            return []
+        worst = min(worst, abs(float(np.corrcoef(np.arange(len(x)), x)[0, 1])))
+    if worst <= ALIKE:
+        return []
+    what = "every run goes through the travel one way only: position stands for time; measure in mixed order, or back again"
+    return [Gap("order", ("thermal_drift", "thermal_expansion"), what, worst)]
+
+
+def _blind_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
+    shares = {name: part.share for name, part in parts.items() if part is not None and part.share < BLIND}
+    if not shares:
+        return []
+    what = f"{', '.join(shares)}: at most {100 * max(shares.values()):.1g} % of each is left beside the table, which takes it in"
+    return [Gap("blind", tuple(shares), what, max(shares.values()))]
+
+
+def _missing_gaps(campaign: Campaign, effects: Sequence[Effect], parts: dict[str, _Part | None]) -> list[Gap]:
+    """Effects for which a column is missing, or never changed."""
+    wanted: dict[str, dict[str, None]] = {}
+    for unseen in imagined(campaign, effects):
+        part = parts[unseen.effect.id]
+        if part is None or part.share < BLIND:
+            wanted.setdefault(unseen.effect.id, {})[unseen.column] = None
+    moving = replace(
+        campaign.survey, varying=campaign.survey.varying | {MOTION}, mean={**campaign.survey.mean, MOTION: 1.0}
+    )
+    for effect in effects:
+        if parts[effect.id] is None:
+            inputs = {name for form in effect.forms(moving) for name in form.inputs}
+            wanted.setdefault(effect.id, {MOTION: None} if MOTION in inputs else {})
+    gaps = []
+    for name, columns in wanted.items():
+        what = (
+            " or ".join(_why(campaign, column) for column in columns) or "a column it reads is missing or never changed"
+        )
+        gaps.append(Gap("missing", (name,), f"{name}: {what}", 0.0))
+    return gaps
+
+
+def _why(campaign: Campaign, column: str) -> str:
+    if column == MOTION and not np.any(np.nan_to_num(campaign.columns.get(MOTION, np.zeros(1)))):
+        return "every row was captured at rest"
+    return f"{column} never changed" if column in campaign.columns else f"{column} was not written down"
+
+
+def _alike_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
+    """Pairs of effects of which some forms cannot be told apart in this design, each with its closest forms."""
+    gaps = []
+    for (first, a), (second, b) in itertools.combinations(parts.items(), 2):
+        if a is None or b is None:
+            continue
+        closest, names = 0.0, ("", "")
+        for (form_a, qa), (form_b, qb) in itertools.product(a.forms, b.forms):
+            correlation = float(np.linalg.norm(qa.T @ qb, 2))
+            if correlation > closest:
+                closest, names = correlation, (form_a.name, form_b.name)
+        if closest > ALIKE:
+            what = f"{first} ({names[0]}) and {second} ({names[1]}) go together: canonical correlation {closest:.3f}"
+            gaps.append(Gap("alike", (first, second), what, min(closest, 1.0)))
+    return gaps

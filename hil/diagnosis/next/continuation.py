@@ -1,0 +1,328 @@
+"""How each cause would continue the records in a run that has not been made, and how well its rivals could follow.
+
+What may go in: predicted errors and refits under a known noise; nothing random, nothing measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.next.feasible import THERMOMETER
+from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns
+from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise
+from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
+from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
+from hil.diagnosis.verdict.hypotheses import (
+    ALONG,
+    COURSES,
+    IN_TIME,
+    REST,
+    SENSED,
+    SET,
+    Hypothesis,
+    Unseen,
+    imagined,
+    is_set,
+    response,
+    searcher_of,
+    segments,
+    smooth_courses,
+)
+from hil.effects import Effect, Form
+from hil.effects.history import time_column
+from hil.effects.model import Model
+from hil.records.rows import Records
+
+Floats = NDArray[np.float64]
+Columns = Mapping[str, Floats]
+
+TYPICAL_OFFSET = 0.25
+"""Offset between runs beside the white noise, in its standard deviations, where the records cannot say."""
+TYPICAL_ARM_MM = 150.0
+WARMING_S, WANDER_S = 900.0, 1800.0
+"""Time constant with which an axis takes up the heat of strokes, and period in which its surroundings change."""
+HEAT = 2.0
+"""How much farther strokes drive a temperature than it went by itself."""
+LEAST_WANDER = 0.5
+"""How far something that stood off its usual value all the time will wander, as a share of that."""
+HIDDEN = 1e-7
+"""Share of a column's squared norm that is not told from rounding."""
+SAME = 0.1
+"""Share of an error that a form may miss and still stand for it."""
+
+
+class Drawing:
+    """The records, and what each cause made of them; `discrimination` draws a run behind them."""
+
+    def __init__(self, records: Records, declared: Model | None, causes: Sequence[Hypothesis], means: Means) -> None:
+        self.declared, self.means = declared, means
+        base = segments(records)[-1]
+        searcher = searcher_of(base, declared, [cause.effect for cause in causes])
+        self.base = searcher.bench.campaign
+        self.causes = [_as_in(self.base, cause) for cause in causes]
+        self.noise = Noise(offset=TYPICAL_OFFSET)
+        if declared is None:
+            self.noise = replace(self.noise, even=START_ROUGHNESS, odd=START_ROUGHNESS)
+        frame = searcher.frame(self.noise)
+        self.so_far: list[Floats] = []
+        self.noise_um = np.inf
+        for cause in self.causes:
+            if cause.choice is not None:
+                fit = searcher.fit([cause.choice], self.noise)
+                self.so_far.append(fit.found[0].error_um(self.base.columns))
+                self.noise_um = min(self.noise_um, fit.white_um)
+            elif cause.unseen is not None:
+                design = cause.unseen.design
+                solution = frame.solve(design)
+                self.so_far.append(design @ solution.coefficients)
+                self.noise_um = min(self.noise_um, float(np.sqrt(solution.variance)))
+            else:
+                self.so_far.append(np.zeros(len(self.base)))
+        if not np.isfinite(self.noise_um):
+            self.noise_um = float(np.sqrt(frame.solve(np.zeros((len(self.base), 0))).variance))
+        self.shape: Shape | None = None if declared is None else DeclaredShape.of(declared.table, self.noise_um)
+        self.terms = [
+            searcher.fit([cause.choice], self.noise).found[0] if cause.choice is not None else None
+            for cause in self.causes
+        ]
+        self.apart_so_far = self._misfits(self.base, np.column_stack(self.so_far), None)
+
+    def discrimination(self, run: PlannedRun) -> Floats:
+        """Σ(f_i - f_j)²/σ² that the run adds when i is the cause and j is fitted anew to everything, shape (causes, causes)."""
+        plan = self._planned(run)
+        whole = prepare(Records.of(self._together(plan)))
+        n = len(self.base)
+        later = {name: values[n:] for name, values in whole.columns.items()}
+        varied = [name for name in run.adds if is_set(name) or name == "velocity_mm_s"]
+        drawn = [
+            np.concatenate([so_far, self._continued(index, whole, later, plan, varied)])
+            for index, so_far in enumerate(self.so_far)
+        ]
+        logged = {name: plan[name] for name in run.adds if SENSED.fullmatch(name)}
+        apart = self._misfits(whole, np.column_stack(drawn), logged)
+        return np.asarray(np.maximum(apart - self.apart_so_far, 0.0))
+
+    # -- columns of the run ------------------------------------------------------------------------------------------------
+    def _planned(self, run: PlannedRun) -> dict[str, Floats]:
+        """The columns of a run as far as they can be known: what follows from its rows, and sensors as they usually go."""
+        base = self.base.columns
+        timed = time_column(base) == "time_s"
+        start = float(base["time_s"][-1]) + 60.0 if timed else 0.0
+        plan = motion_columns(run.points, self.means, start_s=start)
+        strokes = plan["strokes_s"]
+        since = plan["time_s"] - start
+        courses = {
+            "temp": self._warmth(since, strokes),
+            "air": np.sin(2 * np.pi * since / WANDER_S + 1.0),
+        }
+        for name in {*base, *run.adds} - set(plan):
+            kind = name.split("_")[0]
+            old = base.get(name)
+            if SENSED.fullmatch(name) and kind in courses:
+                middle, spread = (20.0, 1.0) if old is None else (float(np.mean(old)), float(np.std(old)))
+                plan[name] = middle + spread * courses[kind]
+            elif old is not None and name in ("pitch_urad", "yaw_urad"):
+                order = np.argsort(base["target_mm"])
+                plan[name] = np.interp(plan["target_mm"], base["target_mm"][order], old[order])
+        return plan
+
+    @staticmethod
+    def _warmth(since_s: Floats, strokes_s: Floats) -> Floats:
+        """How warm the axis is row by row, in units of what it did by itself: taken up in strokes, given off with time."""
+        out, state, before = np.empty(len(since_s)), 0.0, 0.0
+        for i, (now, fast) in enumerate(zip(since_s, strokes_s, strict=True)):
+            for duration, aim in ((now - before - fast, 0.0), (fast, 3.0 * HEAT)):
+                state += (aim - state) * (1.0 - np.exp(-max(duration, 0.0) / WARMING_S))
+            out[i], before = state, now
+        return np.asarray(out + 0.3 * np.sin(2 * np.pi * since_s / (0.7 * WANDER_S)))
+
+    def _together(self, plan: Columns) -> dict[str, Floats]:
+        """Records and run as one; what is set and was not written down stood at its usual level, sensors not in both are left out."""
+        base, m = self.base.columns, len(plan["run"])
+        whole: dict[str, Floats] = {}
+        for name in {*base, *plan}:
+            if name in ("row_order", "strokes_s") or (name == "time_s" and "time_s" not in base):
+                continue
+            if name in base and name in plan:
+                whole[name] = np.concatenate([base[name], plan[name]])
+            elif name in base and not SENSED.fullmatch(name):
+                whole[name] = np.concatenate([base[name], np.full(m, float(np.mean(base[name])))])
+            elif name in plan and not SENSED.fullmatch(name):
+                before = plan[name][0] if name == "load_kg" or name.startswith("pos_") else SET.get(name, 0.0)
+                whole[name] = np.concatenate([np.full(len(self.base), before), plan[name]])
+        whole["command_mm"] = whole["measured_mm"] = whole["target_mm"]
+        return whole
+
+    # -- what the cause would do -------------------------------------------------------------------------------------------
+    def _continued(self, index: int, whole: Campaign, later: Columns, plan: Columns, varied: Sequence[str]) -> Floats:
+        """Error that a cause would make in the run, µm, shape (m,)."""
+        cause, so_far = self.causes[index], self.so_far[index]
+        drawn = self._through_new(cause.effect, whole, varied, so_far)
+        if drawn is None:
+            drawn = self._as_seen(index, later, plan) if cause.unseen is None else self._unseen(index, later, plan)
+        return drawn
+
+    def _as_seen(self, index: int, later: Columns, plan: Columns) -> Floats:
+        """A cause that the records show: its term goes on, and what wanders goes on wandering as it did, back in time."""
+        term = self.terms[index]
+        if term is None or term.form.shrunk:
+            time = self.base.columns[time_column(self.base.columns)]
+            return np.asarray(np.interp(time[-1] - (plan["time_s"] - plan["time_s"][0]), time, self.so_far[index]))
+        columns = {**later, **{name: values for name, values in plan.items() if name in term.needs}}
+        return term.error_um(columns)
+
+    def _unseen(self, index: int, later: Columns, plan: Columns) -> Floats:
+        """A cause through a column that the records lack."""
+        unseen, so_far = self.causes[index].unseen, self.so_far[index]
+        if unseen is None or unseen.column in ALONG:
+            order = np.argsort(self.base.x)
+            return np.asarray(np.interp(later["target_mm"], self.base.x[order], so_far[order]))
+        if unseen.column in IN_TIME:
+            return self._wandering(unseen, so_far, later, plan)
+        coefficients = np.linalg.lstsq(_constant(unseen, self.base.columns), so_far, rcond=1e-9)[0]
+        return np.asarray(_constant(unseen, later) @ coefficients)
+
+    def _through_new(self, effect: Effect, whole: Campaign, varied: Sequence[str], so_far: Floats) -> Floats | None:
+        """By a form of the effect that reads a column which the run varies for the first time, if one was the same so far."""
+        n = len(so_far)
+        best: tuple[float, Floats] | None = None
+        for form in effect.forms(whole.survey) if varied else ():
+            if not set(form.inputs) & set(varied) or form.shrunk:
+                continue
+            theta = min(form.starts, key=lambda start: abs(start[0] - TYPICAL_ARM_MM) if start else 0.0)
+            design = effect.basis(form, theta, whole.columns)
+            centred = so_far - np.mean(so_far)
+            old = np.column_stack([design[:n], np.ones(n)])
+            coefficients = np.linalg.lstsq(old, centred, rcond=1e-9)[0]
+            missed = float(np.sum((centred - old @ coefficients) ** 2))
+            if best is None or missed < best[0] * 0.999:
+                best = missed, np.asarray(design[n:] @ coefficients[:-1] + coefficients[-1] + np.mean(so_far))
+        if best is None or best[0] > SAME * float(np.sum((so_far - np.mean(so_far)) ** 2)) + 1e-12:
+            return None
+        return best[1]
+
+    def _wandering(self, unseen: Unseen, so_far: Floats, later: Columns, plan: Columns) -> Floats:
+        """The column goes on from where it was last, and wanders as far as it did: by strokes where it is warmth."""
+        coefficients = np.linalg.lstsq(unseen.design, so_far, rcond=1e-9)[0]
+        course = unseen.courses @ coefficients
+        level, last, size = float(np.mean(course)), float(course[-1]), float(np.std(course))
+        since = plan["time_s"] - plan["time_s"][0]
+        wave = np.sin(2 * np.pi * since / WANDER_S)
+        if unseen.column in plan or (unseen.column == THERMOMETER and np.any(plan["strokes_s"] > 0)):
+            size = max(size, LEAST_WANDER * abs(level))
+            wave = (
+                plan[unseen.column] - REST[unseen.column]
+                if unseen.column in plan
+                else self._warmth(since, plan["strokes_s"])
+            )
+        ahead = np.column_stack([np.ones(len(wave)), wave - wave[0]])
+        drawn = response(unseen.effect, unseen.form, unseen.column, later, ahead)
+        return np.asarray(drawn @ [last, size])
+
+    # -- how well rivals could follow --------------------------------------------------------------------------------------
+    def _misfits(self, campaign: Campaign, drawn: Floats, logged: Columns | None) -> Floats:
+        """Σ(f_i - f_j)²/σ² with j fitted to what i (a column of `drawn`) does, beside table and offsets, shape (causes, causes)."""
+        shape = SplineShape(campaign.basis) if self.shape is None else self.shape
+        bench = Bench(campaign, shape)
+        frame = bench.frame(self.noise, drawn)
+        out = np.empty((len(self.causes), len(self.causes)))
+        for j, cause in enumerate(self.causes):
+            left = np.ones(drawn.shape[1])
+            designs = self._designs(campaign, cause.effect, logged or {})
+            if designs:
+                left = np.minimum(left, _left(frame, designs))
+            if cause.choice is not None and cause.choice.form.shrunk:
+                random = cause.effect.basis(_refreshed(cause, campaign), cause.choice.theta, campaign.columns)
+                extra = Extra(random[:, :0], random * np.sqrt(max(cause.choice.variance, 1.0)))
+                left = np.minimum(left, bench.frame(self.noise, drawn, extra).rss / frame.rss)
+            out[:, j] = left * frame.rss
+        read = {name.split("_")[0] for name in logged or {}}
+        loose = [j for j, cause in enumerate(self.causes) if cause.choice is not None and cause.choice.form.shrunk]
+        for j, cause in enumerate(self.causes):
+            free = [u for u in imagined(campaign, [cause.effect]) if u.wanders and u.column.split("_")[0] not in read]
+            if loose and free:
+                out[:, j] = np.minimum(out[:, j], out[:, loose[0]])
+        out -= np.diag(out)[:, None]  # what a cause misses of its own course tells nothing
+        return np.asarray(np.maximum(out, 0.0) / self.noise_um**2)
+
+    def _designs(self, campaign: Campaign, effect: Effect, logged: Columns) -> list[Floats]:
+        """Every way in which an effect could be fitted to records and run."""
+        designs = [
+            choice.columns(campaign)
+            for form in effect.forms(campaign.survey)
+            if form.scan and not form.shrunk
+            for choice in grid_choices(effect, form)
+        ]
+        n, m = len(self.base), len(campaign) - len(self.base)
+        old = {name: values[:n] for name, values in campaign.columns.items()}
+        new = {name: values[n:] for name, values in campaign.columns.items()}
+        for unseen in imagined(campaign, [effect]):
+            name = unseen.column
+            if not m or name not in REST or name in ALONG:
+                designs.append(unseen.design)
+            elif unseen.courses.shape[1] == max(COURSES):
+                before = response(effect, unseen.form, name, old, smooth_courses(old, name))
+                course = (logged[name] - REST[name])[:, None] if name in logged else smooth_courses(new, name)
+                after = response(effect, unseen.form, name, new, course)
+                designs.append(_apart(before, after))
+        return designs
+
+
+def _as_in(base: Campaign, cause: Hypothesis) -> Hypothesis:
+    """A cause as it is in these rows: what other rows of the records said of it may have been by a column that is not there here.
+
+    Without any form where these rows say nothing of it.
+    """
+    choice, unseen = cause.choice, cause.unseen
+    if choice is not None and all(name in base.columns for name in choice.form.inputs):
+        return cause
+    alike = [
+        other
+        for other in imagined(base, [cause.effect])
+        if unseen is None
+        or (other.column, other.form.name, other.design.shape[1])
+        == (unseen.column, unseen.form.name, unseen.design.shape[1])
+    ]
+    return replace(cause, choice=None, unseen=alike[0] if alike else None)
+
+
+def _apart(before: Floats, after: Floats) -> Floats:
+    """Columns for the records and columns for the run, neither with a say in the other's rows."""
+    (n, k), (m, q) = before.shape, after.shape
+    return np.block([[before, np.zeros((n, q))], [np.zeros((m, k)), after]])
+
+
+def _constant(unseen: Unseen, columns: Columns) -> Floats:
+    """Columns of an unseen cause where what it follows stays as it was, shape (n, k)."""
+    level = columns.get(unseen.column, np.full(len(columns["run"]), SET.get(unseen.column, 1.0)))
+    return unseen.effect.basis(unseen.form, unseen.form.starts[0], {**columns, unseen.column: np.asarray(level)})
+
+
+def _refreshed(cause: Hypothesis, campaign: Campaign) -> Form:
+    """The same form with its constants for these rows."""
+    form = cause.choice.form if cause.choice is not None else None
+    found = [f for f in cause.effect.forms(campaign.survey) if form is not None and f.name == form.name]
+    return found[0]
+
+
+def _left(frame: Frame, designs: Sequence[Floats]) -> Floats:
+    """Share of the squared errors (b,) of a frame that the best of some designs (n, k) leaves, shape (b,)."""
+    least = np.ones(np.shape(frame.rss))
+    for width in sorted({design.shape[1] for design in designs}):
+        alike = [design for design in designs if design.shape[1] == width]
+        w = frame.prepared(np.hstack(alike))
+        shadow = frame.shadow(w)
+        blocks = w.reshape(len(w), -1, width).transpose(1, 0, 2)
+        hidden = shadow.reshape(len(shadow), -1, width).transpose(1, 0, 2)
+        gram = blocks.transpose(0, 2, 1) @ blocks
+        root = np.sqrt(np.maximum(np.einsum("ckk->ck", gram), 1e-300))
+        gram = (gram - hidden.transpose(0, 2, 1) @ hidden) / (root[:, :, None] * root[:, None, :])
+        b = (w.T @ frame.y - shadow.T @ frame.y_shadow).reshape(len(alike), width, -1) / root[:, :, None]
+        explained = np.sum(b * np.linalg.solve(gram + HIDDEN * np.eye(width), b), axis=1)
+        least = np.minimum(least, 1.0 - np.max(explained, axis=0) / frame.rss)
+    return np.maximum(least, 0.0)

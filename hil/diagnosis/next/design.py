@@ -1,0 +1,107 @@
+"""Campaigns that make effects visible: what to measure before anything is known of the error.
+
+Targets off any grid, random in each part of the travel; order random, so that position stands neither for time nor for temperature;
+turns at all distances; some targets twice in each run for the noise floor; feeds, dwells and levels shuffled; runs cold, warm and
+rested. What may go in: the plan and its machine time. Measuring it is a procedure's; what a measured one can show is
+`check_campaign`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.diagnosis.next.feasible import CHANGE_MIN, CROSS_MIN, START_MIN
+from hil.diagnosis.next.planned_run import Means, Point, motion_columns
+
+REPEATS = 4
+SIZES = ((12, 60), (10, 50), (8, 42), (8, 32), (6, 32), (6, 24), (5, 20), (4, 20), (4, 16), (3, 16), (3, 12))
+"""Runs and rows of each; the first that fits the budget is taken."""
+FEEDS = (0.25, 0.5, 1.0)
+"""Feeds of approach, over the usual one."""
+LONG_DWELL_S = 5.0
+HEAT_S = (120.0, 360.0)
+LONGEST_TRAVEL_MM = 60.0
+GRID_SHARE = 0.02
+"""A target this near (in periods) to a multiple of a likely pitch is drawn again."""
+
+
+def design(means: Means, minutes: float, seed: int = 0) -> tuple[Point, ...]:
+    """The rows of a campaign that takes at most `minutes`. Raises InputError when that is too short for any that is worth it."""
+    for runs, rows in SIZES:
+        points = _drawn(means, runs, rows, seed)
+        least = plan_minutes(points, means)
+        if least <= minutes:
+            return points
+    raise InputError(f"{minutes:g} min are too short for a campaign, expected at least {least:.0f} min")
+
+
+def plan_minutes(points: Sequence[Point], means: Means) -> float:
+    """Machine time of a plan, min: motion, dwells, strokes, rests, and waiting while somebody changes what is set."""
+    time = float(motion_columns(points, means)["time_s"][-1]) / 60.0
+    waits = 0.0
+    before: dict[str, float] = {}
+    for point in points:
+        for name, value in point.levels:
+            if before.get(name, value) != value and name not in means.by_itself:
+                waits += CHANGE_MIN if name == "load_kg" else CROSS_MIN
+            before[name] = value
+    return time + waits + START_MIN
+
+
+def _drawn(means: Means, runs: int, rows: int, seed: int) -> tuple[Point, ...]:
+    rng = np.random.default_rng([seed, 23])
+    levels = {
+        name: rng.permutation(np.resize(np.asarray(values, dtype=np.float64), runs))
+        for name, values in means.levels.items()
+        if len(values) > 1
+    }
+    points: list[Point] = []
+    for index in range(runs):
+        run = _run(rng, means, index + 1, rows, tuple((name, float(v[index])) for name, v in levels.items()))
+        if index:  # the first is cold
+            warm = index % 2 == 1
+            pause = float(round(rng.uniform(*HEAT_S)))
+            run[0] = replace(run[0], strokes_s=pause if warm else 0.0, rest_s=0.0 if warm else pause)
+        points += run
+    return tuple(points)
+
+
+def _run(
+    rng: np.random.Generator, means: Means, number: int, rows: int, levels: tuple[tuple[str, float], ...]
+) -> list[Point]:
+    """Targets all over the travel in random order from random sides, some of them twice with others in between."""
+    count = rows - REPEATS
+    edges = np.linspace(means.low_mm, means.high_mm, count + 1)
+    targets = [_off_pitch(rng, means, float(a), float(b)) for a, b in itertools.pairwise(edges)]
+    sides = rng.permutation(np.resize([1, -1], count))
+    once = rng.permutation(count)
+    again = rng.permutation(once[: count // 2])[:REPEATS]
+    order = [*once, *again]
+    out = []
+    for index in order:
+        target, side = targets[int(index)], int(sides[int(index)])
+        room = (target - means.low_mm if side > 0 else means.high_mm - target) + means.overrun_mm
+        longest = max(means.overrun_mm, min(room, LONGEST_TRAVEL_MM))
+        travel = float(np.exp(rng.uniform(np.log(min(0.3, means.overrun_mm)), np.log(longest))))
+        feed = means.feed_mm_s * float(rng.choice(FEEDS))
+        dwell = LONG_DWELL_S if rng.random() < 0.15 else 0.0
+        out.append(
+            Point(number, side, target, round(travel, 3), levels=levels, feed_mm_s=round(feed, 3), dwell_s=dwell)
+        )
+    return out
+
+
+def _off_pitch(rng: np.random.Generator, means: Means, low: float, high: float) -> float:
+    """A target in a part of the travel, whole µm, not on a multiple of a likely pitch."""
+    target = round(float(rng.uniform(low, high)), 3)
+    for _ in range(20):
+        phases = [abs(target / p - round(target / p)) for p in means.pitches_mm]
+        if all(phase > GRID_SHARE for phase in phases):
+            break
+        target = round(float(rng.uniform(low, high)), 3)
+    return target

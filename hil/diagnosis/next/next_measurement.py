@@ -1,0 +1,117 @@
+"""Which measurement to make next, when the records leave more than one cause: the one that sets them apart best for its machine time.
+
+Every cause predicts what it would do in every feasible run; every rival is then fitted anew to that prediction together with the rows
+there are, and what it cannot follow counts, Σ(f₁ - f₂)²/σ² (T-optimality: Atkinson & Fedorov, Biometrika 62 (1975) 57). With more than
+two causes the pairs are weighted by how likely they are (Box & Hill, Technometrics 9 (1967) 57). What may go in: pure functions of
+records and means; nothing is measured here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hil.diagnosis.next.continuation import Drawing
+from hil.diagnosis.next.feasible import feasible_runs
+from hil.diagnosis.next.planned_run import Means, PlannedRun
+from hil.diagnosis.verdict.hypotheses import Hypothesis, weigh
+from hil.effects import ALL, Effect, Term
+from hil.effects.model import Model
+from hil.records.rows import Records
+
+DECIDED = 0.95
+"""Weight of a cause from which nothing more is asked."""
+LEAST = 0.02
+"""Weight below which a cause no longer counts as a rival."""
+ENOUGH = 30.0
+"""Discrimination Σ(f₁ - f₂)²/σ² beyond which a cause is as good as told from another; more of it is worth nothing."""
+WORTHLESS = 6.0
+"""Discrimination below which a run does not tell a pair apart."""
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """What a run is expected to tell.
+
+    pairs: discrimination of each pair of causes, the likelier first; worth: of all pairs together, per minute
+    """
+
+    run: PlannedRun
+    pairs: Mapping[tuple[str, str], float]
+    worth: float
+
+    def tells(self, first: str, second: str) -> float:
+        """Expected Σ(f₁ - f₂)²/σ² of a pair in either order; 0 for one that was not compared."""
+        return self.pairs.get((first, second), self.pairs.get((second, first), 0.0))
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """The causes left, likeliest first, and the runs by their worth; `best` is None when no run tells them apart."""
+
+    causes: tuple[Hypothesis, ...]
+    prospects: tuple[Prospect, ...]
+
+    @property
+    def decided(self) -> bool:
+        return bool(self.causes) and self.causes[0].weight >= DECIDED
+
+    @property
+    def rivals(self) -> tuple[Hypothesis, ...]:
+        """Every cause that still counts, the likeliest first."""
+        return tuple(cause for cause in self.causes if cause.weight >= LEAST)
+
+    @property
+    def best(self) -> Prospect | None:
+        if self.decided or not self.prospects or self.prospects[0].worth <= 0.0:
+            return None
+        return self.prospects[0]
+
+    def best_for(self, first: str, second: str) -> Prospect | None:
+        """The run that is worth most for one pair of causes."""
+        usable = [p for p in self.prospects if p.tells(first, second) >= WORTHLESS]
+        return max(usable, key=lambda p: p.tells(first, second) / p.run.minutes, default=None)
+
+
+def outlook(
+    records: Records,
+    declared: Model | None,
+    means: Means,
+    *,
+    effects: Sequence[Effect] = ALL,
+    beside: Sequence[Term] = (),
+    persons: bool = True,
+    made: Sequence[str] = (),
+    seed: int = 0,
+) -> Outlook:
+    """Weigh the causes, and every run that could be made next.
+
+    beside: effects that are there anyway; persons: whether somebody can be asked; made: names of runs that were made already and
+    are not asked for again. Raises InputError for too few rows.
+    """
+    with threadpool_limits(1, "blas"):
+        causes = weigh(records, declared, effects, beside)
+        left = [cause for cause in causes if cause.weight >= LEAST]
+        if len(left) < 2 or left[0].weight >= DECIDED:
+            return Outlook(causes, ())
+        runs = feasible_runs(means, first_run=int(np.max(records.run)) + 1, seed=seed)
+        runs = tuple(run for run in runs if (persons or not run.person) and run.name not in made)
+        drawing = Drawing(records, declared, left, means)
+        prospects = [_prospect(drawing, left, run) for run in runs]
+        return Outlook(causes, tuple(sorted(prospects, key=lambda p: -p.worth)))
+
+
+def _prospect(drawing: Drawing, causes: Sequence[Hypothesis], run: PlannedRun) -> Prospect:
+    apart = drawing.discrimination(run)
+    pairs: dict[tuple[str, str], float] = {}
+    worth = 0.0
+    for i, j in itertools.combinations(range(len(causes)), 2):
+        told = 0.5 * float(min(apart[i, j], ENOUGH) + min(apart[j, i], ENOUGH))
+        pairs[causes[i].id, causes[j].id] = told
+        if told >= WORTHLESS:
+            worth += causes[i].weight * causes[j].weight * told
+    return Prospect(run, pairs, worth / run.minutes)

@@ -1,0 +1,1 @@
+"""The noise of a campaign: its model, the evidence under it, and how large chance gets."""

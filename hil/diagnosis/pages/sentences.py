@@ -1,0 +1,68 @@
+"""What a diagnosis found, as sentences in the page's language: made of the effect, its form, and its figures with their units.
+
+A sentence stands under `explain.<effect>.<form>` in the texts, or `explain.<effect>.any` for its other forms. A user's own effect has
+none: its own English sentence is shown.
+"""
+
+from __future__ import annotations
+
+import re
+from string import Formatter
+
+from hil.app.panel.texts import Texts
+from hil.diagnosis.screen import ShownFinding
+
+UNITS = {
+    "_um_s2_per_mm2": "µm·s²/mm²",
+    "_um_per_percent": "µm/%",
+    "_um_per_kg": "µm/kg",
+    "_um_per_m2": "µm/m²",
+    "_um_per_m": "µm/m",
+    "_um_per_k": "µm/K",
+    "_ppm_per_k": "ppm/K",
+    "_mm_s": "mm/s",
+    "_urad": "µrad",
+    "_rows": "",
+    "_ppm": "ppm",
+    "_mm": "mm",
+    "_ms": "ms",
+    "_um": "µm",
+    "_s": "s",
+    "phase": "rad",
+}
+"""By how the name of a parameter ends, the longer first."""
+
+
+def sentence(t: Texts, finding: ShownFinding) -> str:
+    """What was found, with figures and units."""
+    form = re.sub(r"\W+", "_", finding.form)
+    keys = [f"explain.{finding.effect}.{last}" for last in (form, "any")]
+    key = next((one for one in keys if finding.form and one in t), None)
+    if key is None:
+        return finding.explanation
+    inputs = [t.said(name) for name in finding.inputs]
+    places: dict[str, str] = {"input": inputs[0] if inputs else "–", "inputs": " · ".join(inputs)}
+    places["rms"] = t.estimate(finding.rms_um, None, "µm")
+    for name, value, std in finding.parameters:
+        stem, unit = _split(t, name)
+        places[stem] = t.estimate(value, std, unit)
+    asked = {place for _, place, _, _ in Formatter().parse(t(key)) if place}
+    return t(key, **places) if asked <= set(places) else finding.explanation
+
+
+def parameter(t: Texts, name: str) -> str:
+    """A parameter as a heading, such as "Period, mm"; one of a user's own effect by its own name."""
+    stem, unit = _split(t, name)
+    match = re.fullmatch(r"(.+)_(\d+)", stem)
+    key, number = (f"parameter.{match[1]}", match[2]) if match else (f"parameter.{stem}", "")
+    if key not in t:
+        return name
+    said = t(key, number=number) if number else t(key)
+    return f"{said}, {unit}" if unit else said
+
+
+def _split(t: Texts, name: str) -> tuple[str, str]:
+    """The name of a parameter without its unit, and the unit."""
+    ending = next((one for one in UNITS if name.endswith(one)), "")
+    unit = t("unit.rows") if ending == "_rows" else UNITS.get(ending, "")
+    return (name.removesuffix(ending) or name), unit

@@ -1,0 +1,171 @@
+"""The diagnosis part of a report, from the JSON form of `hil diagnose`; what a file does not hold is left out, not guessed.
+
+Words and tables in here, `views` decides what is drawn of each finding, `plots` draws it; the caption says what is laid over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from matplotlib.figure import FigureBase
+
+from hil.app.report import markup, plots
+from hil.app.report.blocks import (
+    Block,
+    Bullets,
+    DataTable,
+    Drawing,
+    Finding,
+    Heading,
+    Paragraph,
+    Span,
+    Table,
+    said,
+)
+from hil.app.report.data import NamedCampaign
+from hil.app.report.svg import Ground, Theme
+from hil.app.report.views import View, finding_view, list_of, object_of, objects_of, position_view, value_of
+from hil.diagnosis.report import left_over
+
+ACTIONS = {
+    "compensate": "compensate in the machine",
+    "fix-setup": "fix the set-up, do not compensate",
+    "re-measure": "measure again before acting",
+}
+
+
+def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, all_plots: bool = False) -> list[Block]:
+    """The whole part. all_plots: with what the extended model leaves, even where nothing is unexplained."""
+    findings = objects_of(diagnosis.get("findings"))
+    parts: list[Block] = [Heading("What is left, and why"), *_summary(diagnosis)]
+    if diagnosis.get("unexplained"):
+        parts.append(_unexplained(diagnosis))
+    elif not findings:
+        parts.append(said("No effect was found beyond the declared model and the noise floor."))
+    if diagnosed is not None:
+        parts += _residual(diagnosed, findings)
+    parts += [_finding(i, one, diagnosed, alone=len(findings) == 1) for i, one in enumerate(findings, start=1)]
+    if diagnosis.get("unexplained") or all_plots:
+        parts += left_over.section(diagnosis)
+    blind = tuple(f"{one.get('effect')}: {one.get('reason')}" for one in objects_of(diagnosis.get("blind_to")))
+    if blind:
+        parts += [Heading("What this campaign cannot show", 3), Bullets(blind, "remarks")]
+    return [*parts, Bullets(tuple(map(str, list_of(diagnosis.get("notes")))), "remarks")]
+
+
+def _unexplained(diagnosis: Mapping[str, Any]) -> Paragraph:
+    """What carries it, how large it is, and what was done about it."""
+    carried = "; ".join(map(_carrier, objects_of(diagnosis.get("carried_by"))))
+    along = f" It shows along: {carried}." if carried else ""
+    asked_for = [str(one.get("explanation")) for one in objects_of(diagnosis.get("non_parametric"))]
+    done = " Nothing was compensated for it."
+    if asked_for:
+        done = f" The extended model corrects it all the same, because that was asked for: {' '.join(asked_for)}"
+    left = Span("Structure is left that nothing in the catalogue explains.", "strong")
+    return Paragraph((left, Span(f"{along}{done}")), "callout")
+
+
+def _carrier(form: Mapping[str, Any]) -> str:
+    names = ", ".join(map(str, list_of(form.get("columns"))))
+    rms, spread = value_of(form, "rms_um"), value_of(form, "rms_std_um")
+    if rms is None or spread is None:
+        return names
+    return f"{names} ({markup.significant(rms, 3)} ± {markup.significant(spread, 2)} µm RMS)"
+
+
+def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
+    held_out = object_of(diagnosis.get("held_out"))
+    rows = []
+    for key, name in (("rms_um", "RMS residual, µm"), ("peak_um", "largest residual, µm")):
+        before, after = value_of(diagnosis.get("before"), key), value_of(diagnosis.get("after"), key)
+        if before is not None and after is not None:
+            rows.append((name, markup.number(before), markup.number(after), change(before, after)))
+    facts = []
+    if (floor := value_of(diagnosis, "noise_floor_um")) is not None:
+        spread = value_of(diagnosis, "noise_floor_std_um")
+        plus = f" ± {markup.number(spread)}" if spread is not None else ""
+        facts.append(f"Noise floor from repeats: {markup.number(floor)}{plus} µm.")
+    if declared := list_of(diagnosis.get("declared")):
+        facts.append(f"Declared model: {', '.join(map(str, declared))}.")
+    if held_out:
+        facts.append(
+            f"Both columns are on {held_out.get('rows', '?')} rows that were not fitted ({held_out.get('how', 'how is not stated')})."
+        )
+    head = ("", "declared model", "with the effects found", "change")
+    table = [Table(head, tuple(rows), "numbers")] if rows else []
+    return [said(" ".join(facts)), *table]
+
+
+def change(before: float | None, after: float | None) -> str:
+    """A relative change as text, a dash where it means nothing."""
+    return "–" if not before or after is None else f"{100 * (after - before) / abs(before):+.0f} %"
+
+
+def _residual(diagnosed: NamedCampaign, findings: list[Mapping[str, Any]]) -> list[Block]:
+    view = position_view(diagnosed.records, findings)
+    columns = {"run": diagnosed.records.run, "direction": view.direction, "target_mm": view.x}
+    columns |= {"residual_um": view.residual_um, "laid_over_um": view.over_um}
+    caption = f"Residual of {diagnosed.label} against position; laid over: {view.over}."
+    return [
+        Drawing("residual", "residual", _drawer(view), "Residual against position", caption),
+        DataTable("data-residual", "Data of this drawing", columns),
+    ]
+
+
+def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> Finding:
+    effect = str(finding.get("effect", "unnamed"))
+    action = str(finding.get("action", ""))
+    confidence = value_of(finding, "confidence")
+    sure = f" · confidence {_percent(confidence)}" if confidence is not None else ""
+    parts: list[Block] = [
+        Heading(f"{index}. {effect}", 3, ACTIONS.get(action, action or "no action stated")),
+        Paragraph((Span(str(finding.get("explanation", ""))), Span(sure, "muted"))),
+    ]
+    rows = tuple(
+        (name, markup.significant(value_of(value, "value")), markup.significant(value_of(value, "std"), 2))
+        for name, value in object_of(finding.get("parameters")).items()
+    )
+    if rows:
+        parts.append(Table(("parameter", "value", "standard error"), rows, "numbers"))
+    for rival in objects_of(finding.get("rivals")):
+        share = value_of(rival, "confidence")
+        weight = f" ({_percent(share)})" if share is not None else ""
+        apart = f"{weight}. To tell them apart: {rival.get('separate_by', 'not stated')}"
+        parts.append(Paragraph((Span("Rival: "), Span(str(rival.get("effect")), "strong"), Span(apart))))
+    if (view := finding_view(finding, diagnosed, alone=alone)) is not None:
+        columns = {
+            "x": view.x,
+            "direction": view.direction,
+            "residual_um": view.residual_um,
+            "laid_over_um": view.over_um,
+        }
+        caption = f"Residual against {view.label[0].lower() + view.label[1:]}; laid over: {view.over}."
+        parts += [
+            Drawing(f"finding{index}", f"finding-{index}", _drawer(view), f"Residual and {effect}", caption),
+            DataTable(f"data-finding-{index}", f"Data of this drawing (x is {view.label})", columns),
+        ]
+    return Finding(tuple(parts))
+
+
+def _percent(share: float) -> str:
+    """A probability in percent; never rounded to certainty."""
+    if 0.9995 <= share <= 1:
+        return "above 99.9 %"
+    return "below 0.1 %" if 0 <= share < 0.0005 else f"{100 * share:.1f} %"
+
+
+def _drawer(view: View) -> Callable[[Theme, Ground], FigureBase]:
+    def draw(theme: Theme, ground: Ground) -> FigureBase:
+        return plots.residual_plot(
+            view.x,
+            view.residual_um,
+            view.over_um,
+            view.direction,
+            theme,
+            x_label=view.label,
+            over=view.over,
+            ground=ground,
+        )
+
+    return draw

@@ -1,0 +1,158 @@
+"""What the extended model leaves, for what it is: along each column that may say something of it, and as a spectrum over the position.
+
+From the JSON form of `hil diagnose` (`left`, see `hil.diagnosis.left_over`); what a file does not hold is left out, not guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.app.report.blocks import Block, DataTable, Drawing, Heading, said
+from hil.app.report.views import label_of, list_of, object_of, objects_of, value_of
+from hil.diagnosis.report.left_over_plots import Panel, panels_plot, spectrum_plot
+from hil.diagnosis.report.mean_curves import mean_curve
+from hil.diagnosis.report.spectrum import EXCEEDED, Spectrum, spectrum
+from hil.records.rows import Floats
+
+Mask = NDArray[np.bool_]
+
+EMPTY = 0.01
+"""Highest line over the level of noise, below which the rows were fitted by a table at just their targets."""
+
+
+@dataclass(frozen=True)
+class LeftOver:
+    """left_um: what is left of each row; columns: beside it, `run` and `direction` among them; carriers: columns of each; all (n,)"""
+
+    left_um: Floats
+    columns: Mapping[str, Floats]
+    carriers: tuple[tuple[str, ...], ...]
+
+
+def read(diagnosis: Mapping[str, Any]) -> LeftOver | None:
+    """What a diagnosis holds of it; None where that is nothing that can be drawn."""
+    form = object_of(diagnosis.get("left"))
+    left = _numbers(form.get("left_um"))
+    read_columns = {str(name): _numbers(values) for name, values in object_of(form.get("columns")).items()}
+    if left is None:
+        return None
+    columns = {name: values for name, values in read_columns.items() if values is not None and len(values) == len(left)}
+    if not {"run", "direction", "target_mm"} <= set(columns):
+        return None
+    carriers = [tuple(map(str, list_of(one.get("columns")))) for one in objects_of(diagnosis.get("carried_by"))]
+    return LeftOver(left, columns, tuple(carriers))
+
+
+def section(diagnosis: Mapping[str, Any]) -> list[Block]:
+    """The whole part; nothing where the diagnosis holds nothing to draw."""
+    found = read(diagnosis)
+    if found is None:
+        return []
+    shown = panels(found)
+    parts: list[Block] = [
+        Heading("What the extended model leaves", 3),
+        said(
+            "Each drawing shows the same rows along another column: dots are rows (of many, some), lines the means of neighbouring"
+            " rows, bands hold the true mean in 95 of 100 cases. A line that leaves zero by more than its band shows what is left."
+            " Where two columns carry it together, the rows are split by the other one."
+        ),
+        Drawing(
+            "leftover",
+            "left-over",
+            partial(panels_plot, shown),
+            "What is left, along each column",
+            f"What is left of each row, {len(found.left_um)} rows in all. Rows are taken as independent of each other.",
+        ),
+        DataTable("data-left-over-means", "Data of the lines and bands", _table(shown)),
+        DataTable("data-left-over", "What is left, row by row", {**found.columns, "left_um": found.left_um}),
+    ]
+    seen = spectrum(found.columns["target_mm"], found.left_um, found.columns["run"])
+    return parts if seen is None else [*parts, *_spectrum(seen)]
+
+
+def panels(found: LeftOver) -> list[Panel]:
+    """Each column with the mean curves along it."""
+    out = []
+    for name, values in found.columns.items():
+        if name == "run" or np.ptp(values) == 0:
+            continue
+        label = "Row (the records hold no time)" if name == "row_order" else label_of(name)
+        for groups in _splits(name, found):
+            there = {which: rows for which, rows in groups.items() if np.any(rows)}
+            curves = tuple(mean_curve(which, values[rows], found.left_um[rows]) for which, rows in there.items())
+            out.append(Panel(label, values, found.left_um, found.columns["direction"], curves))
+    return out
+
+
+def _splits(name: str, found: LeftOver) -> list[dict[str, Mask]]:
+    """The rows of each curve along a column, for every drawing of it.
+
+    The position is always told apart by direction; a column that carries together with others is told apart by those.
+    """
+    direction = found.columns["direction"]
+    signs = {"direction +": direction > 0, "direction −": direction < 0}
+    mine = [carrier for carrier in found.carriers if name in carrier]
+    others = dict.fromkeys(other for carrier in mine for other in carrier if other not in (name, "direction"))
+    halves = [_halves(other, found.columns[other]) for other in others if other in found.columns]
+    if name == "direction":
+        return [{"all rows": np.ones(len(direction), dtype=np.bool_)}]
+    if name == "target_mm":
+        return [signs, *halves]
+    if any("direction" in carrier for carrier in mine):
+        return [signs, *halves]
+    return halves or [{"all rows": np.ones(len(direction), dtype=np.bool_)}]
+
+
+def _halves(name: str, values: Floats) -> dict[str, Mask]:
+    middle = float(np.median(values))
+    what = label_of(name).partition(",")[0].lower()
+    return {f"{what} up to {middle:.4g}": values <= middle, f"{what} above {middle:.4g}": values > middle}
+
+
+def _table(shown: Sequence[Panel]) -> dict[str, Floats]:
+    """The bins of all curves, one below the other; drawing and line are counted from 1."""
+    parts: dict[str, list[Floats]] = {}
+    for number, panel in enumerate(shown, start=1):
+        for line, curve in enumerate(panel.curves, start=1):
+            size = len(curve.at)
+            columns = {"drawing": np.full(size, float(number)), "line": np.full(size, float(line)), "at": curve.at}
+            columns |= {"mean_um": curve.mean_um, "low_um": curve.low_um, "high_um": curve.high_um, "rows": curve.rows}
+            for name, values in columns.items():
+                parts.setdefault(name, []).append(values)
+    return {name: np.concatenate(values) for name, values in parts.items()}
+
+
+def _spectrum(seen: Spectrum) -> list[Block]:
+    period, amplitude = seen.highest
+    if amplitude < EMPTY * seen.level_um:
+        return [
+            said(
+                "Over the position there is no spectrum to draw: at these targets the table holds whatever follows it."
+            )
+        ]
+    verdict = "above" if amplitude > seen.level_um else "below"
+    caption = (
+        f"Spectrum of what is left over the position. The highest line, {amplitude:.3g} µm at a period of {period:.4g} mm, is"
+        f" {verdict} the dashed level of {seen.level_um:.3g} µm, which the highest line of the same values in random order within each"
+        f" run exceeds in {100 * EXCEEDED:.0f} of 100 cases."
+    )
+    return [
+        Drawing("spectrum", "spectrum", partial(spectrum_plot, seen), "Spectrum of what is left", caption),
+        DataTable(
+            "data-spectrum", "Data of this drawing", {"period_mm": seen.period_mm, "amplitude_um": seen.amplitude_um}
+        ),
+    ]
+
+
+def _numbers(values: object) -> Floats | None:
+    """A JSON list of finite numbers as an array, None for anything else."""
+    known = [value_of(value, "value") for value in list_of(values)]
+    if not known or any(value is None for value in known):
+        return None
+    return np.array(known, dtype=np.float64)

@@ -1,0 +1,188 @@
+"""How large an unexplained structure is, and how well that is known; and the structure as a term that a model can hold.
+
+What may go in: what the fit already says of the structures that were found, read out of it. They stand in every fit as random effects
+of their columns, so that coefficients and covariance come from the same joint estimate as table and terms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.noise.evidence import Extra, Noise
+from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.search.judge import Hit
+from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.search.structure import Structure
+from hil.effects import Columns, Estimate, Term
+from hil.effects.non_parametric import NonParametric
+
+Floats = NDArray[np.float64]
+
+
+FEW = 0.1
+"""Columns of a structure, over the rows, up to which they are free in the fit that says its size."""
+FREE = 1e3
+"""Variance ratio of columns that are as good as free."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What follows some columns, in one structure or in several on the same columns, which only together have a size.
+
+    coefficients (w,), of all structures in turn, and their covariance (w, w), in µm and µm², as random effects
+    probability: of as much in noise
+    """
+
+    structures: tuple[Structure, ...]
+    coefficients: Floats
+    covariance: Floats
+    probability: float
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return max((structure.columns for structure in self.structures), key=len)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """For a model."""
+        out, start = [], 0
+        for structure in self.structures:
+            mine = slice(start, start + structure.whole.shape[1])
+            values = tuple(self.coefficients[mine].tolist())
+            spread = tuple(tuple(row) for row in self.covariance[mine, mine].tolist())
+            out.append(Term(NonParametric(), structure.form, (), values, spread))
+            start = mine.stop
+        return tuple(out)
+
+    def error_um(self, columns: Columns) -> Floats:
+        """On rows, (n,)."""
+        return np.asarray(np.sum([term.error_um(columns) for term in self.terms], axis=0), dtype=np.float64)
+
+
+def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise) -> tuple[Carried, ...]:
+    """What follows the columns of the hits, beside the table and some terms; the hits are among the searcher's nuisance columns."""
+    if not hits:
+        return ()
+    extra = searcher.extra(choices)
+    coefficients, covariance = _solved(searcher, extra, noise)
+    places = _places(extra.random, hits)
+    out = []
+    for group in _groups(hits):
+        place = np.concatenate([places[i] for i in group])
+        root = np.concatenate([np.full(len(places[i]), math.sqrt(hits[i].variance)) for i in group])
+        spread = covariance[np.ix_(place, place)] * np.outer(root, root)
+        probability = min(hits[i].probability for i in group)
+        out.append(Carried(tuple(hits[i].structure for i in group), coefficients[place] * root, spread, probability))
+    return tuple(out)
+
+
+def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise) -> tuple[Estimate, ...]:
+    """RMS of each of the carried over the rows, µm: of the part that a smooth function of its columns can hold.
+
+    It is taken beside a straight line in each direction: of what the table can hold as well nobody can say whose it is. A column that
+    stands in several structures counts for the first.
+    """
+    if not hits:
+        return ()
+    extra = searcher.extra(choices)
+    columns = extra.random.copy()
+    places = _places(extra.random, hits)
+    for hit, place, design in zip(hits, places, _apart(hits), strict=True):
+        columns[:, place] = design * math.sqrt(FREE if _few(hit) else hit.variance)
+    coefficients, covariance = _solved(searcher, Extra(extra.free, columns), noise)
+    line = searcher.bench.table.shape.free
+    out = []
+    for group in _groups(hits):
+        place = np.concatenate([places[i] for i in group])
+        mine = columns[:, place]
+        shrunk = not all(_few(hits[i]) for i in group)
+        out.append(rms_of(mine, coefficients[place], covariance[np.ix_(place, place)], line, shrunk=shrunk))
+    return tuple(out)
+
+
+def _apart(hits: Sequence[Hit]) -> list[Floats]:
+    """The columns of each structure, zero where one before it has the same."""
+    seen: set[bytes] = set()
+    out = []
+    for hit in hits:
+        whole = hit.structure.whole
+        keys = [column.tobytes() for column in whole.T]
+        out.append(whole * np.array([float(key not in seen) for key in keys]))
+        seen.update(keys)
+    return out
+
+
+def _few(hit: Hit) -> bool:
+    rows, columns = hit.structure.whole.shape
+    return bool(columns <= FEW * rows)
+
+
+def _solved(searcher: Searcher, extra: Extra, noise: Noise) -> tuple[Floats, Floats]:
+    """Coefficients of the random columns of a fit, (s,), and their covariance (s, s), with everything else free beside them."""
+    frame = searcher.frame(noise, extra)
+    solution = frame.solve(np.zeros((len(searcher.y), 0)))
+    posterior = frame.inverse_lower.T @ frame.inverse_lower * solution.variance
+    first = frame.whitened.table.shape[1]
+    random = slice(first, first + extra.random.shape[1])
+    return solution.table[random], posterior[random, random]
+
+
+def _groups(hits: Sequence[Hit]) -> list[list[int]]:
+    """Indices of the hits, those whose columns are among those of another together with it."""
+    names = [set(hit.structure.columns) for hit in hits]
+    groups: list[list[int]] = []
+    for i in sorted(range(len(hits)), key=lambda i: -len(names[i])):
+        home = next((group for group in groups if names[i] <= names[group[0]]), None)
+        if home is None:
+            groups.append([i])
+        else:
+            home.append(i)
+    return groups
+
+
+def _places(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
+    """Indices of the columns of each hit among the columns (n, s), in which they stand in this order."""
+    out: list[NDArray[np.int64]] = []
+    start = 0
+    for hit in hits:
+        block = hit.extra.random
+        width = block.shape[1]
+        while not np.array_equal(columns[:, start : start + width], block):
+            start += 1
+            if start + width > columns.shape[1]:
+                raise LookupError("a structure is not among the columns of the fit")
+        out.append(np.arange(start, start + width))
+        start += width
+    return out
+
+
+def rms_of(
+    design: Floats, coefficients: Floats, covariance: Floats, beside: Floats, *, shrunk: bool = False
+) -> Estimate:
+    """RMS of design (n, k) @ true coefficients, beside what some columns (n, f) can hold, from an estimate with its covariance.
+
+    With G the cross products per row that are left, c'Gc of a free estimate is too large by tr GV on average, that of a shrunk one too
+    small by as much; its variance is 4 c'GVGc + 2 tr GVGV (quadratic form of normal variables; Mathai & Provost 1992, ch. 3), and the
+    root's is by the delta method.
+    """
+    left = design - beside @ np.linalg.lstsq(beside, design, rcond=None)[0]
+    gram = left.T @ left / len(design)
+    spread = gram @ covariance
+    seen, bias = float(coefficients @ gram @ coefficients), float(np.trace(spread))
+    square = max(seen + bias if shrunk else seen - bias, 0.25 * seen, 1e-300)
+    variance = float(4.0 * coefficients @ spread @ gram @ coefficients + 2.0 * np.sum(spread * spread.T))
+    rms = math.sqrt(square)
+    return Estimate(rms, math.sqrt(max(variance, 0.0)) / (2.0 * rms))
+
+
+def rms_of_term(term: Term, columns: Columns) -> Estimate:
+    """The same of a fitted effect over rows about its mean, its non-linear parameters held."""
+    k = len(term.coefficients)
+    basis = term.effect.basis(term.form, term.theta, columns)
+    covariance = np.array(term.covariance)[:k, :k]
+    return rms_of(basis, np.array(term.coefficients), covariance, np.ones((len(basis), 1)), shrunk=term.form.shrunk)

@@ -1,0 +1,157 @@
+"""The whole choice for one problem: what varies beside any table first, then what a declared table lacks.
+
+What may go in: how the selection of `select` is put to a fitted and to a declared table; run on all rows, and with runs left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import Campaign
+from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.noise.noise_fit import fit_noise
+from hil.diagnosis.search.candidates import BLIND, Candidates, enumerate_candidates, score
+from hil.diagnosis.search.fit import Choice, JointFit, Known, Setting, start_noise, static_part
+from hil.diagnosis.search.judge import FoldJudge, FoldScout, Hit, NullJudge, Scout
+from hil.diagnosis.search.searcher import FULL, LIGHT, Searcher
+from hil.diagnosis.search.select import Selected, select
+from hil.diagnosis.search.structure import Catalogue, static_structures, structures
+from hil.diagnosis.table import DeclaredShape
+from hil.effects import Effect
+from hil.effects.model import Model
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A campaign and what is asked of it.
+
+    free: the setting with a table fitted from the records; candidates, catalogue: for it
+    plain: noise model of table and noise alone; blind: largest share of each effect that is left beside the table
+    declared: the model in force or known, with its own setting, candidates and catalogue
+    """
+
+    campaign: Campaign
+    free: Setting
+    candidates: Candidates
+    catalogue: Catalogue
+    plain: Noise
+    visible: dict[str, float]
+    seed: int
+    declared: Model | None = None
+    given: Setting | None = None
+    static: Candidates | None = None
+    static_catalogue: Catalogue | None = None
+
+
+def problem_of(campaign: Campaign, effects: Sequence[Effect], declared: Model | None, seed: int) -> Problem:
+    """Everything that is made once per campaign."""
+    candidates = enumerate_candidates(campaign, effects)
+    catalogue = structures(campaign)
+    n = len(campaign)
+    bench = Bench(campaign)
+    error = campaign.error_um if declared is None else campaign.error_um - declared.error_um(campaign.columns)
+    plain = fit_noise(bench, error, Extra.none(n), start_noise(campaign), correlations=((0.0, 0.0),))
+    frame = bench.frame(plain, error)
+    share = score(frame, candidates.stack(frame.whitened)).visible
+    visible = {name: float(np.max(share[candidates.effect == i])) for i, name in enumerate(candidates.effects)}
+    if declared is None:
+        free = Setting(bench, error, Known.none(n))
+        return Problem(campaign, free, candidates, catalogue, plain, visible, seed)
+    noise_um = float(np.sqrt(frame.solve(np.zeros((n, 0))).variance))
+    known = Known.of(declared, campaign, noise_um)
+    shape = DeclaredShape.of(declared.table, noise_um)
+    lacking = [e for e in effects if e.static or visible.get(e.id, 0.0) < BLIND]
+    return Problem(
+        campaign,
+        Setting(bench, error, known),
+        candidates,
+        catalogue,
+        plain,
+        visible,
+        seed,
+        declared,
+        Setting(Bench(campaign, shape), error, known),
+        enumerate_candidates(campaign, lacking),
+        static_structures(campaign),
+    )
+
+
+@dataclass(frozen=True)
+class Critical:
+    """Gains that are just significant on all rows, for the folds: of each effect, and of a structure."""
+
+    effects: dict[str, float]
+    structure: float
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The outcome: selections in order (the last one stands), the joint fit, critical gains for the folds."""
+
+    selections: tuple[Selected, ...]
+    fit: JointFit
+    critical: tuple[Critical, ...] = ()
+
+    @property
+    def last(self) -> Selected:
+        return self.selections[-1]
+
+    @property
+    def hits(self) -> tuple[Hit, ...]:
+        """The unexplained structures, all of them in the fit of the last selection."""
+        return tuple(hit for selected in self.selections for hit in selected.hits)
+
+    @property
+    def kept(self) -> tuple[Choice, ...]:
+        """The choices of the last selection whose effects are in the fit."""
+        names = {term.effect.id for term in self.fit.found}
+        return tuple(choice for choice in self.last.choices if choice.effect.id in names)
+
+
+def choose(problem: Problem) -> Chosen:
+    """On all rows, judged by simulated null campaigns."""
+    judge, scout = NullJudge(problem.seed), Scout(problem.catalogue, problem.seed)
+    first = select(Searcher(problem.free, problem.candidates), scout, judge, start_noise(problem.campaign))
+    critical = Critical(judge.critical(), scout.critical)
+    if problem.given is None or problem.static is None or problem.static_catalogue is None:
+        return Chosen((first,), first.searcher.fit(first.choices, first.noise), (critical,))
+    judge, scout = NullJudge(problem.seed), Scout(problem.static_catalogue, problem.seed)
+    searcher = _second(problem, problem.given, problem.static, first, None)
+    second = select(searcher, scout, judge, first.noise, first.choices)
+    fit = second.searcher.fit(second.choices, second.noise)
+    return Chosen((first, second), fit, (critical, Critical(judge.critical(), scout.critical)))
+
+
+def choose_without(problem: Problem, out: Mask, whole: Chosen) -> Chosen:
+    """The same with rows left out, by the critical gains on all rows; the search for the noise starts at that of all rows."""
+    searcher = Searcher(problem.free, problem.candidates, out, LIGHT)
+    noise = whole.selections[0].noise
+    first = select(searcher, _scout(problem.catalogue, whole, 0), FoldJudge(whole.critical[0].effects), noise)
+    if problem.given is None or problem.static is None or problem.static_catalogue is None:
+        return Chosen((first,), first.searcher.fit(first.choices, first.noise, uncertain=False))
+    searcher = _second(problem, problem.given, problem.static, first, out)
+    scout, judge = _scout(problem.static_catalogue, whole, 1), FoldJudge(whole.critical[1].effects)
+    second = select(searcher, scout, judge, first.noise, first.choices)
+    return Chosen((first, second), second.searcher.fit(second.choices, second.noise, uncertain=False))
+
+
+def _scout(catalogue: Catalogue, whole: Chosen, step: int) -> FoldScout | None:
+    """What looks for structure without some rows, where all rows showed any."""
+    selected = whole.selections[step]
+    return FoldScout(catalogue, whole.critical[step].structure) if selected.hits or selected.shapes else None
+
+
+def _second(problem: Problem, given: Setting, static: Candidates, first: Selected, out: Mask | None) -> Searcher:
+    """The searcher against the declared table, with what that may have absorbed of the effects found."""
+    columns = first.searcher.extra(first.choices).free
+    setting = replace(given, static=static_part(problem.free.bench, columns))
+    searcher = Searcher(setting, static, out, LIGHT if out is not None else FULL)
+    searcher.nuisance = first.searcher.nuisance
+    return searcher

@@ -1,0 +1,306 @@
+"""From a noise model and chosen columns to a model of the axis: table and terms estimated together.
+
+What may go in: joint generalised least squares and the packing of its estimates; the choice of columns is made elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise, Solution
+from hil.diagnosis.noise.noise_fit import fit_noise
+from hil.diagnosis.table import SplineShape, StaticPart
+from hil.effects import Action, Effect, Form, Term
+from hil.effects.model import Model, PitchTable
+from hil.records.rows import Records
+
+Floats = NDArray[np.float64]
+
+START_ROUGHNESS = 300.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An effect in one form with its non-linear parameters chosen.
+
+    variance: ratio of the prior's variance to the white noise's, for a form that is shrunk
+    steps: how far apart its grid stands there in each parameter (in the logarithm where that is searched), for the refinement
+    """
+
+    effect: Effect
+    form: Form
+    theta: tuple[float, ...]
+    variance: float = 1.0
+    steps: tuple[float, ...] = field(default=(), compare=False)
+
+    def columns(self, campaign: Campaign) -> Floats:
+        """Design columns, shape (n, k)."""
+        return self.effect.basis(self.form, self.theta, campaign.columns)
+
+    def extra(self, campaign: Campaign) -> Extra:
+        """The same as columns of a fit: free, or random and scaled to unit variance ratio."""
+        columns = self.columns(campaign)
+        none = columns[:, :0]
+        return Extra(none, columns * math.sqrt(self.variance)) if self.form.shrunk else Extra(columns, none)
+
+    @property
+    def log_prior(self) -> float:
+        """Log odds of its parameters beforehand."""
+        return sum(p.log_prior(value) for p, value in zip(self.form.nonlinear, self.theta, strict=True))
+
+    def as_term(self, coefficients: Floats, covariance: Floats | None = None) -> Term:
+        """With coefficients (k,), and the covariance (k + t, k + t) of coefficients and parameters where it is known."""
+        size = len(coefficients) + len(self.theta)
+        known = np.zeros((size, size)) if covariance is None else covariance
+        return Term(
+            self.effect,
+            self.form,
+            tuple(float(v) for v in self.theta),
+            tuple(float(v) for v in coefficients),
+            tuple(tuple(float(v) for v in row) for row in known),
+        )
+
+
+def grid_choices(effect: Effect, form: Form) -> list[Choice]:
+    """A form at each point of its grid."""
+    if not form.nonlinear or form.exhaustive:
+        return [Choice(effect, form, theta) for theta in form.starts]
+    grid = np.array(form.starts, dtype=np.float64)
+    for i, parameter in enumerate(form.nonlinear):
+        if parameter.logarithmic:
+            grid[:, i] = np.log(grid[:, i])
+    steps = np.empty_like(grid)
+    for i in range(grid.shape[1]):
+        values, index = np.unique(grid[:, i], return_inverse=True)
+        gaps = np.diff(values) if len(values) > 1 else np.array([0.2])
+        nearest = np.minimum(np.append(gaps, np.inf), np.append(np.inf, gaps)) if len(values) > 1 else gaps
+        steps[:, i] = nearest[index]
+    if grid.shape[1] == 2 and form.nonlinear[1].logarithmic and not form.nonlinear[0].logarithmic:
+        steps[:, 0] = np.exp(grid[:, 1])  # a zone is searched in steps of its width
+    return [
+        Choice(effect, form, theta, steps=tuple(step)) for theta, step in zip(form.starts, steps.tolist(), strict=True)
+    ]
+
+
+def start_noise(campaign: Campaign) -> Noise:
+    """Where the search for the noise model starts: a free table on repeated targets, a smooth one elsewhere."""
+    if campaign.repeated:
+        return Noise()
+    return Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
+
+
+def fit_model(records: Records) -> Model:
+    """The declared model of records: a bidirectional table, smoothed as far as the repeats allow, nothing else.
+
+    Raises InputError when there are too few rows.
+    """
+    setting = Setting.free(prepare(records))
+    y = setting.error_um
+    start = Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
+    noise = fit_noise(setting.bench, y, Extra.none(len(y)), start, correlations=((0.0, 0.0),))
+    return joint_fit(setting, noise, y, ()).extended
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a declared model says beside its table, as a prior of the fit.
+
+    terms: the declared terms; roots: square root of each one's coefficient covariance over the noise variance, (k, k)
+    extra: their columns times those roots, random with unit variance
+    """
+
+    terms: tuple[Term, ...]
+    roots: tuple[Floats, ...]
+    extra: Extra
+
+    @classmethod
+    def none(cls, rows: int) -> Known:
+        return cls((), (), Extra.none(rows))
+
+    @classmethod
+    def of(cls, model: Model, campaign: Campaign, noise_um: float) -> Known:
+        roots, columns = [], []
+        for term in model.terms:
+            k = len(term.coefficients)
+            values, vectors = np.linalg.eigh(np.array(term.covariance)[:k, :k])
+            root = np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / noise_um)
+            roots.append(root)
+            columns.append(term.effect.basis(term.form, term.theta, campaign.columns) @ root)
+        none = np.zeros((len(campaign), 0))
+        return cls(model.terms, tuple(roots), Extra(none, np.hstack([none, *columns])))
+
+    def updated(self, coefficients: Floats) -> list[Term]:
+        """The declared terms moved by the fitted coefficients of `extra`, shape (s,)."""
+        out, at = [], 0
+        for term, root in zip(self.terms, self.roots, strict=True):
+            k = len(root)
+            moved = np.array(term.coefficients) + root @ coefficients[at : at + k]
+            out.append(replace(term, coefficients=tuple(float(v) for v in moved)))
+            at += k
+        return out
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Table and terms estimated together.
+
+    whole: with every term, the declared ones first; extended: with the terms a machine is compensated for, the static part of the
+    others left in its table; found: the terms of the choices; white_um: standard deviation of the white noise
+    nuisance_um: what the columns of no interest came to, on every row, shape (n,)
+    """
+
+    whole: Model
+    extended: Model
+    found: tuple[Term, ...]
+    white_um: float
+    nuisance_um: Floats
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a joint fit stands on.
+
+    bench: campaign and shape of the table; error_um: what table and terms have to explain, shape (n,)
+    known: declared terms; static: what the declared table may have absorbed of the choices, columns free in the fit
+    """
+
+    bench: Bench
+    error_um: Floats
+    known: Known
+    static: StaticPart | None = None
+
+    @classmethod
+    def free(cls, campaign: Campaign) -> Setting:
+        """The table fitted from the records themselves, nothing declared."""
+        return cls(Bench(campaign), campaign.error_um, Known.none(len(campaign)))
+
+    @property
+    def always(self) -> Extra:
+        """The columns that are in every fit."""
+        campaign = self.bench.campaign
+        if self.static is None:
+            return self.known.extra
+        columns = self.static.at(campaign.x, campaign.d)
+        return self.known.extra.plus(Extra(columns, columns[:, :0]))
+
+
+def joint_fit(
+    setting: Setting,
+    noise: Noise,
+    y: Floats,
+    choices: Sequence[Choice],
+    *,
+    out: NDArray[np.bool_] | None = None,
+    nuisance: Extra | None = None,
+    uncertain: bool = True,
+) -> JointFit:
+    """Estimate table and terms under a noise model, from the (tamed) errors y (n,) of the rows not left out.
+
+    nuisance: random columns of no interest that are in the fit too; uncertain: whether covariances are wanted. That of a term is
+    of its coefficients and non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all
+    other terms free.
+    """
+    bench = setting.bench
+    campaign = bench.campaign
+    n = len(campaign)
+    extras = [choice.extra(campaign) for choice in choices]
+    free = np.hstack([np.zeros((n, 0)), *(extra.free for extra in extras)])
+    random = np.hstack([np.zeros((n, 0)), *(extra.random for extra in extras)])
+    always = setting.always.plus(Extra.none(n) if nuisance is None else nuisance)
+    frame = bench.frame(noise, y, Extra(always.free, np.hstack([random, always.random])), out)
+    solution = frame.solve(free)
+    p, w = bench.table.stacked.shape[1], bench.table.table_width
+    posterior = frame.inverse_lower.T @ frame.inverse_lower * solution.variance if uncertain else None
+    terms = _terms(campaign, frame, solution, choices, posterior)
+    white = float(np.sqrt(solution.variance))
+    about = {"rows": frame.rows, "runs": campaign.runs, "white_noise_um": white}
+    start = p + random.shape[1]
+    middle = start + setting.known.extra.random.shape[1]
+    declared = setting.known.updated(solution.table[start:middle])
+    unnamed = free[:, :0] if nuisance is None else nuisance.random
+    nuisance_um = np.asarray(unnamed @ solution.table[middle : middle + unnamed.shape[1]])
+
+    def table_of(coefficients: Floats) -> PitchTable:
+        table = bench.shape.tabulate(coefficients, None if posterior is None else posterior[:w, :w])
+        if setting.static is not None:
+            q = always.free.shape[1]
+            table = setting.static.added_to(table, solution.table[len(solution.table) - q :])
+        return table
+
+    whole = Model(table_of(solution.table[:w]), (*declared, *terms), about)
+    machine = [term for term in whole.terms if term.effect.action is Action.COMPENSATE]
+    if len(machine) == len(whole.terms):
+        return JointFit(whole, whole, tuple(terms), white, nuisance_um)
+    foreign = np.sum([t.error_um(campaign.columns) for t in terms if t.effect.action is not Action.COMPENSATE], axis=0)
+    static = bench.frame(noise, foreign, None, out).solve(free[:, :0]).table
+    table = table_of(solution.table[:w] + static[:w])
+    return JointFit(whole, Model(table, tuple(machine), about), tuple(terms), white, nuisance_um)
+
+
+def _terms(
+    campaign: Campaign, frame: Frame, solution: Solution, choices: Sequence[Choice], posterior: Floats | None
+) -> list[Term]:
+    """The terms of the choices, from a solution with their free columns solved for and their random ones next to the table.
+
+    posterior: covariance of the solution's table part, µm²; without it the terms get none
+    """
+    extras = [choice.extra(campaign) for choice in choices]
+    first_random = frame.whitened.table.shape[1]
+    parts: list[Floats] = []
+    at_free, at_random = 0, first_random
+    for choice, extra in zip(choices, extras, strict=True):
+        width = extra.free.shape[1] + extra.random.shape[1]
+        if choice.form.shrunk:
+            parts.append(solution.table[at_random : at_random + width] * math.sqrt(choice.variance))
+            at_random += width
+        else:
+            parts.append(solution.coefficients[at_free : at_free + width])
+            at_free += width
+    if posterior is None:
+        return [choice.as_term(part) for choice, part in zip(choices, parts, strict=True)]
+    slopes = [_slopes(campaign, choice, part) for choice, part in zip(choices, parts, strict=True)]
+    normal, _ = frame.normal(np.hstack([np.zeros((len(campaign), 0)), *(extra.free for extra in extras), *slopes]))
+    covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) * solution.variance
+    terms: list[Term] = []
+    at_slope, at_free, at_random = at_free, 0, first_random
+    for choice, part, slope in zip(choices, parts, slopes, strict=True):
+        width = len(part)
+        if choice.form.shrunk:
+            index = np.arange(at_random, at_random + width)
+            terms.append(choice.as_term(part, np.asarray(posterior[np.ix_(index, index)] * choice.variance)))
+            at_random += width
+        else:
+            index = np.array([*range(at_free, at_free + width), *range(at_slope, at_slope + slope.shape[1])])
+            terms.append(choice.as_term(part, covariance[np.ix_(index, index)]))
+            at_free += width
+        at_slope += slope.shape[1]
+    return terms
+
+
+def static_part(bench: Bench, columns: Floats) -> StaticPart | None:
+    """What the table of a free setting can hold of some columns (n, q); None without columns."""
+    if not columns.shape[1] or not isinstance(bench.shape, SplineShape):
+        return None
+    smooth = Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
+    w = bench.table.table_width
+    coefficients = [bench.frame(smooth, column).solve(columns[:, :0]).table[:w] for column in columns.T]
+    return StaticPart(bench.shape, np.column_stack(coefficients))
+
+
+def _slopes(campaign: Campaign, choice: Choice, coefficients: Floats) -> Floats:
+    """Derivative of the effect's error to its non-linear parameters, shape (n, t)."""
+    out = np.zeros((len(campaign), len(choice.theta)))
+    for i, value in enumerate(choice.theta):
+        step = 1e-4 * max(abs(value), 1e-9)
+        sides = []
+        for shifted in (value + step, value - step):
+            theta = (*choice.theta[:i], shifted, *choice.theta[i + 1 :])
+            sides.append(choice.effect.basis(choice.form, theta, campaign.columns) @ coefficients)
+        out[:, i] = (sides[0] - sides[1]) / (2 * step)
+    return out

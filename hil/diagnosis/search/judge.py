@@ -1,0 +1,208 @@
+"""Whether what the search found is more than noise makes: the answer to the look-elsewhere problem.
+
+What may go in: decisions by the null distribution of the maximum. It is simulated only where it can matter: far below it nothing needs
+asking, far above it neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.noise.evidence import MOST_OFFSET, Bench, Extra, Frame, Noise, random_gain
+from hil.diagnosis.search.candidates import score
+from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.search.null import CAMPAIGNS, Null, null_maxima, simulate, tail_probability
+from hil.diagnosis.search.rank import smoother
+from hil.diagnosis.search.search import Stage
+from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.search.structure import Catalogue, Structure
+
+Floats = NDArray[np.float64]
+
+FALSE_FINDINGS = 0.003
+"""Wanted rate of findings on a campaign with nothing to find, over the whole catalogue."""
+FALSE_STRUCTURE = 0.002
+WINNER = 0.02
+"""The chance in noise of the effect that wins, by itself, once any effect is significant."""
+SURE = 35.0
+HOPELESS = 2.0
+REFINEMENT = 5.0
+"""What the refinement of a grid point may bring."""
+STRUCTURE_CAMPAIGNS = 300
+NEAR_OFFSET = 0.2
+OFFSETS = np.linspace(0.0, MOST_OFFSET, 9)
+USUAL = 12.0
+USUAL_STRUCTURE = 12.0
+"""Log Bayes factors: taken without asking, not worth asking, and what is asked where no null was simulated."""
+
+
+@dataclass
+class NullJudge:
+    """Decides the stages of one search on all rows; remembers what it simulated."""
+
+    seed: int
+    null: Null | None = None
+    asked: dict[int, Null] = field(default_factory=dict)
+
+    def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
+        top = stage.ranking[0].evidence - stage.before
+        if top > SURE:
+            return True
+        if top < HOPELESS:
+            return False
+        if self.probability(stage, searcher, chosen, noise) >= FALSE_FINDINGS:
+            return False
+        winner = stage.ranking[0].effect
+        return self.null is None or winner not in self.null.maxima or float(self.null.probability(winner, top)) < WINNER
+
+    def hopeful(self, effect: str, gain: float) -> bool:
+        del effect
+        return gain > HOPELESS - REFINEMENT
+
+    def probability(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> float:
+        """Chance of any effect getting as far as the farthest one did, in noise alone."""
+        key = len(chosen)
+        if key not in self.asked:
+            offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
+            typical = replace(noise, offset=float(np.median(offsets)))
+            far = abs(typical.offset - noise.offset) > NEAR_OFFSET
+            smooth = smoother(noise) if searcher.bench.rough else ()
+            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
+            beside = searcher.extra(chosen)
+            self.asked[key] = null_maxima(
+                searcher.bench, searcher.candidates, noises, offsets, beside, seed=self.seed, smooth=smooth
+            )
+        null = self.null = self.asked[key]
+        values = [
+            float(null.probability(r.effect, r.evidence - stage.before))
+            for r in stage.ranking
+            if r.effect in null.maxima
+        ]
+        return min(1.0, min(values, default=1.0) * max(len(null.maxima), 1))
+
+    def critical(self) -> dict[str, float]:
+        """For each effect the gain that is just significant, for the folds; empty where nothing was simulated."""
+        if self.null is None:
+            return {}
+        wanted = FALSE_FINDINGS / max(len(self.null.maxima), 1)
+        grid = np.linspace(0.0, 40.0, 161)
+        critical = {}
+        for effect in self.null.maxima:
+            good = grid[self.null.probability(effect, grid) < wanted]
+            critical[effect] = float(good[0]) if len(good) else 40.0
+        return critical
+
+
+def run_offsets(searcher: Searcher, choices: Sequence[Choice], noise: Noise, seed: int) -> Floats:
+    """Standard deviations the run offsets may have, as far as is known with some choices in the fit, shape (CAMPAIGNS,).
+
+    With the best candidate in it, so that a drift from run to run does not make the offsets it then hides behind.
+    """
+    trials = [replace(noise, offset=float(offset)) for offset in OFFSETS]
+    odds = np.array([searcher.evidence(choices, trial) for trial in trials])
+    weight = np.exp(odds - np.max(odds))
+    return np.random.default_rng(seed).choice(OFFSETS, CAMPAIGNS, p=weight / np.sum(weight))
+
+
+@dataclass(frozen=True)
+class FoldJudge:
+    """Decides the stages of a search with a run left out, by the critical gains of the whole campaign's design."""
+
+    critical: dict[str, float]
+
+    def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
+        return any(r.evidence - stage.before > self.critical.get(r.effect, USUAL) for r in stage.ranking)
+
+    def hopeful(self, effect: str, gain: float) -> bool:
+        return gain > self.critical.get(effect, USUAL) - REFINEMENT
+
+
+@dataclass(frozen=True)
+class Hit:
+    """A structure that is there: the block, its variance ratio as a random effect, the chance of seeing it in noise."""
+
+    structure: Structure
+    variance: float
+    gain: float
+    probability: float
+
+    @property
+    def extra(self) -> Extra:
+        """Its columns for a fit."""
+        whole = self.structure.whole
+        return Extra(whole[:, :0], whole * math.sqrt(self.variance))
+
+
+def hit_of(frame: Frame, structure: Structure, gain: float, probability: float) -> Hit:
+    """The structure with its variance fitted under a frame."""
+    _, variance = random_gain(frame, structure.whole)
+    return Hit(structure, float(variance), gain, probability)
+
+
+@dataclass
+class Scout:
+    """Looks for structure outside the catalogue; remembers the gain that is just significant for the folds."""
+
+    catalogue: Catalogue
+    seed: int
+    critical: float = USUAL_STRUCTURE
+
+    def __call__(self, frame: Frame, bench: Bench) -> Hit | None:
+        """The clearest structure beside what the frame of this bench projects out, if it is more than noise makes."""
+        found = clearest(frame, self.catalogue)
+        if found is None or found[1] < 0.0:
+            return None
+        structure, gain = found
+        probability = 0.0
+        if gain < SURE:
+            probability = self._probability(frame, bench, structure, gain)
+            if probability >= FALSE_STRUCTURE:
+                return None
+        return hit_of(frame, structure, gain, probability)
+
+    def _probability(self, frame: Frame, bench: Bench, structure: Structure, gain: float) -> float:
+        catalogue = self.catalogue
+        y = simulate(bench, frame.noise, np.full(STRUCTURE_CAMPAIGNS, frame.noise.offset), self.seed + 1)
+        null = bench.frame(frame.noise, y, frame.extra)
+        tests = 1 + len(catalogue.fine)
+        if structure in catalogue.fine:
+            sample, _ = random_gain(null, structure.design)
+            return tests * float(tail_probability(sample, float(np.min(sample)) - 1.0, gain))
+        maxima = np.max(score(null, catalogue.stack(null.whitened)).gain, axis=0)
+        floor = -2.0 * float(np.log1p(frame.rows))
+        grid = np.linspace(2.0, 30.0, 57)
+        good = grid[tests * tail_probability(maxima, floor, grid) < FALSE_STRUCTURE]
+        self.critical = float(good[0]) if len(good) else 30.0
+        return tests * float(tail_probability(maxima, floor, gain))
+
+
+@dataclass(frozen=True)
+class FoldScout:
+    """The same with a run left out, by the critical gain of the whole campaign's design."""
+
+    catalogue: Catalogue
+    critical: float
+
+    def __call__(self, frame: Frame, bench: Bench) -> Hit | None:
+        del bench
+        found = clearest(frame, self.catalogue)
+        if found is None or found[1] < self.critical:
+            return None
+        return hit_of(frame, found[0], found[1], 0.0)
+
+
+def clearest(frame: Frame, catalogue: Catalogue) -> tuple[Structure, float] | None:
+    """The structure of highest gain and that gain; None where there is nothing to look at."""
+    gains: list[float] = []
+    if len(catalogue.structures):
+        gains.extend(score(frame, catalogue.stack(frame.whitened)).gain)
+    gains.extend(float(random_gain(frame, s.design)[0]) for s in catalogue.fine)
+    if not gains:
+        return None
+    top = int(np.argmax(gains))
+    return (*catalogue.structures, *catalogue.fine)[top], float(gains[top])

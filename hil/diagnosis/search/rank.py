@@ -1,0 +1,173 @@
+"""Every effect at its best beside some choices: the best grid points, refined, over all noise models, in richer forms.
+
+What may go in: the order in which effects compete. Whether the best one is taken is decided in `search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.noise.evidence import Frame, Noise
+from hil.diagnosis.search.candidates import score
+from hil.diagnosis.search.fit import Choice, grid_choices
+from hil.diagnosis.search.refine import Trials, refine, score_choices
+from hil.diagnosis.search.searcher import Searcher, View, with_point
+from hil.effects import Form
+
+SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))
+"""Shares of the table's roughness (even, odd part) that may be left once a feature of one place stands beside it."""
+RICHER = 3.0
+"""Log odds against a richer form of the same effect, beside what its width costs."""
+IMPLAUSIBLE = 5.0
+"""Log odds against an effect whose parameters no machine has."""
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate at its best: log evidence of the whole model with it, its noise model, its gain there."""
+
+    choice: Choice
+    evidence: float
+    noise: Noise
+
+    @property
+    def effect(self) -> str:
+        return self.choice.effect.id
+
+
+def rank(
+    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, hopeful: Callable[[Ranked], bool] | None = None
+) -> tuple[Ranked, ...]:
+    """Every effect at its best beside the chosen ones, best first; none where no grid point is hopeful."""
+    view = View(searcher, chosen)
+    rough = _rough(view, noise)
+    if not rough or (hopeful is not None and not any(hopeful(r) for r in rough)):
+        return ()
+    return _enriched(view, _profiled(view, _refined(view, rough), noise))
+
+
+def _rough(view: View, noise: Noise) -> list[Ranked]:
+    """The best grid point of each form, under the noise as fitted and, where the search is thorough, under white noise."""
+    searcher, candidates, effort = view.searcher, view.searcher.candidates, view.searcher.effort
+    found: dict[int, Ranked] = {}
+    for trial in dict.fromkeys((noise, noise.calm()) if effort.correlations else (noise,)):
+        frame = view.frame(trial)
+        gains = score(frame, candidates.stack(frame.whitened)).gain
+        for key, index in enumerate(candidates.forms):
+            top = index[int(np.argmax(gains[index]))]
+            if candidates.choices[top].effect.id in searcher.barred:
+                continue
+            value = view.base(trial) + float(gains[top])
+            if np.isfinite(value) and (key not in found or value > found[key].evidence):
+                found[key] = Ranked(candidates.choices[top], value, trial)
+    ordered = sorted(found.values(), key=lambda r: -r.evidence)
+    names = list(dict.fromkeys(r.effect for r in ordered))[: effort.contenders]
+    best = {name: next(r.evidence for r in ordered if r.effect == name) for name in names}
+    return [r for r in ordered if r.effect in best and r.evidence > best[r.effect] - 8.0]
+
+
+def _refined(view: View, rough: Sequence[Ranked]) -> list[Ranked]:
+    out: list[Ranked] = []
+    for trial in dict.fromkeys(r.noise for r in rough):
+        mine = [r.choice for r in rough if r.noise == trial]
+        refined = refine(view.frame(trial), mine, view.searcher.effort.rounds)
+        out.extend(Ranked(choice, view.base(trial) + gain, trial) for choice, gain in refined)
+    return out
+
+
+def _profiled(view: View, refined: Sequence[Ranked], noise: Noise) -> list[Ranked]:
+    """The evidence of each at its best noise model of the grid; the best form of each effect."""
+    best = _best_of(view, refined, [with_point(noise, *point) for point in view.searcher.effort.grid])
+    best = _smoothed(view, best)
+    first: dict[str, Ranked] = {}
+    for r in sorted(best, key=lambda r: -r.evidence):
+        first.setdefault(r.effect, r)
+    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, view, r.noise)) for r in first.values()]
+    return sorted(judged, key=lambda r: -r.evidence)
+
+
+def _smoothed(view: View, ranked: Sequence[Ranked]) -> list[Ranked]:
+    """Features of one place beside a table that needs to be less rough everywhere: it bulged where they stand."""
+    best = list(ranked)
+    bench = view.searcher.bench
+    survey = bench.campaign.survey
+    which = [i for i, r in enumerate(ranked) if r.choice.effect.is_local(r.choice.form, r.choice.theta, survey)]
+    if not view.searcher.effort.correlations or not bench.rough:
+        return best
+    for start in dict.fromkeys(ranked[i].noise for i in which):
+        mine = [i for i in which if ranked[i].noise == start]
+        for i, found in zip(mine, _best_of(view, [ranked[i] for i in mine], smoother(start)), strict=True):
+            best[i] = found
+    return best
+
+
+def _best_of(view: View, ranked: Sequence[Ranked], noises: Sequence[Noise]) -> list[Ranked]:
+    """Each as it is, or at the one of some noise models under which it is better."""
+    best = list(ranked)
+    trials = Trials([r.choice for r in ranked], view.searcher.bench.campaign)
+    for noise in noises:
+        gains, choices = trials.score(view.frame(noise))
+        for i, value in enumerate(view.base(noise) + gains):
+            if value > best[i].evidence:
+                best[i] = Ranked(choices[i], float(value), noise)
+    return best
+
+
+def _penalty(choice: Choice, view: View, noise: Noise) -> float:
+    penalty = -choice.effect.log_odds
+    if not choice.form.shrunk:
+        coefficients = view.frame(noise).estimate(choice.columns(view.searcher.bench.campaign))
+        penalty += IMPLAUSIBLE if choice.effect.implausible(choice.as_term(coefficients)) else 0.0
+    return penalty
+
+
+def _enriched(view: View, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
+    """The first few again with their refining forms."""
+    out = list(ranked)
+    effort, refining = view.searcher.effort, view.searcher.candidates.refining
+    for i, r in enumerate(ranked[: effort.rich]):
+        more = richer(r.choice, refining[r.effect]) if r.evidence > ranked[0].evidence - 60.0 else []
+        if not more:
+            continue
+        frame = view.frame(r.noise)
+        for choice, gain in refine(frame, _best_of_each_form(frame, more), effort.rounds):
+            value = view.base(r.noise) + gain - _penalty(choice, view, r.noise) - RICHER
+            if value > out[i].evidence:
+                out[i] = Ranked(choice, value, r.noise)
+    return tuple(sorted(out, key=lambda r: -r.evidence))
+
+
+def _best_of_each_form(frame: Frame, choices: Sequence[Choice]) -> list[Choice]:
+    forms = [(choice.form.name, choice.form.inputs) for choice in choices]
+    if len(set(forms)) == len(forms):
+        return list(choices)
+    gains, _ = score_choices(frame, choices)
+    tops: dict[tuple[str, tuple[str, ...]], int] = {}
+    for j, form in enumerate(forms):
+        if form not in tops or gains[j] > gains[tops[form]]:
+            tops[form] = j
+    return [choices[j] for j in tops.values()]
+
+
+def richer(choice: Choice, forms: Sequence[Form]) -> list[Choice]:
+    """Those of the refining forms that read the main column of the choice, at their grid points or at its parameters."""
+    out: list[Choice] = []
+    for form in forms:
+        if not set(choice.form.inputs) & set(form.inputs):
+            continue
+        if choice.form.inputs and form.inputs[0] != choice.form.inputs[0]:
+            continue
+        same = tuple(p.name for p in form.nonlinear) == tuple(p.name for p in choice.form.nonlinear)
+        if same and form.nonlinear:
+            out.append(replace(choice, form=form))
+        else:
+            out.extend(grid_choices(choice.effect, form))
+    return out
+
+
+def smoother(noise: Noise) -> tuple[Noise, ...]:
+    """The same noise beside tables that are less rough."""
+    return tuple(replace(noise, even=noise.even * even, odd=noise.odd * odd) for even, odd in SMOOTHER)

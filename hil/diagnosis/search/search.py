@@ -1,0 +1,129 @@
+"""The search: which effects, in which form and with which parameters, the records ask for beside the declared table.
+
+What may go in: forward choice by evidence with all identifiable effects competing, and exchange. Whether a best candidate is
+more than noise is asked of a `Judge`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.search.rank import Ranked, rank
+from hil.diagnosis.search.searcher import Searcher
+
+MOST_TERMS = 5
+EXCHANGES = 2
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the choice: evidence without, the ranking with each effect at its best, whether the best was taken.
+
+    about: the effect whose place is contested, where it came there otherwise than as the best of a stage
+    """
+
+    before: float
+    ranking: tuple[Ranked, ...]
+    taken: bool
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """choices: the terms; noise: refitted with them; stages: how it came about."""
+
+    choices: tuple[Choice, ...]
+    noise: Noise
+    stages: tuple[Stage, ...]
+
+
+class Judge(Protocol):
+    """Says whether the gains of a stage are more than noise makes."""
+
+    def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool: ...
+
+    def hopeful(self, effect: str, gain: float) -> bool:
+        """Whether an effect of this gain at a grid point may become significant by refinement."""
+
+
+def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
+    """Whether an effect that noise resembles is too small to be told from it."""
+    least = choice.effect.least_over_noise
+    if least == 0.0:
+        return False
+    fit = searcher.fit([choice], noise, uncertain=False)
+    rms = float(np.std(fit.found[0].error_um(searcher.bench.campaign.columns)))
+    return rms < least * fit.white_um * math.hypot(1.0, noise.ar)
+
+
+def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice] = ()) -> Selection:
+    """Forward choice with exchange, from some choices and the noise model with them.
+
+    What is flexible enough to stand for several causes at once (a wander in time) is taken only where no several causes do better.
+    """
+    found = _forward(searcher, noise, judge, start)
+    flexible = {choice.effect.id for choice in found.choices[len(start) :] if choice.form.shrunk}
+    if not flexible or not searcher.effort.correlations:
+        return found
+    kept = searcher.y, searcher.nuisance
+    searcher.barred = frozenset(flexible)
+    other = _forward(searcher, noise, judge, start)
+    searcher.barred = frozenset()
+    several = len(other.choices) > len(found.choices)
+    worth, _ = searcher.profiled_evidence(found.choices, found.noise)
+    if several and searcher.profiled_evidence(other.choices, other.noise)[0] > worth:
+        more = _forward(searcher, other.noise, judge, other.choices)
+        return replace(more, stages=(*other.stages, *more.stages))
+    searcher.restore(*kept)
+    return found
+
+
+def _forward(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice]) -> Selection:
+    chosen: list[Choice] = list(start)
+    stages: list[Stage] = []
+    while len(chosen) < MOST_TERMS + len(start):
+        searcher.tame(chosen, noise)
+        before, _ = searcher.profiled_evidence(chosen, noise)
+        ranking = rank(searcher, chosen, noise, partial(_hopeful, judge, before))
+        stage = Stage(before, ranking, False)
+        if not ranking or not judge(stage, searcher, chosen, noise):
+            stages.append(stage)
+            break
+        top = ranking[0]
+        if is_noise(searcher, top.choice, top.noise):
+            searcher.add_nuisance(top.choice.extra(searcher.bench.campaign))
+            continue
+        stages.append(replace(stage, taken=True))
+        chosen.append(top.choice)
+        noise = searcher.fit_noise(chosen, top.noise)
+        chosen = exchange(searcher, chosen, noise, len(start))
+    return Selection(tuple(chosen), noise, tuple(stages))
+
+
+def _hopeful(judge: Judge, before: float, ranked: Ranked) -> bool:
+    return judge.hopeful(ranked.effect, ranked.evidence - before)
+
+
+def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:
+    """Each choice after the first `fixed` may give way to one that is better now that the others are there, until none does."""
+    current = list(chosen)
+    settled = len(current) - 1  # the last one was just found the best beside the others
+    for i in itertools.islice(itertools.cycle(range(fixed, len(current))), EXCHANGES * (len(current) - fixed)):
+        if i == settled:
+            break
+        rest = current[:i] + current[i + 1 :]
+        now = searcher.evidence(current, noise)
+        ranking = rank(searcher, rest, noise)
+        if ranking and ranking[0].evidence > now + 2.0:
+            current[i] = ranking[0].choice
+            settled = i
+    return current

@@ -1,0 +1,173 @@
+"""A search at work: candidates against one set of errors under any noise model, on all rows or with some left out.
+
+What may go in: frames, fits and evidences for some choices; how thoroughly to search. What to choose is `rank` and `search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.noise.evidence import Extra, Frame, Noise
+from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
+from hil.diagnosis.search.candidates import Candidates
+from hil.diagnosis.search.fit import Choice, JointFit, Setting, joint_fit
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+GRID = tuple(
+    (ar, rho, offset)
+    for ar, rho in ((0.0, 0.0), (0.35, 0.9), (0.6, 0.5), (0.7, 0.9), (1.2, 0.75))
+    for offset in (0.0, 0.25, 0.6)
+)
+"""Noise models over which each candidate is profiled."""
+MOST_FRAMES = 40
+CONTENDERS = 8
+RICH_CONTENDERS = 3
+TAME, TAME_TAIL = 3.2, 1.5
+"""Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger holds, so that a real bulge stays."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How thoroughly to search: effects refined, rounds of refinement, noise models each is profiled over, richer forms tried.
+
+    correlations: (ar, rho) tried in a fit of the noise; empty where the start is close, for none and that of the start
+    """
+
+    contenders: int
+    rounds: int
+    grid: tuple[tuple[float, float, float], ...]
+    rich: int
+    correlations: tuple[tuple[float, float], ...] = CORRELATIONS
+
+
+FULL = Effort(CONTENDERS, 6, GRID, RICH_CONTENDERS)
+LIGHT = Effort(3, 3, GRID[:2], 1, ())
+
+
+class Searcher:
+    """Candidates against one set of errors, on all rows or with some left out."""
+
+    def __init__(
+        self, setting: Setting, candidates: Candidates, out: Mask | None = None, effort: Effort = FULL
+    ) -> None:
+        self.setting, self.candidates, self.out, self.effort = setting, candidates, out, effort
+        self.bench = setting.bench
+        self.raw = self.y = setting.error_um
+        self.nuisance = Extra.none(len(self.y))
+        self._frames: dict[Noise, Frame] = {}
+        self._tamed: tuple[tuple[Choice, ...], Noise] | None = None
+        self.barred: frozenset[str] = frozenset()  # effects that are not searched for the moment
+
+    @property
+    def always(self) -> Extra:
+        """The columns in every fit: what is declared, and what is of no interest."""
+        return self.setting.always.plus(self.nuisance)
+
+    def add_nuisance(self, extra: Extra) -> None:
+        self.nuisance = self.nuisance.plus(extra)
+        self._frames.clear()
+        self._tamed = None
+
+    def restore(self, y: Floats, nuisance: Extra) -> None:
+        """Back to errors and columns of no interest that were there before."""
+        self.y, self.nuisance = y, nuisance
+        self._frames.clear()
+        self._tamed = None
+
+    def fit(self, choices: Sequence[Choice], noise: Noise, *, uncertain: bool = True) -> JointFit:
+        """Table and terms estimated together, with their covariances where they are wanted."""
+        return joint_fit(
+            self.setting, noise, self.y, choices, out=self.out, nuisance=self.nuisance, uncertain=uncertain
+        )
+
+    def extra(self, choices: Sequence[Choice]) -> Extra:
+        """The columns of some choices, and those that are always there."""
+        total = self.always
+        for choice in choices:
+            total = total.plus(choice.extra(self.bench.campaign))
+        return total
+
+    def frame(self, noise: Noise, beside: Extra | None = None) -> Frame:
+        """With the columns `beside` in the fit, or with those that are always there (made once)."""
+        if beside is not None:
+            return self.bench.frame(noise, self.y, beside, self.out)
+        if noise not in self._frames:
+            if len(self._frames) >= MOST_FRAMES:
+                self._frames.clear()
+            self._frames[noise] = self.bench.frame(noise, self.y, self.always, self.out)
+        return self._frames[noise]
+
+    def tame(self, choices: Sequence[Choice], noise: Noise) -> None:
+        """Pull in rows far beyond what the fit and the bulk of the rows allow (Huber), for all that follows."""
+        asked = tuple(choices), noise
+        if asked == self._tamed:
+            return
+        self._tamed = asked
+        frame = self.bench.frame(noise, self.raw, self.extra(choices), self.out)
+        residual = frame.solve(np.zeros((len(self.raw), 0))).residual
+        kept = residual if self.out is None else residual[~self.out]
+        size = np.abs(kept - np.median(kept))
+        limit = max(TAME * 1.4826 * float(np.median(size)), TAME_TAIL * float(np.quantile(size, 0.95)))
+        excess = residual - np.clip(residual, -limit, limit)
+        self.y = self.raw - frame.whitened.colour(excess) if np.any(excess) else self.raw
+        self._frames.clear()
+
+    def fit_noise(self, choices: Sequence[Choice], start: Noise) -> Noise:
+        grid = self.effort.correlations or tuple(dict.fromkeys(((0.0, 0.0), (start.ar, start.rho))))
+        near = not self.effort.correlations
+        return fit_noise(self.bench, self.y, self.extra(choices), start, correlations=grid, near=near, out=self.out)
+
+    def evidence(self, choices: Sequence[Choice], noise: Noise) -> float:
+        """Log marginal likelihood of table, noise and some choices, up to a constant of the rows."""
+        return self._evidence(choices, self.extra(choices), noise)
+
+    def _evidence(self, choices: Sequence[Choice], extra: Extra, noise: Noise) -> float:
+        always = self.always
+        shrunk = extra.random.shape[1] > always.random.shape[1]
+        frame = self.frame(noise, Extra(always.free, extra.random) if shrunk else None)
+        known = sum(choice.log_prior for choice in choices)
+        return float(frame.log_null) + frame.gain(extra.free[:, always.free.shape[1] :]) + known
+
+    def profiled_evidence(self, choices: Sequence[Choice], noise: Noise) -> tuple[float, Noise]:
+        """Best evidence of the choices over the grid of noise models."""
+        trials = [noise, *(with_point(noise, *point) for point in self.effort.grid)]
+        extra = self.extra(choices)
+        values = [self._evidence(choices, extra, trial) for trial in trials]
+        best = int(np.argmax(values))
+        return values[best], trials[best]
+
+
+class View:
+    """A searcher beside some choices: frames and base evidences, each made once."""
+
+    def __init__(self, searcher: Searcher, chosen: Sequence[Choice]) -> None:
+        self.searcher, self.chosen = searcher, chosen
+        self._extra = searcher.extra(chosen)
+        self._frames: dict[Noise, Frame] = {}
+        self._base: dict[Noise, float] = {}
+
+    def frame(self, noise: Noise) -> Frame:
+        if not self.chosen:
+            return self.searcher.frame(noise)
+        if noise not in self._frames:
+            self._frames[noise] = self.searcher.frame(noise, self._extra)
+        return self._frames[noise]
+
+    def base(self, noise: Noise) -> float:
+        """Log evidence of the choices, under a noise model."""
+        if noise not in self._base:
+            if self.chosen:
+                self._base[noise] = self.searcher.evidence(self.chosen, noise)
+            else:
+                self._base[noise] = float(self.frame(noise).log_null)
+        return self._base[noise]
+
+
+def with_point(noise: Noise, ar: float, rho: float, offset: float) -> Noise:
+    return replace(noise, ar=ar, rho=rho, offset=offset)

@@ -1,0 +1,243 @@
+"""One selection from start to end on some rows: noise, catalogue search, structure outside the catalogue, what stays.
+
+What may go in: the order of these steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.search.candidates import score
+from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.search.judge import FoldScout, Hit, Scout, hit_of
+from hil.diagnosis.search.rank import rank
+from hil.diagnosis.search.search import Judge, Stage, search
+from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.search.structure import Catalogue
+from hil.diagnosis.verdict.serial import Memory, memory
+
+Floats = NDArray[np.float64]
+
+MOST_STRUCTURES = 3
+MOST_SWAPS = 4
+KEEP = 6.0
+"""Log Bayes factor a term must still bring beside an unexplained structure."""
+SLIGHT = 3.0
+"""Log Bayes factor a term must still bring beside terms that were taken after it."""
+REPLACE = 6.0
+"""Log odds by which a structure of other columns must beat a term to take its place; for several terms their share of it."""
+SHAPE = 0.35
+"""A structure of an effect's own columns, smaller than this share of the effect, is the effect's shape, not another cause."""
+OUTGROWN = 0.7
+"""A structure of an effect's own columns, larger than this share of the effect, is the cause, and the effect a part of it."""
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """The best structure of other columns in the place of an effect: log odds against the effect, gain over nothing."""
+
+    columns: tuple[str, ...]
+    log_odds: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class Selected:
+    """What the records ask for.
+
+    searcher: with the tamed errors, and the columns of no interest (unexplained structure, drift within the noise)
+    hits: unexplained structures; shapes: small misfits of the terms' own forms
+    foreign: by effect, the best structure of other columns in its place
+    memory: correlation from row to row beyond that of noise
+    """
+
+    searcher: Searcher
+    choices: tuple[Choice, ...]
+    noise: Noise
+    stages: tuple[Stage, ...]
+    hits: tuple[Hit, ...] = ()
+    shapes: tuple[Hit, ...] = ()
+    foreign: dict[str, Stranger] = field(default_factory=dict)
+    memory: Memory | None = None
+
+    def beyond(self, log_odds: float) -> set[str]:
+        """Effects that were taken with more than these log odds."""
+        return {
+            r.effect
+            for stage in self.stages
+            if stage.taken
+            for i, r in enumerate(stage.ranking)
+            if (r.effect == stage.about or (i == 0 and not stage.about)) and r.evidence - stage.before > log_odds
+        }
+
+
+def select(
+    searcher: Searcher, scout: Scout | FoldScout | None, judge: Judge, noise: Noise, start: Sequence[Choice] = ()
+) -> Selected:
+    """The terms the records ask for beside those of `start`, and the structure they leave where a scout looks for it."""
+    noise = searcher.fit_noise(start, noise)
+    searcher.tame(start, noise)
+    found = search(searcher, noise, judge, start)
+    stages = list(found.stages)
+    chosen, noise = list(found.choices), found.noise
+    if len(chosen) > len(start) + 1:
+        chosen = drop(searcher, chosen, noise, len(start), SLIGHT)
+    hits: list[Hit] = []
+    shapes: list[Hit] = []
+    foreign: dict[str, Stranger] = {}
+    swaps = 0
+    while scout is not None and len(hits) < MOST_STRUCTURES:
+        hit = scout(searcher.frame(noise, searcher.extra(chosen)), searcher.bench)
+        if hit is None:
+            if isinstance(scout, FoldScout):
+                break
+            foreign, chosen, taken = _foreign(searcher, scout.catalogue, chosen, noise, len(start))
+            if taken is None:
+                break
+            if isinstance(taken, Stage):
+                stages.append(taken)
+                chosen.append(taken.ranking[0].choice)
+                noise = searcher.fit_noise(chosen, taken.ranking[0].noise)
+                chosen = drop(searcher, chosen, noise, len(start), SLIGHT) if len(chosen) > len(start) + 1 else chosen
+                swaps += 1
+                if swaps >= MOST_SWAPS:
+                    break
+                continue
+            hit = taken
+        elif _is_shape(searcher, hit, chosen, noise):
+            shapes.append(hit)
+            searcher.add_nuisance(hit.extra)
+            if len(shapes) >= MOST_STRUCTURES:
+                break
+            continue
+        hits.append(hit)
+        searcher.add_nuisance(hit.extra)
+        chosen = drop(searcher, _not_outgrown(searcher, hit, chosen, noise, len(start)), noise, len(start))
+        noise = searcher.fit_noise(chosen, noise)
+        found = search(searcher, noise, judge, chosen)
+        stages.extend(found.stages)
+        chosen, noise = drop(searcher, found.choices, found.noise, len(start)), found.noise
+    searcher.tame(chosen, noise)
+    if scout is not None and not isinstance(scout, FoldScout):
+        stages.extend(_contests(searcher, chosen, noise, stages, len(start)))
+    left = None if scout is None else memory(searcher, chosen, noise)
+    return Selected(searcher, tuple(chosen), noise, tuple(stages), tuple(hits), tuple(shapes), foreign, left)
+
+
+def drop(
+    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0, least: float = KEEP
+) -> list[Choice]:
+    """Without the terms after the first `fixed` that bring less than `least` now that the others are there, the weakest first."""
+    current = list(chosen)
+    while len(current) > fixed:
+        whole, _ = searcher.profiled_evidence(current, noise)
+        worth = [
+            whole - searcher.profiled_evidence(current[:i] + current[i + 1 :], noise)[0]
+            for i in range(fixed, len(current))
+        ]
+        weakest = int(np.argmin(worth))
+        if worth[weakest] >= least:
+            break
+        del current[fixed + weakest]
+    return current
+
+
+def _foreign(
+    searcher: Searcher, catalogue: Catalogue, chosen: Sequence[Choice], noise: Noise, fixed: int
+) -> tuple[dict[str, Stranger], list[Choice], Hit | Stage | None]:
+    """Whether a structure of other columns does better than some terms: all together, those of one effect, a single one.
+
+    The best one for each effect. Where it does better: the terms that stay, and the structure, or the stage at which an effect
+    that is as good as the structure is taken.
+    """
+    odds: dict[str, Stranger] = {}
+    worth = searcher.profiled_evidence(chosen, noise)[0]
+    for group in _groups(chosen, fixed):
+        rest = [choice for i, choice in enumerate(chosen) if i not in group]
+        own = {"target_mm", "direction"}.union(*(chosen[i].form.inputs for i in group))
+        base, calm = searcher.profiled_evidence(rest, noise)
+        stranger = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
+        if not np.any(stranger):
+            continue
+        best: Stranger | None = None
+        for trial in dict.fromkeys((noise, calm)):
+            frame = searcher.frame(trial, searcher.extra(rest))
+            gains = np.where(stranger, score(frame, catalogue.stack(frame.whitened)).gain, -np.inf)
+            top = int(np.argmax(gains))
+            total = searcher.evidence(rest, trial) + float(gains[top])
+            if total > worth + REPLACE / len(group) and total > base + REPLACE:
+                ranking = rank(searcher, rest, noise)
+                if ranking and ranking[0].evidence > max(total - REPLACE, worth):
+                    return odds, rest, Stage(base, ranking, True)
+                return odds, rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0)
+            if best is None or total - worth > best.log_odds:
+                best = Stranger(catalogue.structures[top].columns, total - worth, float(gains[top]))
+        names = {chosen[i].effect.id for i in group}
+        if len(names) == 1 and best is not None:
+            (name,) = names
+            odds[name] = max(odds.get(name, best), best, key=lambda stranger: stranger.log_odds)
+    return odds, list(chosen), None
+
+
+def _contests(
+    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, stages: Sequence[Stage], fixed: int
+) -> Iterator[Stage]:
+    """The ranking beside the others for each effect that no stage took as its best."""
+    known = {stage.ranking[0].effect for stage in stages if stage.taken}
+    for i in range(fixed, len(chosen)):
+        if chosen[i].effect.id not in known:
+            rest = [*chosen[:i], *chosen[i + 1 :]]
+            base, _ = searcher.profiled_evidence(rest, noise)
+            yield Stage(base, rank(searcher, rest, noise), True, chosen[i].effect.id)
+
+
+def _groups(chosen: Sequence[Choice], fixed: int) -> list[tuple[int, ...]]:
+    """Terms after the first `fixed` that one structure may replace: all, those of one effect, each."""
+    free = range(fixed, len(chosen))
+    same = [
+        tuple(i for i in free if chosen[i].effect.id == name)
+        for name in dict.fromkeys(chosen[i].effect.id for i in free)
+    ]
+    return [group for group in dict.fromkeys([tuple(free), *same, *((i,) for i in free)]) if group]
+
+
+def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> bool:
+    """Whether the structure is a small misfit of a chosen effect's own form."""
+    columns = set(hit.structure.columns) - {"target_mm", "direction"}
+    rms = structure_rms(searcher, hit, chosen, noise)
+    for choice, size in zip(chosen, _sizes(searcher, chosen, noise), strict=True):
+        own = set(choice.form.inputs) - {"target_mm", "direction"}
+        if columns <= own | {searcher.bench.campaign.survey.time_column} and rms < SHAPE * size:
+            return True
+    return False
+
+
+def _not_outgrown(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise, fixed: int) -> list[Choice]:
+    """Without the terms after the first `fixed` that are only a part of a structure of the same columns."""
+    columns = set(hit.structure.columns) - {"direction"}
+    rms = structure_rms(searcher, hit, chosen, noise)
+    sizes = _sizes(searcher, chosen, noise)
+    return [
+        choice
+        for i, (choice, size) in enumerate(zip(chosen, sizes, strict=True))
+        if i < fixed or not (set(choice.form.inputs) - {"direction"} <= columns and rms > OUTGROWN * size)
+    ]
+
+
+def _sizes(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> list[float]:
+    """RMS of each term over the rows, µm."""
+    columns = searcher.bench.campaign.columns
+    return [float(np.std(term.error_um(columns))) for term in searcher.fit(chosen, noise, uncertain=False).found]
+
+
+def structure_rms(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> float:
+    """RMS of a structure over the rows beside some choices, µm."""
+    frame = searcher.frame(noise, searcher.extra(chosen))
+    a, b = frame.normal(hit.structure.whole)
+    coefficients = np.linalg.solve(a + np.eye(len(a)) / hit.variance, b)
+    return float(np.std(hit.structure.whole @ coefficients))

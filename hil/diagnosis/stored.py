@@ -1,0 +1,47 @@
+"""A diagnosis that is kept beside the rows it was made of, as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import InputError
+from hil.records.files import read_bytes, read_text
+
+STORED = ".diagnosis.json"
+"""After the name of the pass, or of the passes, that was diagnosed."""
+
+
+def measurement_of(stem: str) -> str:
+    """Passes of one exploring campaign are runs of one measurement: before-1, before-2 … are "before", any other is its own."""
+    match = re.fullmatch(r"((?:motion-)?(?:before|after)|next-\d+)-\d+", stem)
+    return stem if match is None else match[1]
+
+
+def stored_beside(paths: Sequence[Path]) -> Path:
+    """Where the diagnosis of these passes of one campaign is kept."""
+    return paths[0].parent / f"{measurement_of(paths[0].stem)}{STORED}"
+
+
+def sources(paths: Sequence[Path]) -> dict[str, str]:
+    """SHA-256 of each file by its name."""
+    return {path.name: hashlib.sha256(read_bytes(path)).hexdigest() for path in paths}
+
+
+def read_stored(path: Path) -> dict[str, Any]:
+    """A diagnosis that was kept. Raises InputError for a file that holds none."""
+    try:
+        form = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON", path=path) from error
+    if (
+        not isinstance(form, dict)
+        or not isinstance(form.get("findings"), list)
+        or not isinstance(form.get("drawn"), dict)
+    ):
+        raise InputError("is not a diagnosis as a screen shows it", path=path)
+    return form

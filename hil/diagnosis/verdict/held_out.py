@@ -1,0 +1,139 @@
+"""What the models are worth on rows they were not fitted to: every run left out once, the choice repeated without it.
+
+What may go in: prediction of left-out runs. Nothing of a left-out run enters the fit that predicts it but its columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.noise.thin import AllRows
+from hil.diagnosis.search.carried import carried
+from hil.diagnosis.search.choose import Chosen, Problem, choose_without
+from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.search.refine import refine
+from hil.diagnosis.search.searcher import LIGHT, Searcher, View
+from hil.diagnosis.search.select import Selected
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+MOST_FOLDS = 10
+TRIMMED = 5
+ONCE = frozenset({"datum_step", "beam_drift"})
+"""What happens once cannot be asked to help on a run left out."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Residuals of all rows when they were left out, each shape (n,), and how the rows were left out.
+
+    before: of the declared model; after: with the machine's effects; setup: with those of instrument and set-up too
+    gain: by effect chosen on all rows, the squared error it takes away in each fold, shape (folds,), µm²: everything refitted
+        without the fold, with it and without it
+    structure: the same of unexplained structure, where the choice without the fold finds any
+    carried: what that structure, as a term of a model, says of each row, (n,); carried_gain: what it takes away in each fold
+    """
+
+    before: Floats
+    after: Floats
+    setup: Floats
+    gain: dict[str, Floats]
+    structure: Floats
+    carried: Floats
+    carried_gain: Floats
+    how: str
+
+
+def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
+    """Fold of each row: its run, or a group of neighbouring runs where there are many; blocks of rows for a single run."""
+    runs = int(np.max(run)) + 1
+    if runs == 1:
+        return (np.arange(len(run)) * min(4, len(run)) // len(run)).astype(np.int64), "leave-one-quarter-out"
+    if runs <= MOST_FOLDS:
+        return run, "leave-one-run-out"
+    return (run * MOST_FOLDS // runs).astype(np.int64), "leave-runs-out in groups"
+
+
+def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
+    """Leave out, choose, fit, predict.
+
+    whole: what was chosen with nothing left out, with the gains an effect needs there; rows: what is predicted, the rows of the
+    problem among them
+    """
+    fold, how = folds(problem.campaign.run)
+    fold_of_all = rows.folds(fold)
+    y, n = rows.error_um, len(rows)
+    before, after, setup, carries = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    gain: dict[str, list[float]] = {}
+    count = int(np.max(fold)) + 1
+    structure, carried_gain = np.zeros(count), np.zeros(count)
+    for index in range(count):
+        out, left = fold == index, fold_of_all == index
+        columns = {name: values[left] for name, values in rows.columns.items()}
+        chosen = choose_without(problem, out, whole)
+        if problem.declared is not None:
+            base = problem.declared
+        else:
+            plain = Searcher(problem.free, problem.candidates, out, LIGHT)
+            noise = plain.fit_noise((), problem.plain)
+            plain.tame((), noise)
+            base = plain.fit((), noise, uncertain=False).extended
+        before[left] = y[left] - base.error_um(columns)
+        setup[left] = y[left] - chosen.fit.whole.error_um(columns)
+        after[left] = y[left] - chosen.fit.extended.error_um(columns)
+        last = chosen.last
+        for found in carried(last.searcher, chosen.hits, last.choices, last.noise):
+            carries[left] += found.error_um(columns)
+        carried_gain[index] = float(np.sum(setup[left] ** 2) - np.sum((setup[left] - carries[left]) ** 2))
+        for effect, fall in gains_without(problem, whole.last, out).items():
+            gain.setdefault(effect, []).append(fall)
+        kept = setup[rows.kept[out]]
+        structure[index] = float(np.sum(kept**2) - np.sum((kept - chosen.fit.nuisance_um[out]) ** 2))
+    by_effect = {name: np.array(values) for name, values in gain.items()}
+    return HeldOut(before, after, setup, by_effect, structure, carries, carried_gain, how)
+
+
+def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:
+    """By effect, the squared error of the rows left out that it takes away, µm², with its parameters found again on the others.
+
+    Beside what happens once, which nothing can predict, each run is taken about its own mean. A campaign of few runs hardly lets an
+    effect be chosen again without one of them; whether it predicts that run is asked here.
+    """
+    campaign = problem.campaign
+    columns = {name: values[out] for name, values in campaign.columns.items()}
+    whole = selected.searcher
+    searcher = Searcher(whole.setting, whole.candidates, out, LIGHT)
+    searcher.nuisance = whole.nuisance
+    once = any(choice.effect.id in ONCE for choice in selected.choices)
+    run = (campaign.run[out][:, None] == np.unique(campaign.run[out])).astype(np.float64)
+    refound = list(selected.choices)
+    for i, choice in enumerate(refound):
+        view = View(searcher, [*refound[:i], *refound[i + 1 :]])
+        refound[i] = refine(view.frame(selected.noise), [choice], LIGHT.rounds)[0][0]
+
+    def left(choices: Sequence[Choice]) -> float:
+        model = searcher.fit(choices, selected.noise, uncertain=False).whole
+        rest = campaign.error_um[out] - model.error_um(columns)
+        if once:
+            rest = rest - run @ np.linalg.lstsq(run, rest, rcond=None)[0]
+        return float(np.sum(rest**2))
+
+    everything = left(refound)
+    names = dict.fromkeys(choice.effect.id for choice in refound)
+    return {name: left([c for c in refound if c.effect.id != name]) - everything for name in names}
+
+
+def earns_its_place(gain: Floats) -> bool:
+    """Whether a gain per fold, shape (folds,), is on average above zero by more than its standard error.
+
+    Of five folds or more the best and the worst are left away: without the first run, what changes with time has no beginning.
+    """
+    trim = len(gain) // TRIMMED
+    kept = np.sort(gain)[trim : len(gain) - trim]
+    if len(kept) < 2:
+        return bool(np.sum(kept) > 0)
+    return bool(np.mean(kept) > np.std(kept, ddof=1) / np.sqrt(len(kept)))

@@ -1,0 +1,70 @@
+"""A correction of what is left though its cause is unknown: whether there can be one, and the diagnosis with it.
+
+What may go in: the conditions. It never stands in a diagnosis by itself; whoever wants it takes it (`Diagnosis.non_parametric`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hil.diagnosis.result import Diagnosis, Figures
+from hil.diagnosis.search.carried import Carried
+from hil.diagnosis.verdict.held_out import HeldOut, earns_its_place
+from hil.effects.non_parametric import CAUSE_UNKNOWN
+from hil.records.rows import Floats
+
+OPTION = "--non-parametric"
+AFTERWARDS = frozenset({"run", "row_order", "measured_mm", "motor_mm", "torque_percent"})
+"""Columns that nobody knows when a command is issued: counted in the records, or read at the capture after the motion."""
+
+
+def offered(
+    diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldOut, fitted_um: Floats, alone: Figures
+) -> Diagnosis:
+    """The diagnosis with what can be had beside it, and a note that says so where something is unexplained.
+
+    structures: the unexplained ones; fitted_um: what they come to on the rows of the residual, (n,); alone: of no correction at all
+    """
+    reason = _reason(diagnosis, structures, left_out)
+    if reason:
+        notes = (f"no correction without a known cause either ({OPTION}): {reason}",) if diagnosis.unexplained else ()
+        return replace(diagnosis, non_parametric=reason, notes=(*diagnosis.notes, *notes))
+    terms = tuple(term for structure in structures for term in structure.terms)
+    after = Figures.of(left_out.after - left_out.carried)
+    along = "; ".join(" × ".join(structure.columns) for structure in structures)
+    extended = replace(
+        diagnosis.extended,
+        terms=(*diagnosis.extended.terms, *terms),
+        about={**diagnosis.extended.about, "non_parametric": f"follows {along}; {CAUSE_UNKNOWN}"},
+    )
+    worth = f"on runs left out it leaves {after.rms_um:.3g} µm RMS instead of {diagnosis.after.rms_um:.3g}"
+    taken = replace(
+        diagnosis,
+        extended=extended,
+        after_um=left_out.after - left_out.carried,
+        setup_um=left_out.setup - left_out.carried,
+        residual_um=diagnosis.residual_um - fitted_um,
+        recommended=after.rms_um < alone.rms_um,
+        notes=(*diagnosis.notes, *(f"{OPTION}: {term.effect.explain(term)}" for term in terms), f"{OPTION}: {worth}"),
+    )
+    note = f"{OPTION} adds a smooth function of {along} to the extended model, though {CAUSE_UNKNOWN}: {worth}"
+    return replace(diagnosis, non_parametric=taken, notes=(*diagnosis.notes, note))
+
+
+def _reason(diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldOut) -> str:
+    """Why there can be none, empty where there can."""
+    if not diagnosis.unexplained:
+        return "nothing is left unexplained"
+    if not structures:
+        doubted = [finding.effect for finding in diagnosis.findings if finding.doubtful]
+        if doubted:
+            return f"what is left is corrected already as {' and '.join(doubted)}, whose name is in doubt"
+        return "what is left hangs together from row to row and follows no column"
+    unknown = {name for structure in structures for name in structure.columns} & AFTERWARDS
+    if unknown:
+        return f"{' and '.join(sorted(unknown))} is not known when a command is issued"
+    before, after = Figures.of(left_out.after), Figures.of(left_out.after - left_out.carried)
+    if not earns_its_place(left_out.carried_gain) or after.rms_um >= before.rms_um:
+        return f"on runs left out it does not help for sure ({after.rms_um:.3g} µm RMS, without it {before.rms_um:.3g})"
+    return ""

@@ -1,0 +1,263 @@
+"""Preflight: is everything there, and are the units what the axis file says? Asked of the drive, and proven by small moves: the way
+against the instrument, the speed against the clock.
+
+Each check says what it found in one sentence; the first that fails in a way that makes moving unsafe ends the list.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.clock import NS_PER_S
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState
+from drivers.errors import BridgeError, MotionTimeoutError, OverspeedError, RemoteError, SafetyError
+from hil.doctor.drive_units import compare_units
+from hil.machine.session import AxisSession
+from hil.machine.supervisor import SLICE_S
+from hil.records.zero import describe_homing, homing_risk
+
+PROOF_TRAVEL_MM = 2.0
+CAREFUL_TRAVEL_MM = 0.1
+"""Moved first: units that are wrong by orders of magnitude must not be proven by a motion as much too long."""
+CAREFUL_TOLERANCE = 0.3
+"""Of the ratio over that travel: cyclic errors of a screw (5 µm) make 0.05 of it, a wrong unit a half at least."""
+SLOW_SHARE = 0.01
+"""Of the axis's largest velocity, for the first motions: a unit of velocity wrong by a hundred is no faster than that velocity."""
+SPEED_S, SPEED_LEAST_S = 2.0, 0.5
+"""How long the speed is judged: so long, but over no more than PROOF_TRAVEL_MM unless that takes a fast axis less than the least."""
+SPEED_SLICE_S = 0.005
+SPEED_TOLERANCE = 0.1
+"""What times of samples make of a speed is below this; a wrong unit of velocity is off by far more."""
+RATIO_TOLERANCE = 0.02
+"""A wrong gear or lead is off by far more than this; backlash and pitch error over the proof travel by far less."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding of the preflight."""
+
+    name: str
+    good: bool
+    detail: str
+
+
+def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False) -> list[Check]:
+    """Run the preflight on an entered session. With `move` the axis is enabled and moved by up to `reach_mm`, and back.
+
+    trust_file: what the drive says of its units is told and not held against the axis file, for drives whose factory values mean
+    nothing. Returns all checks made; nothing raises but a lost link. An axis found disabled is disabled again.
+    """
+    checks = [_drive(session)]
+    if checks[-1].good:
+        checks.append(_limits(session))
+        checks.append(_scaling(session, trust_file))
+        checks += _zero(session)
+        checks += _own_table(session)
+        checks.append(_instrument(session))
+        checks += [Check("note", True, note) for note in session.drive.notes]
+    if move and all(check.good for check in checks):
+        checks += _moved(session)
+    return checks
+
+
+def reach_mm(limits: DriveLimits) -> float:
+    """How far the axis is moved from where it stands, mm."""
+    return max(2.0 * PROOF_TRAVEL_MM, _speed_travel_mm(limits))
+
+
+def _drive(session: AxisSession) -> Check:
+    sample = session.drive.sample()
+    if sample.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        code = "without an error code" if sample.fault_code is None else f"with error code {sample.fault_code:04X}h"
+        return Check("drive", False, f"is in {sample.state.value} {code}; find the cause, then reset it")
+    missing = {Capability.PROFILE_POSITION} - session.drive.capabilities
+    if missing:
+        return Check("drive", False, "cannot do profile position")
+    can = ", ".join(sorted(capability.value for capability in session.drive.capabilities))
+    return Check("drive", True, f"answers, is {sample.state.value}, at {sample.position_load_mm:.4f} mm; can do {can}")
+
+
+def _limits(session: AxisSession) -> Check:
+    limits = session.drive.limits
+    position = session.drive.sample().position_load_mm
+    text = f"travel {limits.travel_min_mm:g} to {limits.travel_max_mm:g} mm, at {position:.4f} mm"
+    inside = limits.travel_min_mm <= position <= limits.travel_max_mm
+    homing = " (will be homed first)" if session.how.home and not inside else ""
+    return Check("limits", inside or session.how.home, text + homing)
+
+
+def _scaling(session: AxisSession, trust_file: bool) -> Check:
+    try:
+        verdict = compare_units(session.drive.reported_scaling(), session.drive.scaling)
+    except RemoteError as error:
+        return Check("scaling", False, f"the drive's own units cannot be read: {error}")
+    if trust_file and not verdict.agrees:
+        return Check("scaling", True, f"{verdict.detail}; the axis file is trusted as asked, the move decides")
+    return Check("scaling", verdict.agrees, verdict.detail)
+
+
+def _zero(session: AxisSession) -> list[Check]:
+    """What the zero rests on; a method that depends on where the axis stands is a risk, though a fresh axis may begin with it."""
+    if not session.how.home:
+        return [
+            Check("zero", True, "the axis is not homed ([measurement] home): its drive has to keep its zero by itself")
+        ]
+    try:
+        zero = session.drive.zero()
+    except RemoteError as error:
+        return [Check("zero", False, f"how the drive homes cannot be read: {error}")]
+    risk = homing_risk(session.how.home, zero.method)
+    named = describe_homing(True, zero.method, zero.home_position_mm)
+    return [Check("zero", True, named if risk is None else f"RISK: {named}: {risk}")]
+
+
+def _own_table(session: AxisSession) -> list[Check]:
+    """Whether the drive corrects the axis itself; nothing where it has no table."""
+    table = session.drive.correction_table
+    if table is None:
+        return []
+    name = table.description.name
+    try:
+        if not table.enabled():
+            return [Check("drive's table", True, f"its {name} is switched off, the bridge may correct")]
+        points = len(table.read().plus)
+    except RemoteError as error:
+        return [Check("drive's table", False, f"its {name} is not where its map says: {error}")]
+    text = f"the drive corrects by its {name} of {points} points; nothing is calibrated or corrected by the bridge meanwhile"
+    return [Check("drive's table", True, text)]
+
+
+def _instrument(session: AxisSession) -> Check:
+    try:
+        session.await_instrument()
+        readings = session.watch(max(1.0, 4 * SLICE_S))
+    except BridgeError as error:
+        return Check("instrument", False, str(error))
+    positions = [reading.position_mm for reading in readings if reading.position_mm is not None]
+    lost = sum(reading.lost_before for reading in readings)
+    if not positions:
+        return Check("instrument", False, "gives no readings")
+    noise_um = float(np.std(positions)) * 1000.0
+    return Check("instrument", True, f"{len(positions)} readings in 1 s, {lost} lost, noise {noise_um:.3f} µm at rest")
+
+
+def _moved(session: AxisSession) -> list[Check]:
+    """Move a little and compare with instrument and clock: direction, amount and speed tell wrong units from right ones."""
+    drive = session.drive
+    enabled_here = drive.sample().state is not DriveState.ENABLED
+    if enabled_here:
+        drive.enable()
+    try:
+        return _proofs(session)
+    except (OverspeedError, MotionTimeoutError) as error:
+        return [Check("speed", False, f"{error}; the axis was stopped")]
+    except SafetyError as error:
+        return [Check("units", False, f"{error}; the axis was stopped")]
+    finally:
+        if enabled_here:
+            drive.disable()
+
+
+def _proofs(session: AxisSession) -> list[Check]:
+    """Very slowly over very little first; only what that shows to be near the truth is moved further, then faster."""
+    slow_mm_s = _slow_mm_s(session.drive.limits)
+    with session.axis.travel_unproven():
+        careful = _step_ratio(session, CAREFUL_TRAVEL_MM, slow_mm_s)
+    if abs(careful - 1.0) > CAREFUL_TOLERANCE:
+        return [Check("units", False, explain_ratio(careful))]
+    speed = _speed(session)
+    if not speed.good:
+        return [speed]
+    ratio = _step_ratio(session, PROOF_TRAVEL_MM, session.how.velocity_mm_s)
+    return [speed, Check("units", abs(ratio - 1.0) <= RATIO_TOLERANCE, explain_ratio(ratio))]
+
+
+def _step_ratio(session: AxisSession, step_mm: float, velocity_mm_s: float) -> float:
+    """Instrument travel over commanded travel: a step to take up the backlash, a second one that is measured, and back."""
+    here = session.drive.sample().position_load_mm
+    step = _towards_room(session, here, 2 * step_mm) / 2
+    start, end = here + step, here + 2 * step
+    session.move_uncorrected(start, velocity_mm_s)
+    first = session.raw_average()
+    session.move_uncorrected(end, velocity_mm_s)
+    second = session.raw_average()
+    session.move_uncorrected(here, velocity_mm_s)
+    return (second - first) / step
+
+
+def _slow_mm_s(limits: DriveLimits) -> float:
+    return SLOW_SHARE * limits.max_velocity_mm_s
+
+
+def _speed_travel_mm(limits: DriveLimits) -> float:
+    slow_mm_s = _slow_mm_s(limits)
+    return max(CAREFUL_TRAVEL_MM, min(SPEED_S * slow_mm_s, max(PROOF_TRAVEL_MM, SPEED_LEAST_S * slow_mm_s)))
+
+
+def _towards_room(session: AxisSession, here_mm: float, travel_mm: float) -> float:
+    """A travel with its sign: upwards where that stays inside."""
+    return travel_mm if here_mm + travel_mm <= session.drive.limits.travel_max_mm else -travel_mm
+
+
+def _speed(session: AxisSession) -> Check:
+    """The motor's speed by the times of its samples, over the middle half of a slow move."""
+    slow_mm_s = _slow_mm_s(session.drive.limits)
+    here = session.drive.sample().position_load_mm
+    travel_mm = _towards_room(session, here, _speed_travel_mm(session.drive.limits))
+    seen: list[DriveSample] = []
+    session.move_uncorrected(here + travel_mm, slow_mm_s, slice_s=SPEED_SLICE_S, look=seen.append)
+    session.move_uncorrected(here, slow_mm_s)
+    middle = [s for s in seen if 0.25 <= (s.position_load_mm - here) / travel_mm <= 0.75]
+    if len(middle) < 2 or middle[-1].time_ns == middle[0].time_ns:
+        return Check(
+            "speed", False, f"{travel_mm:g} mm at {slow_mm_s:g} mm/s gave {len(middle)} samples, too few to tell"
+        )
+    times_s = np.array([(s.time_ns - middle[0].time_ns) / NS_PER_S for s in middle])
+    measured = abs(float(np.polyfit(times_s, [s.position_load_mm for s in middle], 1)[0]))
+    return Check("speed", abs(measured / slow_mm_s - 1.0) <= SPEED_TOLERANCE, explain_speed(measured, slow_mm_s))
+
+
+def explain_speed(measured_mm_s: float, commanded_mm_s: float) -> str:
+    """What a ratio of measured to commanded speed means, in words."""
+    ratio = measured_mm_s / commanded_mm_s
+    text = f"the motor moved at {measured_mm_s:.4g} mm/s when {commanded_mm_s:g} mm/s were commanded"
+    if abs(ratio - 1.0) <= SPEED_TOLERANCE:
+        return text
+    for factor, cause in ((60.0, "minutes taken for seconds"), (1.0 / 60.0, "seconds taken for minutes")):
+        if abs(ratio / factor - 1.0) <= SPEED_TOLERANCE:
+            return f"{text}: {cause} in the drive's unit of velocity"
+    power = round(math.log10(ratio)) if ratio > 0.0 else 0
+    if power and abs(ratio / 10.0**power - 1.0) <= SPEED_TOLERANCE:
+        return f"{text}: a wrong power of ten in the drive's unit of velocity"
+    slower = "; or an override, or a speed limit of the drive" if ratio < 1.0 else ""
+    return f"{text}: the drive's unit of velocity is wrong by that factor{slower}"
+
+
+def explain_ratio(ratio: float) -> str:
+    """What a ratio of measured to commanded travel means, in words."""
+    text = f"the table moved {ratio:.5f} mm for each mm commanded"
+    if abs(ratio - 1.0) <= RATIO_TOLERANCE:
+        return text
+    if abs(ratio) <= RATIO_TOLERANCE:
+        return f"{text}: it does not follow the motor, or the instrument does not look at it"
+    if ratio < 0:
+        sign = "direction is reversed ([scaling] direction or [instrument] direction)"
+        return f"{text}: {sign}" + ("" if abs(ratio + 1.0) <= RATIO_TOLERANCE else f", and {_factor(-ratio)}")
+    return f"{text}: {_factor(ratio)}"
+
+
+def _factor(ratio: float) -> str:
+    for factor, cause in (
+        (2.0, "a factor of 2: wavelength_fraction, or a double-start screw"),
+        (0.5, "a factor of 1/2: wavelength_fraction, or encoder counts before quadrature"),
+        (4.0, "a factor of 4: encoder quadrature or wavelength_fraction"),
+        (0.25, "a factor of 1/4: encoder quadrature or wavelength_fraction"),
+        (10.0, "a factor of 10: feed per revolution"),
+        (0.1, "a factor of 1/10: feed per revolution"),
+    ):
+        if abs(ratio / factor - 1.0) <= RATIO_TOLERANCE:
+            return cause
+    return "gear ratio, feed or encoder counts are wrong by that factor"

@@ -1,0 +1,228 @@
+"""A drive's own correction table changed as a whole or not at all.
+
+What the drive holds (contents and switch) is noted in a file before anything is touched, so that even a process that was killed can be
+made good: the next one puts it back first. Nothing counts as written that was not read back and found the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import NS_PER_S
+from drivers.correction_table import CorrectionTable, RawTable
+from drivers.drive import DriveState, ServoDrive
+from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
+from hil.machine.one_correction import switch_table
+from hil.records.files import read_text, replace_file
+from hil.records.zero import Zero
+
+Tell = Callable[[str], None]
+_POWERED = (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.SWITCHED_ON, DriveState.FAULT_REACTION)
+_TRIES = 3  # at putting something back
+_WRITES = 2  # of a change: there, and back where it cannot stay
+
+
+class NotPutBackError(SafetyError):
+    """The drive's table could not be put back; the message says where it is kept."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A table and its switch as they were found."""
+
+    raw: RawTable
+    enabled: bool
+
+    def to_text(self) -> str:
+        return json.dumps({"enabled": self.enabled, **asdict(self.raw)}, indent=1) + "\n"
+
+    @classmethod
+    def from_file(cls, path: Path) -> Snapshot:
+        """Raises InputError for anything that `to_text` did not write."""
+        try:
+            found = json.loads(read_text(path))
+            enabled = bool(found.pop("enabled"))
+            values: dict[str, Any] = {
+                name: tuple(map(int, value)) if isinstance(value, list) else int(value) for name, value in found.items()
+            }
+            return cls(RawTable(**values), enabled)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError("is no note of a drive's correction table", path=path) from error
+
+
+def held_table(drive: ServoDrive) -> CorrectionTable:
+    """The open drive's table. Raises CapabilityError where it has none that we know of."""
+    table = drive.correction_table
+    if table is None:
+        raise CapabilityError(
+            f"drive {drive.name} has no correction table that is described: name its map as correction_table in [drive],"
+            " or give its register map a [drive.correction_table]"
+        )
+    return table
+
+
+def snapshot(table: CorrectionTable) -> Snapshot:
+    return Snapshot(table.read(), table.enabled())
+
+
+class TableChange:
+    """One change of a drive's table, under way. Made by `changing`."""
+
+    def __init__(self, drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None:
+        self.drive = drive
+        self.table = table
+        self.found = found
+        self.seconds = 0.0  # the clock's time for writing and for reading back
+        self.undone = False
+
+    def write(self, raw: RawTable) -> None:
+        """Switch the drive's correction off, write, read all of it back and compare.
+
+        Raises StateError under power or where the memory may not be written often enough to take it back, InputError for what the
+        table cannot hold, ProtocolError for another value read back.
+        """
+        self._require_unpowered()
+        self.table.description.check(raw)
+        left = self.table.changes_left()
+        if left is not None and left < _WRITES:
+            raise StateError(
+                f"drive {self.drive.name}: {self.table.description.name} is kept in EEPROM and its budget has {max(0, left)}"
+                f" changes left; one that can be taken back needs {_WRITES} (wear_budget in the register map)"
+            )
+        self.table.switch(False)
+        start_ns = self.drive.clock.now_ns()
+        self.table.write(raw, self.found.raw)
+        require_same(self.drive.name, raw, self.table.read())
+        self.seconds = (self.drive.clock.now_ns() - start_ns) / NS_PER_S
+
+    def switch(self, on: bool) -> None:
+        """Switch the drive's correction; it reads back so, or ProtocolError."""
+        self._require_unpowered()
+        switch_table(self.drive, self.table, on)
+
+    def undo(self) -> None:
+        """Contents and switch as they were found, read back. Raises what access raises."""
+        if self.drive.sample().state in _POWERED:
+            self.drive.disable()
+        put_back(self.drive, self.table, self.found)
+        self.undone = True
+
+    def _require_unpowered(self) -> None:
+        state = self.drive.sample().state
+        if state in _POWERED:
+            raise StateError(f"drive {self.drive.name}: its table is not changed under power, it is {state.value}")
+
+
+@contextmanager
+def changing(drive: ServoDrive, note: Path, tell: Tell) -> Iterator[TableChange]:
+    """Change the table inside; by whatever error one leaves, an interrupt too, the drive ends as it was found.
+
+    note: where what was found stands meanwhile. tell: hears what could not be put back, and that an earlier change was made good.
+    Raises StateError before anything is touched while the axis is under power.
+    """
+    table = held_table(drive)
+    state = drive.sample().state
+    if state in _POWERED:
+        raise StateError(f"drive {drive.name}: its table is changed while the axis is disabled, it is {state.value}")
+    if recover(drive, note):
+        tell("an earlier change of the drive's table was broken off; what was there before it has been put back")
+    change = TableChange(drive, table, snapshot(table))
+    note.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        replace_file(note, change.found.to_text().encode())
+        yield change
+    except BaseException:
+        _undo_whatever_happens(change, note, tell)
+        raise
+    note.unlink(missing_ok=True)
+
+
+def _undo_whatever_happens(change: TableChange, note: Path, tell: Tell) -> None:
+    """The error under way matters more; an interrupt meanwhile is one more reason to go on."""
+    for left in reversed(range(_TRIES)):
+        try:
+            change.undo()
+        except (KeyboardInterrupt, BridgeError) as error:
+            if not left:
+                tell(
+                    f"drive {change.drive.name}: its correction table was not put back ({error or 'interrupted'});"
+                    f" it is kept in {note}, the next change of it puts it back first"
+                )
+        else:
+            note.unlink(missing_ok=True)
+            return
+
+
+def recover(drive: ServoDrive, note: Path) -> bool:
+    """Put back what a change that was broken off left behind; whether there was one. Raises NotPutBackError."""
+    if not note.exists():
+        return False
+    found = Snapshot.from_file(note)
+    try:
+        put_back(drive, held_table(drive), found)
+    except BridgeError as error:
+        raise NotPutBackError(
+            f"drive {drive.name}: an earlier change of its correction table was broken off, and what was there before cannot"
+            f" be put back ({error}); it is kept in {note}"
+        ) from error
+    note.unlink(missing_ok=True)
+    return True
+
+
+def put_back(drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None:
+    """Contents first, then the switch; both read back."""
+    present = table.read()
+    if present != found.raw:
+        table.switch(False)
+        table.write(found.raw, present)
+        require_same(drive.name, found.raw, table.read())
+    switch_table(drive, table, found.enabled)
+
+
+# -- the zero it was made in -----------------------------------------------------------------------------------------------
+def remember_zero(note: Path, raw: RawTable, zero: Zero | None) -> None:
+    """Note that what the drive holds from now on was made in this zero of the axis; a drive has no place for it."""
+    form = {"table": _digest(raw), "zero": None if zero is None else zero.to_json()}
+    note.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(note, (json.dumps(form, indent=1) + "\n").encode())
+
+
+def remembered_zero(note: Path, raw: RawTable) -> Zero | None:
+    """In which zero what the drive holds was made; None where nobody noted it. Raises InputError for a note that cannot be read."""
+    if not note.exists():
+        return None
+    try:
+        form = json.loads(read_text(note))
+        zero = None if form["zero"] is None else Zero.from_json(form["zero"])
+        return zero if form["table"] == _digest(raw) else None
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError("does not say in which zero the drive's table was made", path=note) from error
+
+
+def _digest(raw: RawTable) -> str:
+    return hashlib.sha256(json.dumps(asdict(raw), sort_keys=True).encode()).hexdigest()
+
+
+def require_same(drive: str, wanted: RawTable, kept: RawTable) -> None:
+    """Raise ProtocolError naming the first value that differs."""
+    if kept == wanted:
+        return
+    for name, value in asdict(wanted).items():
+        there = getattr(kept, name)
+        if not isinstance(value, tuple):
+            if there != value:
+                raise ProtocolError(f"drive {drive}: the table's {name} was written {value}, it reads back {there}")
+            continue
+        if len(there) != len(value):
+            raise ProtocolError(f"drive {drive}: {len(value)} values of {name} were written, {len(there)} read back")
+        for index, (ours, theirs) in enumerate(zip(value, there, strict=True)):
+            if ours != theirs:
+                raise ProtocolError(
+                    f"drive {drive}: the table's {name} {index + 1} was written {ours}, it reads back {theirs}"
+                )

@@ -1,0 +1,312 @@
+"""`hil params table`: the correction table that a drive holds and applies itself."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import CapabilityError
+from hil.app.terminal.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    load_stored,
+    open_store,
+    positive,
+    seed,
+)
+from hil.app.terminal.output import number, print_facts, print_table, write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
+from hil.correction.compensation import Compensation
+from hil.correction.formats.common import tables_only
+from hil.correction.store import compensation_in_force
+from hil.correction.tables import DirectionalTable
+from hil.drive_table import DEVIATION_UM, DriveCurve, check_curve, drive_table, largest_deviation_um, wanted_of
+from hil.drive_table.change import TableChange, changing, held_table, remember_zero, remembered_zero, snapshot
+from hil.drive_table.output import description_facts, found_facts, made_facts, made_form, print_proof, proof_form
+from hil.drive_table.proof import TOLERANCE_UM, Proof, Way, prove_by_drive, prove_by_instrument
+from hil.machine.events import Listener
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
+from hil.machine.wiring import Machine, connected, connected_drive, described_table, predicted_table_s, zero_keeper
+from hil.records.journal import Campaign
+from hil.records.zero import read_zero
+
+NOTE = "drive-table-before.json"
+ZERO_NOTE = ".drive-table.json"
+"""Behind the axis's name: in which zero of the axis the drive's table was made."""
+EXAMPLE = """\
+example:
+  hil params table show X.toml                        what the drive holds, and whether it corrects by it
+  hil params table download X.toml --dry-run          what would be written, and how near it comes to the stored tables
+  hil params table download X.toml                    write, read back, prove on the machine, and leave it switched on
+  hil params table prove X.toml --prove-by drive      the same proof by what the drive says it adds, without an instrument
+  hil params table remove X.toml                      switch it off and empty it
+
+The drive's table is described in a map: correction_table in [drive] of the axis file (CANopen), [drive.correction_table] of the
+register map (Modbus). The drive's correction and the bridge's are never in force together; calibrate, verify and close-loop refuse to
+start while the drive's is on. Whatever goes wrong, or Ctrl-C, leaves the drive as it was found. Exit status 1: not proven.
+"""
+_SHOWN_ROWS = 24
+
+
+def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Registers `table` among the jobs of `hil params`."""
+    parser = jobs.add_parser(
+        "table",
+        help="the correction table that the drive holds itself",
+        description="Write the stored correction into the drive's own table, prove it there, or take it out.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parts = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
+    for name, text, run in (
+        ("show", "what the drive holds", _show),
+        ("download", "write the stored tables into the drive, read back, prove, switch on", _download),
+        ("prove", "prove that the drive corrects as the bridge does", _prove),
+        ("remove", "switch the drive's correction off and empty its table", _remove),
+    ):
+        job = parts.add_parser(
+            name, help=text, description=text, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        add_axis_arguments(job)
+        if name in ("download", "prove"):
+            _add_proof_options(job, unproven=name == "download")
+        if name == "remove":
+            job.add_argument("--keep-contents", action="store_true", help="switch it off only")
+        job.set_defaults(run=run)
+
+
+def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
+    job.add_argument(
+        "--prove-by",
+        choices=("instrument", "drive", *(["nothing"] if unproven else [])),
+        default="instrument",
+        help="measure it (default), or ask the drive what it adds" + (", or neither" if unproven else ""),
+    )
+    job.add_argument(
+        "--positions", type=_between(2, 200), default=7, metavar="N", help="where it is proven (default 7)"
+    )
+    job.add_argument("--runs", type=_between(1, 100), default=2, metavar="N", help="of each block (default 2)")
+    job.add_argument(
+        "--tolerance-um", type=positive, default=TOLERANCE_UM, metavar="UM", help="of the proof (default %(default)s)"
+    )
+    if unproven:
+        job.add_argument(
+            "--deviation-um",
+            type=positive,
+            default=DEVIATION_UM,
+            metavar="UM",
+            help="how far the drive's table may be from the stored ones anywhere (default %(default)s)",
+        )
+    job.add_argument("--seed", type=seed, default=1, help="chooses the positions (default 1)")
+    job.add_argument(
+        "--tables-only", action="store_true", help="leave fitted effects out, which no drive's table holds"
+    )
+    add_password_options(job, key=False)
+
+
+def _between(low: int, high: int) -> Any:
+    def convert(text: str) -> int:
+        if not (text.isascii() and text.isdecimal() and low <= int(text) <= high):
+            raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number, {low} to {high}")
+        return int(text)
+
+    return convert
+
+
+# -- show ----------------------------------------------------------------------------------------------------------------
+def _show(args: argparse.Namespace) -> int:
+    axis = load_drive_axis(args.axis)
+    if args.dry_run:
+        print(f"axis {axis.name}: would read the drive's table and move nothing")
+        return 0
+    with connected_drive(axis) as drive:
+        table = held_table(drive)
+        found = snapshot(table)
+        curve = DriveCurve(table.description, found.raw, drive.scaling)
+    nodes = curve.nodes_mm
+    plus, minus = curve.correction_um(nodes, 1), curve.correction_um(nodes, -1)
+    zero = remembered_zero(_zero_note(axis), found.raw)
+    made_in = "not known" if zero is None else zero.describe()
+    print_facts({**description_facts(table.description), **found_facts(found), "made in the zero": made_in})
+    if (axis.store.directory / NOTE).exists():
+        print(f"a change of it was broken off; what was there before is in {axis.store.directory / NOTE}")
+    rows = [[number(p, 4), number(u, 2), number(d, 2)] for p, u, d in zip(nodes, plus, minus, strict=True)]
+    print_table(["position, mm", "added going +, µm", "added going −, µm"], rows[:_SHOWN_ROWS])
+    if len(rows) > _SHOWN_ROWS:
+        print(f"and {len(rows) - _SHOWN_ROWS} more (--json has them all)")
+    if args.json:
+        values = {"position_mm": nodes.tolist(), "plus_um": plus.tolist(), "minus_um": minus.tolist()}
+        write_json(args.json, {"axis": axis.name, "enabled": found.enabled, "points": len(nodes), **values})
+    return 0
+
+
+# -- download ------------------------------------------------------------------------------------------------------------
+def _download(args: argparse.Namespace) -> int:
+    axis = load_axis(args.axis)
+    description = described_table(axis)
+    if description is None:
+        raise CapabilityError(f"axis {axis.name}: no map describes a correction table of its drive (correction_table)")
+    compensation, wanted = _stored(args, axis)
+    how = {"deviation_um": args.deviation_um, "bound": axis.correction.bound}
+    made = drive_table(wanted, description, axis.scaling, axis.limits, **how)
+    facts = {**description_facts(description), **made_facts(made)}
+    if args.dry_run:
+        print_facts(facts)
+        print(f"axis {axis.name}: would write {len(made.raw.plus)} points to the drive and read them back")
+        busy = predicted_table_s(axis, made.raw)
+        if busy is not None:
+            print(
+                f"would keep a free bus busy for {busy[0] * 1000:.1f} to {busy[1] * 1000:.1f} ms, without the drive's own delays"
+            )
+        _print_plan(args, axis)
+        return 0
+    say, note = _say, axis.store.directory / NOTE
+    zero = zero_keeper(axis).kept(tables=compensation.zero)
+    with terminal_progress() as listener:
+        if args.prove_by == "instrument":
+            with connected(axis) as machine, changing(machine.session.drive, note, say) as change:
+                change.write(made.raw)
+                proof: Proof | None = _by_instrument(args, axis, machine, compensation, listener)
+                _settle(change, proof)
+        else:
+            with connected_drive(axis) as drive, changing(drive, note, say) as change:
+                change.write(made.raw)
+                proof = None
+                if args.prove_by == "drive":
+                    with Supervisor([WatchedAxis(drive)]) as moving:
+                        proof = _by_drive(args, axis, moving, wanted, listener)
+                _settle(change, proof)
+    if not change.undone:
+        remember_zero(_zero_note(axis), made.raw, compensation.zero or zero or read_zero(axis.zero_path))
+    print_facts({**facts, "written and read back in": f"{change.seconds * 1000:.0f} ms"})
+    print_proof(proof)
+    print("put back as it was found" if change.undone else "the drive corrects by it now; the bridge must not")
+    if args.json:
+        write_json(args.json, {**proof_form(axis.name, proof), **made_form(made), "seconds": change.seconds})
+    return 0 if proof is None or proof.good else 1
+
+
+def _settle(change: TableChange, proof: Proof | None) -> None:
+    """On where it was proven (or no proof was asked for), else all as it was."""
+    if proof is None or proof.good:
+        change.switch(True)
+    else:
+        change.undo()
+
+
+def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, DirectionalTable]:
+    """What the bridge corrects by, and what a drive's table would have to add in its place."""
+    compensation = load_stored(open_store(args, axis, writing=False))
+    wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
+    return (
+        Compensation(tables_only(compensation, leave_out_effects=True), zero=compensation.zero)
+        if args.tables_only
+        else compensation
+    ), wanted
+
+
+def _zero_note(axis: DriveAxis) -> Path:
+    return axis.store.directory / f"{axis.name}{ZERO_NOTE}"
+
+
+# -- prove ---------------------------------------------------------------------------------------------------------------
+def _prove(args: argparse.Namespace) -> int:
+    axis = load_axis(args.axis)
+    compensation, wanted = _stored(args, axis)
+    if args.dry_run:
+        _print_plan(args, axis)
+        return 0
+    zero_keeper(axis).kept(tables=compensation.zero)
+    with terminal_progress() as listener:
+        if args.prove_by == "instrument":
+            with connected(axis) as machine:
+                held = _held(machine.session.drive, wanted, axis)
+                proof = _by_instrument(args, axis, machine, compensation, listener)
+        else:
+            with connected_drive(axis) as drive, Supervisor([WatchedAxis(drive)]) as moving:
+                held = _held(drive, wanted, axis)
+                proof = _by_drive(args, axis, moving, wanted, listener)
+    print(f"by its numbers the drive's table is {held:.3f} µm off the stored ones at most")
+    print_proof(proof)
+    if args.json:
+        write_json(args.json, {**proof_form(axis.name, proof), "deviation_um": held})
+    return 0 if proof.good else 1
+
+
+def _held(drive: Any, wanted: DirectionalTable, axis: AxisConfig) -> float:
+    """How far the drive's table is from the stored ones, µm. Raises ZeroError, before anything moves, for one of another zero."""
+    table = held_table(drive)
+    raw = table.read()
+    zero_keeper(axis).kept(tables=remembered_zero(_zero_note(axis), raw))
+    curve = DriveCurve(table.description, raw, axis.scaling)
+    check_curve(curve, axis.limits, axis.correction.bound)  # the proof switches it on
+    return largest_deviation_um(curve, wanted, axis.limits.travel_min_mm, axis.limits.travel_max_mm)
+
+
+def _targets(args: argparse.Namespace, axis: AxisConfig) -> tuple[float, ...]:
+    """Spread over the measured way, off the nodes."""
+    where = axis.measurement.targets_mm
+    return iso_targets(where[0], where[-1], args.positions, 0.3, args.seed)
+
+
+def _by_instrument(
+    args: argparse.Namespace, axis: AxisConfig, machine: Machine, compensation: Compensation, listener: Listener
+) -> Proof:
+    targets = _targets(args, axis)
+    proof = {"targets_mm": list(targets), "runs": args.runs}
+    purpose = {**axis.purpose("prove-drive-table"), **compensation_in_force(compensation), "proof": proof}
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=False)
+    return prove_by_instrument(
+        machine.session, campaign, compensation, targets, listener, runs=args.runs, tolerance_um=args.tolerance_um
+    )
+
+
+def _by_drive(
+    args: argparse.Namespace, axis: AxisConfig, moving: Supervisor, wanted: DirectionalTable, listener: Listener
+) -> Proof:
+    how = axis.measurement
+    way = Way(how.velocity_mm_s, how.overrun_mm, how.home)
+    return prove_by_drive(moving, wanted, _targets(args, axis), way, listener, tolerance_um=args.tolerance_um)
+
+
+def _print_plan(args: argparse.Namespace, axis: AxisConfig) -> None:
+    if args.prove_by == "nothing":
+        print("would move nothing")
+        return
+    targets = ", ".join(f"{target:g}" for target in _targets(args, axis))
+    if args.prove_by == "drive":
+        print(f"would move through {targets} mm up and down, and ask the drive what it adds at each")
+        return
+    print(
+        f"would measure {targets} mm, {args.runs} runs each of bridge, drive, drive, bridge, the axis disabled in between"
+    )
+
+
+# -- remove --------------------------------------------------------------------------------------------------------------
+def _remove(args: argparse.Namespace) -> int:
+    axis = load_drive_axis(args.axis)
+    if args.dry_run:
+        print(
+            f"axis {axis.name}: would switch the drive's correction off{'' if args.keep_contents else ' and empty its table'}"
+        )
+        return 0
+    note: Path = axis.store.directory / NOTE
+    with connected_drive(axis) as drive, changing(drive, note, _say) as change:
+        if args.keep_contents:
+            change.switch(False)
+        else:
+            change.write(type(change.found.raw)())
+            _zero_note(axis).unlink(missing_ok=True)
+        found = snapshot(change.table)
+    print_facts(found_facts(found))
+    if args.json:
+        write_json(args.json, {"axis": axis.name, "enabled": found.enabled, "points": len(found.raw.plus)})
+    return 0
+
+
+def _say(text: str) -> None:
+    print(f"hil: {' '.join(text.split())}", file=sys.stderr)

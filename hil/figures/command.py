@@ -1,0 +1,79 @@
+"""`hil iso230`: the figures of ISO 230-2 from a record file."""
+
+from __future__ import annotations
+
+import argparse
+
+from hil.app.terminal.output import add_json_option, number, print_table, write_json
+from hil.figures.iso230 import FIGURES, Iso230, iso230
+from hil.records.files import naming
+from hil.records.rows import read_csv
+
+EXAMPLE = """\
+example:
+  hil iso230 records.csv
+  hil iso230 records.csv --json figures.json
+
+The deviation of a row is measured - target: with a correction in force, the figures are those of the corrected axis.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "iso230",
+        description="Accuracy and repeatability of positioning of a linear axis by ISO 230-2:2014.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "records", metavar="RECORDS.csv", help="measurement records: run, direction, target_mm, measured_mm"
+    )
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print and optionally write the figures. Raises InputError for records that cannot give them."""
+    with naming(args.records):
+        figures = iso230(read_csv(args.records))
+    print_figures(figures)
+    if args.json:
+        write_json(args.json, {"records": str(args.records), **figures.as_json()})
+    return 0
+
+
+def print_figures(figures: Iso230) -> None:
+    """The figures of the axis and of each target, on standard output."""
+    rows = [[_label(name), number(value), FIGURES[name]] for name, value in figures.figures().items()]
+    print_table(
+        ["figure", "µm", ("meaning", "left")],
+        rows,
+        title=f"ISO 230-2:2014 — {figures.m} targets, {figures.n} runs per direction",
+    )
+    columns = {
+        "x̄↑": figures.mean_up,
+        "x̄↓": figures.mean_down,
+        "s↑": figures.s_up,
+        "s↓": figures.s_down,
+        "B": figures.B_i,
+        "R↑": figures.R_up_i,
+        "R↓": figures.R_down_i,
+        "R": figures.R_i,
+    }
+    given = {name: values for name, values in columns.items() if values is not None}
+    print_table(
+        [("target mm", "right"), *given],
+        (
+            [f"{target:.4f}", *(number(float(values[i])) for values in given.values())]
+            for i, target in enumerate(figures.target_mm)
+        ),
+        title="per target, µm",
+    )
+    for note in figures.notes:
+        print(f"note: {note}")
+
+
+def _label(name: str) -> str:
+    if name == "B_mean":
+        return "B̄"
+    return name.replace("_up", "↑").replace("_down", "↓")

@@ -1,0 +1,110 @@
+"""One position from many readings at rest: is it still moving, which readings are left out, what is their mean worth. Pure.
+
+Rules, stated so that a report can state them:
+
+Outliers: a reading further than 6 · (1 + 8/n) robust standard deviations (1.4826 × the median distance from the median) from the
+median of the n is left out, from 10 readings on; a window of which more than a tenth (and more than two) would go is refused as a
+whole. Of normal readings one window in a thousand loses one.
+Uncertainty: the standard deviation of the mean is s/√n · √((1+ρ)/(1−ρ)), ρ the correlation of neighbouring readings where it is
+positive: readings taken faster than the air changes are not that many independent ones.
+At rest: the straight line through a window changes over it by no more than a tolerance, beyond twice its own uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import MeasurementLostError
+from hil.records.rows import UM_PER_MM, Floats
+
+OUTLIER_STD, FEW = 6.0, 8.0
+"""In few readings the median distance may be small by chance, so the limit is wider there."""
+RULE_FROM = 10
+LEFT_OUT_AT_MOST = 0.1
+RULE = "readings beyond 6 (1 + 8/n) robust standard deviations from the median of n are left out"
+
+
+@dataclass(frozen=True)
+class Average:
+    """What a window of readings comes to.
+
+    std_um: of one reading; mean_std_um: of the mean, both NaN of a single reading; count: readings used; left_out: as outliers
+    """
+
+    position_mm: float
+    std_um: float
+    mean_std_um: float
+    count: int
+    left_out: int
+
+
+def average(position_mm: Floats) -> Average:
+    """Mean of readings at rest, shape (n,), in the order of time, n ≥ 1.
+
+    Raises MeasurementLostError for a window of which too much would be left out: that is no outlier, but an unsteady signal.
+    """
+    kept = position_mm[~outliers(position_mm)]
+    left_out = len(position_mm) - len(kept)
+    if left_out > max(2.0, LEFT_OUT_AT_MOST * len(position_mm)):
+        raise MeasurementLostError(f"{left_out} of {len(position_mm)} readings stand apart: the signal is not steady")
+    if len(kept) < 2:
+        return Average(float(kept.mean()), math.nan, math.nan, len(kept), left_out)
+    std_um = float(kept.std(ddof=1)) * UM_PER_MM
+    mean_std_um = std_um / math.sqrt(len(kept)) * math.sqrt(_inflation(kept))
+    return Average(float(kept.mean()), std_um, mean_std_um, len(kept), left_out)
+
+
+def outliers(position_mm: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Which readings the rule leaves out, shape (n,).
+
+    Where more than half of them are the same number, as of a coarse display, the mean distance stands in for the median one.
+    """
+    distance = np.abs(position_mm - np.median(position_mm))
+    if len(position_mm) < RULE_FROM:
+        return np.zeros(len(position_mm), dtype=np.bool_)
+    spread = 1.4826 * float(np.median(distance)) or 1.2533 * float(np.mean(distance))
+    limit = OUTLIER_STD * (1.0 + FEW / len(position_mm))
+    return np.asarray(distance > limit * spread, dtype=np.bool_)
+
+
+def _inflation(position_mm: Floats) -> float:
+    """By how much correlation of neighbours widens the variance of their mean, at least 1."""
+    deviation = position_mm - position_mm.mean()
+    total = float(deviation @ deviation)
+    n = len(position_mm)
+    if total == 0.0 or n < 4:
+        return 1.0
+    rho = float(deviation[1:] @ deviation[:-1]) / total + 1.0 / n  # the estimate is short by about 1/n
+    rho = min(max(rho, 0.0), 1.0 - 2.0 / n)
+    return (1.0 + rho) / (1.0 - rho)
+
+
+@dataclass(frozen=True)
+class Creep:
+    """How far the straight line through a window moves over it, and the standard deviation of that."""
+
+    change_um: float
+    std_um: float
+
+    def within(self, tolerance_um: float) -> bool:
+        """At rest: nothing beyond the tolerance that two standard deviations would not explain."""
+        return abs(self.change_um) <= tolerance_um + 2.0 * self.std_um
+
+
+def creep(time_s: Floats, position_mm: Floats) -> Creep:
+    """Of readings at these times, both shape (n,). Of fewer than four, or all at one time, nothing is known: infinite uncertainty."""
+    spread = time_s - time_s.mean() if len(time_s) else time_s
+    if len(time_s) < 4 or not np.any(spread):
+        return Creep(0.0, math.inf)
+    kept = ~outliers(position_mm)
+    time, position = time_s[kept], position_mm[kept] * UM_PER_MM
+    time = time - time.mean()
+    sum_of_squares = float(time @ time)
+    slope = float(time @ position) / sum_of_squares
+    residual = position - position.mean() - slope * time
+    span = float(np.ptp(time))
+    std = math.sqrt(float(residual @ residual) / (len(time) - 2) / sum_of_squares) * span
+    return Creep(slope * span, std)

@@ -1,0 +1,134 @@
+"""How well the figures of ISO 230-2 are known: the contributions that ISO/TR 230-9 names for a linear axis, at k = 2. Pure.
+
+Each is an expanded uncertainty in µm over the measured length L in m. What is known only by its range R is as likely anywhere in it:
+U = 2·R/(2√3), which the standards write as 0.6·R.
+
+    device        certificate: a + b·L                              misalignment  0.3·R²/L, R the lateral play of the beam in mm
+    temperature   0.6·α·L·R(θ), R(θ) of the temperature measured    expansion     0.6·ΔT·L·R(α), ΔT the distance from 20 °C
+    environment   0.6·E_VE, E_VE the range of a drift test over the time of a campaign
+
+The first four stretch all positions alike: they count once in a range over positions and not at all in a reversal or repeatability.
+The environment acts on each of the n approaches; it widens every standard deviation, so there it adds up and does not average out.
+With U_L² the sum of the first four squared, and u = U_EVE:
+
+    E↑ E↓ E: √(U_L² + 2u²/n)      M: √(U_L² + u²/n)      B: √(2u²/n)      B̄: √(2u²/(n·m))
+    R↑ R↓: 2u                     R: √(4u² + 2u²/n)      A↑ A↓ A: √(U_E² + 4u²)
+
+How the figures would scatter if the campaign were made again is not in it: they are those of the runs that were made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.figures.iso230 import Iso230
+from hil.records.rows import Records
+
+RECTANGULAR = 1.0 / math.sqrt(3.0)
+"""Expanded uncertainty (k = 2) of what lies anywhere in a range of 1."""
+REFERENCE_C = 20.0
+
+
+@dataclass(frozen=True)
+class UncertaintyInputs:
+    """What is known of the instrument and the room.
+
+    device_um, device_um_per_m: U = a + b·L of its certificate, k = 2; misalignment_mm: lateral range of the beam over the length;
+    temperature_range_c: R(θ); expansion_um_per_m_c: α of the machine's scale; expansion_range_um_per_m_c: R(α); deviation_c: largest
+    distance from 20 °C, None: that of the records; variation_um: E_VE
+    """
+
+    device_um: float = 0.0
+    device_um_per_m: float = 0.0
+    misalignment_mm: float = 0.0
+    temperature_range_c: float = 0.0
+    expansion_um_per_m_c: float = 11.7
+    expansion_range_um_per_m_c: float = 0.0
+    deviation_c: float | None = None
+    variation_um: float = 0.0
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One of them. expanded_um: k = 2; how: the sentence that says where it comes from"""
+
+    name: str
+    how: str
+    expanded_um: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """contributions: in the order of the formulas; figures_um: expanded, by name, of the figures that the campaign has."""
+
+    length_mm: float
+    contributions: tuple[Contribution, ...]
+    figures_um: Mapping[str, float]
+
+
+def budget(inputs: UncertaintyInputs, figures: Iso230, records: Records) -> Budget:
+    """The budget of one campaign.
+
+    Raises InputError where R(α) is given and neither the records nor the inputs say how far from 20 °C it was.
+    """
+    length_m = float(np.ptp(figures.target_mm)) / 1000.0
+    stretch = _stretching(inputs, length_m, records)
+    variation = Contribution(
+        "environment", f"range of a drift test {inputs.variation_um:g} µm", RECTANGULAR * inputs.variation_um
+    )
+    stretched = sum(part.expanded_um**2 for part in stretch)
+    u2, n, m = variation.expanded_um**2, figures.n, figures.m
+    mean, error = u2 / n, stretched + 2.0 * u2 / n
+    squares = {
+        "A": error + 4.0 * u2,
+        "E": error,
+        "M": stretched + mean,
+        "R_up": 4.0 * u2,
+        "R": 4.0 * u2 + 2.0 * mean,
+        "B": 2.0 * mean,
+        "B_mean": 2.0 * mean / m,
+    }
+    squares |= {f"{name}_{one}": squares[name] for name in ("A", "E") for one in ("up", "down")}
+    squares["R_down"] = squares["R_up"]
+    known = {name: math.sqrt(squares[name]) for name, value in figures.figures().items() if value is not None}
+    return Budget(1000.0 * length_m, (*stretch, variation), known)
+
+
+def _stretching(inputs: UncertaintyInputs, length_m: float, records: Records) -> tuple[Contribution, ...]:
+    deviation_c = farthest_from_reference_c(records) if inputs.deviation_c is None else inputs.deviation_c
+    if deviation_c is None and inputs.expansion_range_um_per_m_c:
+        raise InputError("the records hold no temperature, so how far from 20 °C it was has to be given (deviation_c)")
+    play_mm, expansion = inputs.misalignment_mm, inputs.expansion_um_per_m_c
+    return (
+        Contribution(
+            "device",
+            f"certificate {inputs.device_um:g} µm + {inputs.device_um_per_m:g} µm/m",
+            inputs.device_um + inputs.device_um_per_m * length_m,
+        ),
+        Contribution(
+            "misalignment", f"beam within {play_mm:g} mm sideways", RECTANGULAR * play_mm**2 / (2.0 * length_m)
+        ),
+        Contribution(
+            "temperature",
+            f"measured within {inputs.temperature_range_c:g} °C, {expansion:g} µm/(m °C)",
+            RECTANGULAR * expansion * length_m * inputs.temperature_range_c,
+        ),
+        Contribution(
+            "expansion",
+            f"coefficient within {inputs.expansion_range_um_per_m_c:g} µm/(m °C), {deviation_c or 0.0:.1f} °C from 20 °C",
+            RECTANGULAR * (deviation_c or 0.0) * length_m * inputs.expansion_range_um_per_m_c,
+        ),
+    )
+
+
+def farthest_from_reference_c(records: Records) -> float | None:
+    """Largest distance from 20 °C of any place's temperature, of the air's where no place has one; None without any."""
+    places = [name for name in records.columns if name.startswith("temp_") and name.endswith("_c")] or ["air_temp_c"]
+    values = [records[name][np.isfinite(records[name])] for name in places if name in records]
+    deviations = [float(np.max(np.abs(value - REFERENCE_C))) for value in values if len(value)]
+    return max(deviations, default=None)

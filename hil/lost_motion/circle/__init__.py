@@ -1,0 +1,1 @@
+"""The circle of two axes: what lost motion does at the quadrants."""

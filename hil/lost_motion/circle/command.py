@@ -1,0 +1,141 @@
+"""`hil circle`: two axes drive a circle together, and their lost motion shows as bumps where one of them turns around."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from hil.app.terminal.axis_options import add_password_options, add_zero_options, load_stored, open_store, tell_zero
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import add_json_option, number, print_facts, print_table, write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.correction.compensation import Compensation
+from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
+from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
+from hil.machine.axes_wiring import connected_axes
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil circle X.toml Y.toml --dry-run                   what would move, and how far
+  hil circle X.toml Y.toml --report circle.html        10 mm at 100 mm/min: uncorrected, then with what is stored for both axes
+  hil circle X.toml Y.toml --centre 120 80 --clockwise
+
+Both drives take set-points together: on one CAN bus by one SYNC, otherwise by this computer's clock. Both instruments measure. An axis
+without stored tables drives uncorrected. `hil lost-motion` makes the correction that this is to show. Readings are dated by the
+latency_s of each axis file; of instruments that are late by different times, state it: they see an ellipse.
+Exit status 1: with the correction in force the bumps fell neither to half nor to the floor.
+"""
+MM_MIN = 60.0
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "circle",
+        description="Drive a circle with two axes, uncorrected and corrected, and read the bumps after the quadrants.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("x", metavar="X.toml", help="the axis file of the first axis")
+    parser.add_argument("y", metavar="Y.toml", help="the axis file of the second axis")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be moved and written, and do nothing")
+    add_json_option(parser)
+    parser.add_argument(
+        "--centre", metavar="MM", nargs=2, type=_finite, help="of both axes (default: the middles of their targets)"
+    )
+    parser.add_argument("--radius", metavar="MM", type=_positive, default=10.0, help="default 10")
+    parser.add_argument("--feed", metavar="MM/MIN", type=_positive, default=100.0, help="default 100")
+    parser.add_argument("--clockwise", action="store_true", help="instead of counter-clockwise")
+    parser.add_argument("--period-ms", metavar="MS", type=_positive, default=4.0, help="of the set-points (default 4)")
+    parser.add_argument("--uncorrected", action="store_true", help="only that; needs no password")
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser)
+    add_password_options(parser, key=False)
+    add_effects_option(parser)
+    parser.set_defaults(run=run)
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _finite(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: driven, and better with the correction where there is one; 1: not better."""
+    axes = (load_axis(args.x), load_axis(args.y))
+    first, second = args.centre or middle_of(axes)
+    circle = Circle((first, second), args.radius, args.feed / MM_MIN, -1 if args.clockwise else 1)
+    if args.dry_run:
+        _print_plan(axes, circle, args)
+        return 0
+    stored = [None if args.uncorrected else _stored(args, axis) for axis in axes]
+    with connected_axes(axes) as machines, terminal_progress() as listener:
+        for machine in machines:
+            tell_zero(args, machine)
+        driven = run_circle(machines, circle, stored, listener, period_s=args.period_ms / 1000.0)
+    _print(driven)
+    if args.report:
+        replace_file(args.report, report_html(driven).encode())
+    if args.json:
+        write_json(args.json, form(driven))
+    return 0 if driven.good else 1
+
+
+def _stored(args: argparse.Namespace, axis: AxisConfig) -> Compensation | None:
+    if not axis.tables_path.exists():
+        return None
+    return load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
+
+
+def _print_plan(axes: tuple[AxisConfig, AxisConfig], circle: Circle, args: argparse.Namespace) -> None:
+    for axis, centre in zip(axes, circle.centre_mm, strict=True):
+        low, high = centre - circle.radius_mm, centre + circle.radius_mm
+        homing = "home it, " if axis.measurement.home else ""
+        print(
+            f"axis {axis.name} over {axis.drive.backend}: would enable it, {homing}take its datum at"
+            f" {axis.measurement.reference_mm:g} mm, and move between {low:g} and {high:g} mm (corrections come on top)"
+        )
+    sense = "counter-clockwise" if circle.sense > 0 else "clockwise"
+    there = [axis.name for axis in axes if axis.tables_path.exists()]
+    how = f"uncorrected, then with what is stored for {' and '.join(there)}" if there else "uncorrected"
+    print(
+        f"would drive {circle.radius_mm:g} mm {sense} at {60 * circle.feed_mm_s:g} mm/min, {how}:"
+        f" {circle.duration_s:.0f} s each, a set-point every {args.period_ms:g} ms"
+    )
+    print(f"would write rows below {axes[0].store.directory}")
+
+
+def _print(driven: DrivenCircle) -> None:
+    rows = [
+        [
+            name,
+            *(number(b) for b in one.bumps_um),
+            number(one.bump_mean_um),
+            number(one.floor_um),
+            number(one.roundness_um),
+        ]
+        for name, one in driven.traces.items()
+    ]
+    heads = [f"{at:g}°" for at in QUADRANTS_DEG]
+    print_table(["bump in µm, after", *heads, "mean", "floor", "roundness"], rows)
+    facts = {"rows": str(driven.kept)}
+    if driven.fallen_percent is not None:
+        facts = {"bumps fallen by": f"{driven.fallen_percent:.1f} %", **facts}
+    if driven.missed:
+        facts["set-points missed"] = str(driven.missed)
+    print_facts(facts)
+    if not driven.good:
+        print(VERDICT)

@@ -1,0 +1,186 @@
+"""The circle test of two axes: driven uncorrected, then with what is stored for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hil.app.jobs.identity import drive_in_words
+from hil.app.jobs.job import Job, Workplace
+from hil.app.jobs.plan import Move, Plan, Write
+from hil.axis.axis_file import AxisConfig
+from hil.correction.compensation import Compensation
+from hil.correction.store import SealedStore, compensation_in_force
+from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace
+from hil.lost_motion.circle.procedure import APPROACH_MM_S, RUN_IN_MM, CircleRun, check_axes, drive_circle, prepare
+from hil.lost_motion.job import stored_now
+from hil.machine.axes_wiring import connected_axes
+from hil.machine.events import Event, Listener, Measured, silent
+from hil.machine.wiring import Machine
+from hil.records.journal import Campaign
+
+CIRCLE = "circle"
+BEFORE, AFTER = "uncorrected", "corrected"
+PERIOD_S = 0.004
+"""Of the set-points."""
+VERDICT = "with the correction in force the bumps fell neither to half nor to the floor"
+
+Axes = tuple[AxisConfig, AxisConfig]
+
+
+@dataclass(frozen=True)
+class DrivenCircle:
+    """What was driven. runs: by name, the uncorrected one first; kept: the folder with the positions"""
+
+    axes: Axes
+    circle: Circle
+    runs: Mapping[str, CircleRun]
+    kept: Path
+
+    @property
+    def traces(self) -> dict[str, Trace]:
+        return {name: each.trace for name, each in self.runs.items()}
+
+    @property
+    def good(self) -> bool:
+        """Better with the correction, where there is one."""
+        if AFTER not in self.runs:
+            return True
+        after = self.runs[AFTER].trace
+        return after.bump_mean_um <= max(0.5 * self.runs[BEFORE].trace.bump_mean_um, after.floor_um)
+
+    @property
+    def fallen_percent(self) -> float | None:
+        """By how much the bumps have become smaller; None without a corrected circle."""
+        if AFTER not in self.runs:
+            return None
+        return 100.0 * (1.0 - self.runs[AFTER].trace.bump_mean_um / self.runs[BEFORE].trace.bump_mean_um)
+
+    @property
+    def missed(self) -> int:
+        """Set-points that came too late."""
+        return sum(each.missed for each in self.runs.values())
+
+
+def middle_of(axes: Axes) -> tuple[float, float]:
+    """The middles of both axes' targets, mm: where a circle is driven unless somebody says otherwise."""
+    first, second = (0.5 * (min(a.measurement.targets_mm) + max(a.measurement.targets_mm)) for a in axes)
+    return round(first, 3), round(second, 3)
+
+
+def circle_plan(axes: Axes, circle: Circle) -> Plan:
+    """What it moves and writes."""
+    moves = [
+        Move(f"circle {axis.name}", low, high, max(circle.feed_mm_s, APPROACH_MM_S))
+        for axis, centre in zip(axes, circle.centre_mm, strict=True)
+        for low, high in [(centre - circle.radius_mm - RUN_IN_MM, centre + circle.radius_mm + RUN_IN_MM)]
+    ]
+    names = ", ".join(axis.name for axis in axes)
+    homes = any(axis.measurement.home for axis in axes)
+    writes = (Write("rows", str(axes[0].store.directory)),)
+    return Plan(names, axes[0].drive.backend, tuple(moves), writes, homes)
+
+
+def run_circle(
+    machines: Sequence[Machine],
+    circle: Circle,
+    stored: Sequence[Compensation | None],
+    listener: Listener = silent,
+    *,
+    period_s: float = PERIOD_S,
+) -> DrivenCircle:
+    """Prepare both axes and drive it: without corrections, and where any axis has one stored, with those."""
+    axes: Axes = (machines[0].axis, machines[1].axis)
+    wanted: dict[str, Sequence[Compensation | None]] = {BEFORE: [None, None]}
+    wanted |= {AFTER: stored} if any(one is not None for one in stored) else {}
+    sessions = [machine.session for machine in machines]
+    check_axes(sessions, circle, period_s)
+    campaign = Campaign.numbered(axes[0].store.directory, _purpose(axes, circle, stored), resume=False)
+    prepare(sessions, stored)
+    latency_s = [axis.instrument.latency_s or 0.0 for axis in axes]
+    runs = {}
+    for name, corrections in wanted.items():
+        stage = f"circle, {name}"
+        runs[name] = drive_circle(
+            sessions, circle, corrections, latency_s=latency_s, stage=stage, period_s=period_s, listener=listener
+        )
+        campaign.write(f"{name}.csv", _csv(runs[name], axes))
+        listener(Event(stage, found=Measured(name, runs[name].trace.bump_mean_um, "µm")))
+    return DrivenCircle(axes, circle, runs, campaign.directory)
+
+
+def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None], *, period_s: float = PERIOD_S) -> Job:
+    """For the desk of the first axis: returns a DrivenCircle. stores: of both axes as far as they were opened."""
+
+    def work(place: Workplace) -> DrivenCircle:
+        stored = [None if store is None else stored_now(store) for store in stores]
+        with connected_axes(axes, waiting=place.waiting) as machines:
+            for machine in machines:
+                place.watch(machine.axis.name, machine.session.drive, machine.session)
+            return run_circle(machines, circle, stored, place.listener, period_s=period_s)
+
+    return Job(CIRCLE, circle_plan(axes, circle), work, connects=True)
+
+
+def _purpose(axes: Axes, circle: Circle, stored: Sequence[Compensation | None]) -> dict[str, Any]:
+    return {
+        "kind": CIRCLE,
+        "axes": [axis.name for axis in axes],
+        "centre_mm": list(circle.centre_mm),
+        "radius_mm": circle.radius_mm,
+        "feed_mm_s": circle.feed_mm_s,
+        "sense": circle.sense,
+        "in_force": [None if one is None else compensation_in_force(one) for one in stored],
+    }
+
+
+def _csv(run: CircleRun, axes: Axes) -> bytes:
+    names = ",".join(f"pos_{axis.name.lower()}_mm" for axis in axes)
+    rows = [f"{t:.6f},{p[0]:.7f},{p[1]:.7f}" for t, p in zip(run.time_s, run.position_mm, strict=True)]
+    return ("\n".join([f"time_s,{names}", *rows]) + "\n").encode()
+
+
+# -- what came of it -------------------------------------------------------------------------------------------------------
+def report_html(driven: DrivenCircle) -> str:
+    """The report as a page."""
+    from hil.lost_motion.circle.report import CircleReport, render_circle  # noqa: PLC0415  (plots are slow to import)
+
+    axes, circle = driven.axes, driven.circle
+    names = (axes[0].name, axes[1].name)
+    identity = {
+        "Axes": " and ".join(names),
+        "Drives": " and ".join(drive_in_words(axis) for axis in axes),
+        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "Circle": f"{circle.radius_mm:g} mm around {circle.centre_mm[0]:g}, {circle.centre_mm[1]:g} mm,"
+        f" {'counter-' if circle.sense > 0 else ''}clockwise at {60 * circle.feed_mm_s:g} mm/min",
+    }
+    title, verdict = f"Circle of axes {names[0]} and {names[1]}", "" if driven.good else VERDICT
+    return render_circle(CircleReport(title, driven.traces, names, circle.sense, verdict, identity))
+
+
+def form(driven: DrivenCircle) -> dict[str, Any]:
+    """The machine-readable result."""
+    circle = driven.circle
+    return {
+        "axes": [axis.name for axis in driven.axes],
+        "good": driven.good,
+        "radius_mm": circle.radius_mm,
+        "feed_mm_min": 60.0 * circle.feed_mm_s,
+        "sense": circle.sense,
+        "circles": {
+            name: {
+                "bumps_um": dict(zip((f"{at:g}" for at in QUADRANTS_DEG), one.trace.bumps_um, strict=True)),
+                "bump_mean_um": one.trace.bump_mean_um,
+                "floor_um": one.trace.floor_um,
+                "roundness_um": one.trace.roundness_um,
+                "missed_set_points": one.missed,
+                "angle_deg": one.trace.angle_deg.tolist(),
+                "deviation_um": one.trace.deviation_um.tolist(),
+            }
+            for name, one in driven.runs.items()
+        },
+        "fallen_percent": driven.fallen_percent,
+    }

@@ -1,0 +1,153 @@
+"""The circle test: two axes stream one circle together, both instruments watch, and the bumps after the quadrants are read off.
+
+both axes ready, each with its own datum, each looked after while the other moves
+to the start from below, so that both are wound up in the direction they will set off in
+the circle, every set-point of both with the correction in force
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.drive import Capability
+from drivers.errors import InputError, LimitError
+from drivers.instrument import Reading
+from drivers.set_points import SetPointSettings
+from hil.correction.compensation import Compensation
+from hil.lost_motion.circle.figures import Circle, Trace, trace_of
+from hil.machine.events import Event, Listener, silent
+from hil.machine.sample_times import Dates, dates_of
+from hil.machine.session import AxisSession
+from hil.records.rows import Floats
+
+RUN_IN_MM = 5.0
+"""How far before the start both axes come from: beyond what winds them up."""
+APPROACH_MM_S = 10.0
+_REPORT_EVERY_S = 1.0
+
+
+@dataclass(frozen=True)
+class CircleRun:
+    """One circle as it was driven. time_s and position_mm: of the first axis's samples, (n,) and (n, 2); missed: set-points."""
+
+    trace: Trace
+    time_s: Floats
+    position_mm: Floats
+    missed: int
+
+
+def check_axes(axes: Sequence[AxisSession], circle: Circle, period_s: float) -> None:
+    """What the drives cannot do, and where the circle does not fit, said before anything moves. CapabilityError, LimitError."""
+    for axis, centre_mm in zip(axes, circle.centre_mm, strict=True):
+        axis.drive.require(Capability.PROFILE_POSITION, Capability.STREAMING)
+        reach_mm = circle.radius_mm + RUN_IN_MM
+        for place in (centre_mm - reach_mm, centre_mm + reach_mm):
+            try:
+                axis.drive.limits.check_target(place)
+            except LimitError as error:
+                raise LimitError(
+                    f"the circle of {circle.radius_mm:g} mm around {centre_mm:g} mm, with its run-in: {error}"
+                ) from error
+        axis.drive.limits.check_velocity(max(circle.feed_mm_s, APPROACH_MM_S))
+    if not 0.0 < period_s <= 0.1 * circle.radius_mm / circle.feed_mm_s:
+        raise InputError(f"a period of {1e3 * period_s:g} ms is no period for this circle")
+
+
+def prepare(axes: Sequence[AxisSession], compensations: Sequence[Compensation | None] = (None, None)) -> None:
+    """Both instruments are heard before either axis is enabled; then each in turn is homed and gets its datum.
+
+    compensations: what is to be put into force. Raises ZeroError as `AxisSession.prepare`.
+    """
+    for axis in axes:
+        axis.await_instrument()
+    for axis, compensation in zip(axes, compensations, strict=True):
+        axis.prepare(compensation=compensation)
+
+
+def drive_circle(
+    axes: Sequence[AxisSession],
+    circle: Circle,
+    compensations: Sequence[Compensation | None],
+    *,
+    latency_s: Sequence[float] = (0.0, 0.0),
+    stage: str = "circle",
+    period_s: float = 0.004,
+    listener: Listener = silent,
+) -> CircleRun:
+    """One circle with these corrections in force, on prepared sessions; none is in force afterwards, on every way out.
+
+    latency_s: of each axis's instrument (`hil.figures.latency`). One that both have only turns what is seen about its centre; where they
+    differ from what is stated, an ellipse is seen, its half-axes feed × difference apart.
+    Raises CapabilityError, LimitError before anything moves, and whatever stops an axis: all stop together.
+    """
+    check_axes(axes, circle, period_s)
+    try:
+        for axis, compensation in zip(axes, compensations, strict=True):
+            axis.compensation = compensation
+        _to_the_start(axes, circle)
+        dates = [dates_of(axis, latency) for axis, latency in zip(axes, latency_s, strict=True)]
+        return _stream(axes, dates, circle, stage=stage, period_s=period_s, listener=listener)
+    finally:
+        for axis in axes:
+            axis.compensation = None
+
+
+def _to_the_start(axes: Sequence[AxisSession], circle: Circle) -> None:
+    for axis, start_mm, direction in zip(axes, circle.at(0.0), circle.starting(), strict=True):
+        axis.approach(start_mm - direction * RUN_IN_MM)
+        axis.move_to(start_mm, APPROACH_MM_S)
+        axis.watch(axis.how.dwell_s)
+
+
+def _stream(
+    axes: Sequence[AxisSession],
+    clocks: Sequence[Dates],
+    circle: Circle,
+    *,
+    stage: str,
+    period_s: float,
+    listener: Listener,
+) -> CircleRun:
+    samples: list[list[tuple[int, Reading]]] = [[] for _ in axes]
+    for times in clocks:
+        times.find_arrival()
+    seconds = round(circle.duration_s)
+    every = max(1, round(_REPORT_EVERY_S / period_s))
+    known = [axis.known_for_commands() for axis in axes]
+    first, others = axes[0], [axis.drive for axis in axes[1:]]
+    with ExitStack() as stack:
+        stack.enter_context(first.supervisor.stopping_on_error())
+        found = [stack.enter_context(axis.axis.following()) for axis in axes]
+        stream = stack.enter_context(first.drive.stream_with(others, SetPointSettings(period_s)))
+        for index, (targets, feed) in enumerate(circle.path(period_s)):
+            commands = [
+                axis.set_point(target, feed, values) for axis, target, values in zip(axes, targets, known, strict=True)
+            ]
+            places = stream.cycle([command.command_mm for command in commands])
+            now_ns = first.clock.now_ns()
+            for axis, command, rows, tell, place_mm in zip(axes, commands, samples, found, places, strict=True):
+                axis.steering.given(command)
+                tell(now_ns, place_mm, feed)
+                rows.extend(axis.readings())
+            if index % every == 0:
+                listener(Event(stage, done=min(seconds, round(index * period_s)), total=seconds))
+        missed = stream.missed_cycles
+    listener(Event(stage, done=seconds, total=seconds))
+    first.watch(first.how.dwell_s)
+    for times in clocks:
+        times.find_arrival()
+    when, where = zip(*(_dated(*each) for each in zip(axes, clocks, samples, strict=True)), strict=True)
+    both = (when[0] >= when[1][0]) & (when[0] <= when[1][-1])
+    position = np.column_stack([where[0][both], np.interp(when[0][both], when[1], where[1])])
+    trace = trace_of(position[:, 0], position[:, 1], circle)
+    return CircleRun(trace, (when[0][both] - when[0][both][0]) / 1e9, position, missed)
+
+
+def _dated(axis: AxisSession, times: Dates, samples: list[tuple[int, Reading]]) -> tuple[Floats, Floats]:
+    """Moments, ns, and positions, mm, of the samples of one axis."""
+    when = np.array([times.taken_ns(number, reading) for number, reading in samples], dtype=np.float64)
+    return when, np.array([axis.load_position_mm(reading) for _, reading in samples])

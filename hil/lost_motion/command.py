@@ -1,0 +1,136 @@
+"""`hil lost-motion`: system C, what is lost after a reversal, measured by the axis's instrument and put into force."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from hil.app.terminal.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    load_stored,
+    open_store,
+    seed,
+    tell_zero,
+)
+from hil.app.terminal.effects_input import add_effects_option, read_effects
+from hil.app.terminal.output import number, print_facts, print_table, write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.axis.lost_motion import LostMotionConfig
+from hil.correction.compensation import Compensation
+from hil.correction.store import SealedStore
+from hil.lost_motion.job import (
+    MeasuredLostMotion,
+    facts,
+    form,
+    lost_motion_config,
+    measuring_plan,
+    report_html,
+    run_lost_motion,
+    sentences,
+)
+from hil.machine.wiring import connected
+from hil.records.files import replace_file
+
+EXAMPLE = """\
+example:
+  hil lost-motion X.toml --dry-run                   what would move, how far, and how long it takes
+  hil lost-motion X.toml --report lost-motion.html   measure, fit, prove, and store it beside the axis's tables
+  hil lost-motion X.toml --only-measure              store nothing; needs no key
+  hil circle X.toml Y.toml --report circle.html      what a circle says of it
+
+The [lost_motion] section of the axis file says where and how far: at_mm, stroke_mm, places, finest_um, runs, proof_moves,
+shortest_rise_um. Calibrate first: the tables hold what each direction needs, and the rise says how the command goes from one to the
+other after a reversal, so nothing is counted twice. Without tables the axis gets the lost motion alone. A new calibration replaces it.
+Exit status 1: the correction did not prove itself in moves of all lengths, or the strokes were too short; nothing was stored.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "lost-motion",
+        description="Measure how the table lags after reversals, fit its rise, put it into force, and prove it by fresh moves.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--only-measure", action="store_true", help="measure, fit and prove, but store nothing")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted measurement")
+    parser.add_argument("--seed", type=seed, default=1, help="chooses the moves of the proof (default 1)")
+    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_zero_options(parser)
+    add_password_options(parser, key=True)
+    add_effects_option(parser)
+    parser.set_defaults(run=run, resumes="lost-motion")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: measured, proven and stored; 1: not proven."""
+    axis = load_axis(args.axis)
+    how = lost_motion_config(axis)
+    if args.dry_run:
+        _print_plan(axis, how, args)
+        return 0
+    present, store = _present(args, axis)
+    with connected(axis) as machine, terminal_progress() as listener:
+        tell_zero(args, machine)
+        measured = run_lost_motion(machine, how, present, listener, seed=args.seed, resume=args.resume)
+        if store is not None and measured.result.good:
+            store.save(measured.result.compensation)
+    stored = str(store.path) if store is not None and measured.result.good else "nothing"
+    _print(measured, stored)
+    if args.report:
+        replace_file(args.report, report_html(axis, measured, stored).encode())
+    if args.json:
+        write_json(args.json, form(axis, measured, stored=stored != "nothing"))
+    return 0 if measured.result.good else 1
+
+
+def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation | None, SealedStore | None]:
+    """What is in force, and where the new is to be stored; every password is asked for before anything moves."""
+    there = axis.tables_path.exists()
+    if args.only_measure:
+        readable = there and (args.password_file or os.environ.get("HIL_PASSWORD") or sys.stdin.isatty())
+        return (
+            load_stored(open_store(args, axis, writing=False), read_effects(args.effects)) if readable else None
+        ), None
+    store = open_store(args, axis, writing=True)
+    return (load_stored(store, read_effects(args.effects)) if there else None), store
+
+
+def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespace) -> None:
+    plan = measuring_plan(axis, how, args.seed, store=not args.only_measure)
+    homing = "home it, " if plan.homes else ""
+    minutes = plan.positions * (plan.at_rest_s + 0.2) / 60.0
+    print(f"axis {plan.axis} over {plan.backend}: would enable it, {homing}take the datum at {plan.datum_mm:g} mm")
+    print(
+        f"would go to and fro between {how.low_mm:g} and {how.high_mm:g} mm {how.runs} times at {plan.moves[0].velocity_mm_s:g}"
+        f" mm/s, uncorrected, at rest at {how.places} places from {how.finest_um:g} µm on after each turning"
+    )
+    print(f"would then make {how.proof_moves} moves of all lengths there twice, without the new correction and with it")
+    print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each, some {minutes:.0f} min in all")
+    print(f"would write rows below {axis.store.directory}")
+    print(
+        "would store nothing"
+        if args.only_measure
+        else f"would store the correction in {axis.tables_path}, if it proves itself"
+    )
+
+
+def _print(measured: MeasuredLostMotion, stored: str) -> None:
+    rows = [
+        [
+            one.fitted.shape.name,
+            number(one.fitted.rise.amount_um),
+            number(one.rms_um, 3),
+            number(one.held_out_rms_um, 3),
+        ]
+        for one in measured.result.estimate.contenders
+    ]
+    print_table(["shape", "amount, µm", "RMS, µm", "RMS on strokes held out, µm"], rows)
+    print_facts(facts(measured, stored))
+    for sentence in sentences(measured):
+        print(sentence)

@@ -1,0 +1,230 @@
+"""Lost motion after a reversal by the axis's instrument (system C): measured, fitted and proven; put into force when asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import StateError
+from hil.app.jobs.identity import drive_in_words
+from hil.app.jobs.job import Job, Workplace, tell_unchecked
+from hil.app.jobs.plan import Move, Plan, Write
+from hil.axis.axis_file import AxisConfig, DriveAxis
+from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
+from hil.correction.compensation import Compensation
+from hil.correction.store import SealedStore, compensation_in_force
+from hil.lost_motion.estimate import NOT_SEPARATE, separate
+from hil.lost_motion.procedure import (
+    LostMotionResult,
+    measure_lost_motion,
+    proof_steps,
+    rms,
+    stroke_steps,
+    verdict,
+)
+from hil.machine.computing import Computing, at_once, watched
+from hil.machine.events import Event, Listener, Point, silent
+from hil.machine.wiring import Machine
+from hil.records.journal import Campaign
+
+MEASURE, STORE = "lost motion", "lost motion store"
+CAMPAIGN = "lost-motion"
+
+
+def lost_motion_config(axis: AxisConfig) -> LostMotionConfig:
+    """What the axis file says of it, or the defaults. Raises InputError."""
+    return axis.lost_motion or default_lost_motion(axis.path, axis.limits, axis.measurement.targets_mm)
+
+
+# -- measure -------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class MeasuredLostMotion:
+    """A measurement. present: what was in force before, None for nothing; kept: the folder with its rows."""
+
+    how: LostMotionConfig
+    result: LostMotionResult
+    present: Compensation | None
+    kept: Path
+
+
+def measuring_plan(axis: AxisConfig, how: LostMotionConfig, seed: int = 1, *, store: bool = False) -> Plan:
+    """What a measurement moves and writes."""
+    velocity = axis.measurement.velocity_mm_s
+    moves = [Move(what, how.low_mm, how.high_mm, velocity) for what in ("strokes", "proof")]
+    writes = [Write("rows", str(axis.store.directory))]
+    writes += [Write("lost_motion", str(axis.tables_path))] if store else []
+    return Plan(
+        axis.name,
+        axis.drive.backend,
+        tuple(moves),
+        tuple(writes),
+        axis.measurement.home,
+        axis.measurement.reference_mm,
+        len(stroke_steps(how)) + 2 * len(proof_steps(how, seed)),
+        axis.measurement.dwell_s + axis.measurement.reading_s,
+        locked=store,
+    )
+
+
+def run_lost_motion(
+    machine: Machine,
+    how: LostMotionConfig,
+    present: Compensation | None,
+    listener: Listener = silent,
+    *,
+    seed: int = 1,
+    resume: bool = False,
+    computing: Computing = at_once,
+) -> MeasuredLostMotion:
+    """Prepare, measure, fit and prove; `present` is what is in force until now. Nothing is stored. computing: how the fit is made."""
+    axis = machine.axis
+    purpose = {**axis.purpose(CAMPAIGN), "how": asdict(how), "seed": seed}
+    purpose |= {} if present is None else compensation_in_force(present)
+    campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
+    tell_unchecked(campaign, listener)
+    machine.session.prepare(campaign.directory, present)
+    result = measure_lost_motion(machine.session, campaign, how, present, listener, seed=seed, computing=computing)
+    campaign.finish()
+    return MeasuredLostMotion(how, result, present, campaign.directory)
+
+
+def measuring_job(axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, resume: bool = False) -> Job:
+    """For the desk: returns a MeasuredLostMotion, beside what is stored as far as its password was given."""
+
+    def work(place: Workplace) -> MeasuredLostMotion:
+        present = None if place.store is None else stored_now(place.store)
+        if present is None and axis.tables_path.exists():
+            place.tell(SEALED)
+        return run_lost_motion(
+            place.machine(), how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
+        )
+
+    return Job(MEASURE, measuring_plan(axis, how, seed), work)
+
+
+def _named(listener: Listener) -> Listener:
+    """The passes before and after say of what they are: other procedures have such passes too."""
+
+    def tell(event: Event) -> None:
+        found = event.found
+        if event.stage in PROVING:
+            if isinstance(found, Point):
+                found = replace(found, series=f"{PROOF}{found.series}")
+            event = replace(event, stage=f"{PROOF}{event.stage}", found=found)
+        listener(event)
+
+    return tell
+
+
+PROVING, PROOF = ("before", "after"), "proof "
+SEALED = (
+    "the stored tables are sealed: what is measured now cannot be stored beside them without their reading password"
+)
+
+
+def unfinished(axis: DriveAxis) -> bool:
+    """Whether a measurement was broken off and can be gone on with."""
+    return Campaign.unfinished(axis.store.directory, CAMPAIGN) is not None
+
+
+# -- store ---------------------------------------------------------------------------------------------------------------
+def stored_now(store: SealedStore) -> Compensation | None:
+    """What is stored; None where nothing is."""
+    return store.load() if store.path.exists() else None
+
+
+def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
+    """Put a measurement into force. Raises StateError for one that did not prove itself or that was made beside something else."""
+    if not measured.result.good:
+        raise StateError("the correction did not prove itself: it is not stored")
+    now, then = stored_now(store), measured.present
+    if _in_force(now) != _in_force(then):
+        raise StateError(
+            "it was not measured with what is stored now: measure again, with the tables' reading password"
+        )
+    store.save(measured.result.compensation)
+
+
+def _in_force(compensation: Compensation | None) -> dict[str, Any] | None:
+    return None if compensation is None else compensation_in_force(compensation)
+
+
+def store_job(axis: AxisConfig, measured: MeasuredLostMotion) -> Job:
+    """For the desk: returns the same measurement, stored."""
+
+    def work(place: Workplace) -> MeasuredLostMotion:
+        store_measured(place.opened_store(), measured)
+        return measured
+
+    writes = (Write("lost_motion", str(axis.tables_path)),)
+    return Job(STORE, Plan(axis.name, axis.drive.backend, writes=writes, locked=True), work)
+
+
+# -- what came of it -------------------------------------------------------------------------------------------------------
+def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
+    """In a few lines. stored: where, or "nothing"."""
+    result, present = measured.result, measured.present
+    found, proof = result.estimate, result.proof
+    parameters = {name.replace("_", " "): str(each) for name, each in found.told.items()}
+    parameters |= {} if separate(found.parameters) else {"single amounts": NOT_SEPARATE}
+    before = (
+        "nothing" if present is None else "the tables" if present.rise is None else "the tables and an earlier rise"
+    )
+    return {
+        "lost motion": f"{found.amount_um:.2f} µm, rising as {found.rise.shape.name}",
+        **{f"  {name}": text for name, text in parameters.items()},
+        "noise of a reading": f"{result.stretch.noise_um:.3f} µm",
+        "proof, before": f"{rms(proof.before_um):.2f} µm RMS, {abs(proof.before_um).max():.2f} at worst, with {before} in force",
+        "proof, after": f"{rms(proof.after_um):.2f} µm RMS, {abs(proof.after_um).max():.2f} at worst",
+        "over-compensated": f"{proof.over_um:.2f} µm at worst, {100.0 * proof.over_um / found.amount_um:.1f} % of the lost motion",
+        "stored": stored,
+        "rows": str(measured.kept),
+    }
+
+
+def sentences(measured: MeasuredLostMotion) -> Sequence[str]:
+    """What is not as it should be; none where everything is."""
+    return verdict(measured.result)
+
+
+def report_html(axis: AxisConfig, measured: MeasuredLostMotion, stored: str) -> str:
+    """The report as a page."""
+    from hil.lost_motion.report import LostMotionReport, render_lost_motion  # noqa: PLC0415  (plots are slow to import)
+
+    how, result = measured.how, measured.result
+    identity = {
+        "Axis": axis.name,
+        "Drive": drive_in_words(axis),
+        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "Strokes": f"{how.stroke_mm:g} mm around {how.at_mm:g} mm, {how.runs} to and fro, {how.places} places after each turning",
+        "Proof": f"{how.proof_moves} moves of all lengths there, before and after",
+    }
+    title = f"Lost motion of axis {axis.name} after a reversal"
+    report = LostMotionReport(title, result.estimate, result.proof, verdict(result), identity, facts(measured, stored))
+    return render_lost_motion(report)
+
+
+def form(axis: AxisConfig, measured: MeasuredLostMotion, *, stored: bool) -> dict[str, Any]:
+    """The machine-readable result."""
+    result, proof = measured.result, measured.result.proof
+    return {
+        "axis": axis.name,
+        "good": result.good,
+        "stored": stored,
+        **result.estimate.to_json(),
+        "noise_um": result.stretch.noise_um,
+        "reversals": [
+            {"direction": one.direction, "travel_mm": one.travel_mm.tolist(), "error_um": one.error_um.tolist()}
+            for one in result.estimate.reversals
+        ],
+        "proof": {
+            "moves": measured.how.proof_moves,
+            "before": {"rms_um": rms(proof.before_um), "peak_um": float(abs(proof.before_um).max())},
+            "after": {"rms_um": rms(proof.after_um), "peak_um": float(abs(proof.after_um).max())},
+            "over_compensation_um": proof.over_um,
+        },
+        "verdict": list(verdict(result)),
+    }

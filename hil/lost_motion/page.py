@@ -1,0 +1,220 @@
+"""Lost motion by the instrument (system C): measured, five shapes fitted, proven, stored; and the circle of two axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from nicegui import ui
+
+from hil.app.panel.drawings import Curve, Drawing, Options, curves
+from hil.app.panel.latest import Latest
+from hil.app.panel.plots import JobPlot
+from hil.app.panel.reading import Reading
+from hil.app.panel.tables import Table
+from hil.app.panel.view import View
+from hil.app.panel.where import draw_where
+from hil.axis.axis_file import AxisConfig
+from hil.lost_motion import job as lost_motion
+from hil.lost_motion.circle.page import draw_circle
+from hil.lost_motion.estimate import separate
+from hil.lost_motion.job import MeasuredLostMotion
+from hil.lost_motion.procedure import rms
+from hil.lost_motion.screen import lost_motion_screen, proof_points, resumable, rise_curves
+from hil.records.rows import UM_PER_MM
+
+Refresh = Callable[[], None]
+
+
+def draw(view: View) -> None:
+    """Put the page on the screen."""
+    axis = view.desk.axis
+    if not isinstance(axis, AxisConfig):
+        view.named(ui.label(view.t("lost_motion.no_instrument")).classes("hil-note"), "lost_motion.no_instrument")
+        return
+    with view.card("lost_motion.instructions"):
+        ui.markdown(view.t("lost_motion.steps"))
+    messages = view.messages("lost_motion.messages")
+    parts = [_draw_buttons(view, axis)]
+    with ui.element("div").classes("hil-grid"):
+        parts += [_draw_where(view), _draw_found(view), _draw_proof(view)]
+    parts += [_draw_plots(view), _draw_fits(view), draw_circle(view, axis)]
+
+    def refresh() -> None:
+        shown = lost_motion_screen(view.desk)
+        messages.show(shown.measurement, "\n".join(map(view.t.said, shown.warnings)))
+        for part in parts:
+            part()
+
+    view.every(refresh)
+
+
+def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
+    """Start, go on with what was broken off, store."""
+    t, desk, how = view.t, view.desk, lost_motion.lost_motion_config(axis)
+    broken_off = Reading(view, partial(resumable, axis))
+    figures = {name: t.number(value, 1) for name, value in (("stroke", how.stroke_mm), ("at", how.at_mm))}
+    plan = t("lost_motion.plan", runs=how.runs, places=how.places, moves=how.proof_moves, **figures)
+    view.named(ui.label(plan).classes("hil-name"), "lost_motion.plan")
+
+    async def start(resume: bool) -> None:
+        await view.ask_and_run(lost_motion.measuring_job(axis, how, resume=resume))
+
+    async def store() -> None:
+        measured = lost_motion_screen(desk).measured
+        if measured is not None:
+            await view.ask_and_run(lost_motion.store_job(axis, measured))
+
+    with ui.row():
+        start_button = view.button("lost_motion.start", lambda: start(False))
+        resume_button = view.button("lost_motion.resume", lambda: start(True))
+        store_button = view.button("lost_motion.store", store)
+
+    def refresh() -> None:
+        start_button.set_enabled(view.can_start)
+        resume_button.set_enabled(view.can_start and broken_off.value is True)
+        store_button.set_enabled(view.can_start and view.is_builder and lost_motion_screen(desk).storable)
+
+    return refresh
+
+
+def _draw_where(view: View) -> Refresh:
+    """Where the axis is, and the step now running."""
+    with view.card("lost_motion.where"):
+        return draw_where(view, "lost_motion", lambda: lost_motion_screen(view.desk).measurement)
+
+
+def _draw_found(view: View) -> Refresh:
+    """The lost motion, its uncertainty and its shape."""
+    t = view.t
+    with view.card("lost_motion.found"):
+        amount = view.value("lost_motion.amount", "µm")
+        std = view.value("lost_motion.std", "µm", small=True)
+        shape = view.value("lost_motion.shape", small=True)
+
+    def refresh() -> None:
+        measured = lost_motion_screen(view.desk).measured
+        found = None if measured is None else measured.result.estimate
+        amount.set_text(t.number(None if found is None else found.amount_um, 2))
+        std.set_text("–" if found is None else f"± {t.number(found.parameters['amount_um'].std, 3)}")
+        shape.set_text("–" if found is None else _shape(view, found.rise.shape.name))
+
+    return refresh
+
+
+def _draw_proof(view: View) -> Refresh:
+    """What fresh moves say of it, and whether it is stored."""
+    t = view.t
+    with view.card("lost_motion.proof"):
+        after = view.value("lost_motion.after", "µm")
+        before = view.value("lost_motion.before", "µm", small=True)
+        over = view.value("lost_motion.over", "%", small=True)
+        state = view.value("lost_motion.state", small=True)
+
+    def refresh() -> None:
+        shown = lost_motion_screen(view.desk)
+        proof = None if shown.measured is None else shown.measured.result.proof
+        after.set_text(t.number(None if proof is None else rms(proof.after_um), 2))
+        before.set_text(t.number(None if proof is None else rms(proof.before_um), 2))
+        over.set_text(t.number(None if proof is None else 100.0 * proof.over_um / proof.amount_um, 1))
+        good = "good" if shown.storable else "bad"
+        state.set_text("–" if proof is None else t(f"lost_motion.{'stored' if shown.stored else good}"))
+
+    return refresh
+
+
+def _draw_plots(view: View) -> Refresh:
+    """While it is measured the errors at their places; then what was lost after each reversal, with the shapes laid over it."""
+    t = view.t
+    with ui.element("div").classes("hil-grid wide"):
+        drawings = []
+        for key in ("lost_motion.rise", "lost_motion.beginning", "lost_motion.moves"):
+            with view.card(key, name=f"{key}.card"):
+                drawings.append(Drawing(view, key))
+        with view.card("lost_motion.rows", name="lost_motion.rows.card"):
+            x, y = t("lost_motion.target_x"), t("lost_motion.error_y")
+            live = JobPlot(view, lost_motion.MEASURE, x, y, name="lost_motion.rows", dots=True)
+    rise, beginning, moves = drawings
+
+    def refresh() -> None:
+        live.refresh()
+        measured = lost_motion_screen(view.desk).measured
+        if measured is not None:
+            rise.show(measured, lambda: _rise(view, measured, beginning=False))
+            beginning.show(measured, lambda: _rise(view, measured, beginning=True))
+            moves.show(measured, lambda: _moves(view, measured))
+
+    return refresh
+
+
+def _rise(view: View, measured: MeasuredLostMotion, *, beginning: bool) -> Options:
+    t = view.t
+    drawn = rise_curves(measured.result.estimate, beginning=beginning)
+    marks = {1: (5, False), -1: (1, True)}
+    points = [
+        Curve(
+            t("lost_motion.plus_minus" if way < 0 else "lost_motion.minus_plus"), found, colour, "triangle", turned=turn
+        )
+        for way, (colour, turn) in marks.items()
+        if (found := drawn.measured[way])
+    ]
+    fits = [Curve(_shape(view, one.name), one.points, 2, faint=not one.in_force) for one in drawn.fitted]
+    x = t("lost_motion.travel_um" if beginning else "lost_motion.travel_mm")
+    return curves(view, x, t("lost_motion.lost_y"), [*points, *fits])
+
+
+def _moves(view: View, measured: MeasuredLostMotion) -> Options:
+    t = view.t
+    before, after = proof_points(measured.result.proof)
+    drawn = [
+        Curve(t("lost_motion.without"), before, 1, "circle"),
+        Curve(t("lost_motion.with"), after, 2, "diamond"),
+    ]
+    return curves(view, t("lost_motion.move_x"), t("lost_motion.left_y"), drawn)
+
+
+def _draw_fits(view: View) -> Refresh:
+    """The shapes in competition, and the parameters of the one that was taken."""
+    t = view.t
+    with ui.element("div").classes("hil-grid wide"):
+        with view.card("lost_motion.shapes"):
+            heads = [f"lost_motion.head.{name}" for name in ("shape", "amount_um", "rms_um", "held_out_um")]
+            shapes = Table(view, "lost_motion.contenders", heads)
+        with view.card("lost_motion.parameters"):
+            heads = [f"lost_motion.head.{name}" for name in ("parameter", "value", "uncertainty")]
+            parameters = Table(view, "lost_motion.fitted", heads)
+            single = view.named(ui.label(t("lost_motion.not_separate")).classes("hil-note"), "lost_motion.not_separate")
+            single.set_visibility(False)
+    latest = Latest()
+
+    def refresh() -> None:
+        measured = lost_motion_screen(view.desk).measured
+        if measured is None or not latest.is_new(measured):
+            return
+        found = measured.result.estimate
+        shapes.show(
+            [
+                [
+                    _shape(view, one.fitted.shape.name)
+                    + (f" ({t('lost_motion.taken')})" if one.fitted.rise is found.rise else ""),
+                    t.number(one.fitted.rise.amount_um, 2),
+                    t.number(one.rms_um),
+                    t.number(one.held_out_rms_um),
+                ]
+                for one in found.contenders
+            ]
+        )
+        parameters.show(
+            [
+                [t(f"lost_motion.parameter.{name}"), t.number(per * each.value, 2), f"± {t.number(per * each.std, 2)}"]
+                for name, each in found.told.items()
+                for per in [UM_PER_MM if name.endswith("_mm") else 1.0]
+            ]
+        )
+        single.set_visibility(not separate(found.parameters))
+
+    return refresh
+
+
+def _shape(view: View, name: str) -> str:
+    return view.t(f"lost_motion.shapes_by_name.{name.replace(' ', '_')}")

@@ -1,0 +1,266 @@
+"""Lost motion after a reversal, by the axis's instrument (system C): measured, fitted, put into force, proven.
+
+strokes to and fro over one stretch, uncorrected, at rest at ever wider places after each turning, and at the same places coming back
+what differs at a place between coming soon after a turning and after a long stroke is the lost motion: a place's own error is in both
+a rise fitted over the load's travel, the best of several shapes on strokes it has not seen
+moves of any length over the same stretch, with what was in force and with the rise beside it: does it prove itself?
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.axis.lost_motion import LostMotionConfig
+from hil.correction.compensation import Compensation
+from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
+from hil.effects.base import Term
+from hil.lost_motion.estimate import Estimate, estimate
+from hil.lost_motion.fit import MeasuredReversal
+from hil.machine.computing import Computing, at_once
+from hil.machine.events import Event, Listener, silent
+from hil.machine.measure import Step, measure
+from hil.machine.session import AxisSession
+from hil.records.journal import Campaign
+from hil.records.rows import Floats, Records
+
+LEFT_SHARE = 0.05
+"""Of the lost motion: where more is left (RMS), or over-compensated at worst, than this and than noise explains, nothing is stored."""
+NOISE_REACH = 3.5
+"""Standard deviations of noise that the worst of some forty rows may reach."""
+SAME_SHARE = 0.15
+"""By how much of the lost motion the tables' two directions may differ from it before they are taken for another machine's."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What belongs to the places: position_mm and error_um, both (n,), of the axis half-way between its two directions; noise_um: of
+    one reading, from repeats."""
+
+    position_mm: Floats
+    error_um: Floats
+    noise_um: float
+
+    def at_um(self, position_mm: Floats) -> Floats:
+        return np.interp(position_mm, self.position_mm, self.error_um)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The same moves before and after. residual_um: what is left of the lost motion in each row, in the axis's sign."""
+
+    before: Records
+    after: Records
+    before_um: Floats
+    after_um: Floats
+    amount_um: float
+    noise_um: float
+
+    @property
+    def over_um(self) -> float:
+        """The worst over-compensation after: too far in the direction of the last motion."""
+        return max(0.0, float(np.max(self.after_um * self.after.direction)))
+
+    @property
+    def good(self) -> bool:
+        return max(rms(self.after_um), self.over_um) <= max(LEFT_SHARE * self.amount_um, NOISE_REACH * self.noise_um)
+
+
+@dataclass(frozen=True)
+class LostMotionResult:
+    """What came of it. compensation: with the rise in force, to be stored where the proof is good."""
+
+    records: Records
+    estimate: Estimate
+    stretch: Stretch
+    compensation: Compensation
+    proof: Proof
+
+    @property
+    def good(self) -> bool:
+        return self.proof.good and not self.estimate.still_rising
+
+
+def rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# -- what is measured ----------------------------------------------------------------------------------------------------
+
+
+def stroke_steps(how: LostMotionConfig) -> list[Step]:
+    """There and back over the stretch: `run` is the number of the stroke. The first comes down after a whole stroke up."""
+    low, high = how.low_mm, how.high_mm
+    near_low = [low, *(round(low + travel, 6) for travel in how.travels_mm)]
+    near_high = [high, *(round(high - travel, 6) for travel in how.travels_mm)]
+    up = [*near_low[1:], *reversed(near_high)]
+    down = [*near_high[1:], *reversed(near_low)]
+    steps = [Step(1, -1, down[0], round(down[0] - low, 6)), *(Step(1, -1, target, 0.0) for target in down[1:])]
+    # the very first turning has no measured stroke before it: what it shows is not used
+    for stroke in range(2, 2 * how.runs + 2):
+        direction, targets = (1, up) if stroke % 2 == 0 else (-1, down)
+        steps += [Step(stroke, direction, target, 0.0) for target in targets]
+    return steps
+
+
+def proof_steps(how: LostMotionConfig, seed: int) -> list[Step]:
+    """Moves from place to place, some short, some over the whole stretch; each is a stroke or goes on with the one before it."""
+    rng = np.random.default_rng([seed, 5])
+    low, high, travels = how.low_mm, how.high_mm, how.travels_mm
+    places = np.unique(np.round([low, high, *(low + np.array(travels)), *(high - np.array(travels))], 6))
+    here = 0  # index of the place where the axis stands
+    steps = [Step(1, -1, float(places[0]), round(high - low, 6))]
+    while len(steps) <= how.proof_moves:
+        reach = int(np.ceil(len(places) ** rng.uniform(0.0, 1.0)))  # as many short moves as long ones
+        there = int(np.clip(here + rng.choice([-1, 1]) * reach, 0, len(places) - 1))
+        if there != here:
+            direction = 1 if there > here else -1
+            steps.append(Step(1, direction, float(places[there]), 0.0))
+            here = there
+    return steps
+
+
+# -- what it shows -------------------------------------------------------------------------------------------------------
+
+
+def reversals_of(records: Records, how: LostMotionConfig) -> list[MeasuredReversal]:
+    """Each turning between two measured strokes: the error at its places against that at the same places in the stroke before."""
+    found = []
+    for stroke in range(2, int(records.run.max()) + 1):
+        before, after = records.where(records.run == stroke - 1), records.where(records.run == stroke)
+        direction = int(after.direction[0])
+        turning_mm = float(before.target_mm[-1])
+        was = dict(zip(np.round(before.target_mm, 6).tolist(), before.error_um.tolist(), strict=True))
+        travel, error = [0.0], [0.0]
+        for target, now in zip(np.round(after.target_mm, 6).tolist(), after.error_um.tolist(), strict=True):
+            if abs(target - turning_mm) < how.stroke_mm / 2.0:
+                travel.append(abs(target - turning_mm))
+                error.append(now - was[target])
+        found.append(MeasuredReversal(direction, np.array(travel), np.array(error)))
+    return found
+
+
+def stretch_of(records: Records, how: LostMotionConfig, amount_um: float) -> Stretch:
+    """The places' own error, from the rows that came after a long stroke."""
+    target, direction = np.round(records.target_mm, 6), records.direction
+    long = np.where(direction > 0, target > how.at_mm, target < how.at_mm)
+    middle_um = records.error_um + direction * amount_um / 2.0
+    places = np.unique(target)
+    means, squares, degrees = [], 0.0, 0
+    for place in places:
+        values = middle_um[long & (target == place)]
+        means.append(float(values.mean()))
+        squares += float(np.sum((values - values.mean()) ** 2))
+        degrees += len(values) - 1
+    return Stretch(places, np.array(means), math.sqrt(squares / max(1, degrees)))
+
+
+def with_rise(
+    present: Compensation | None, found: Estimate, how: LostMotionConfig, reach: tuple[float, float]
+) -> Compensation:
+    """What is to be in force: the tables as they are, and the rise between their two directions.
+
+    Without tables: the lost motion alone, as tables whose + direction is 0 (that of the datum). An effect of the same cause is left
+    out: it would count it twice. Raises InputError where the tables' directions differ by anything but the lost motion measured.
+    """
+    if present is None or _is_lost_motion_alone(present):
+        nodes = np.array(reach)
+        backlash = SingleTable(nodes, np.full(2, found.amount_um))
+        zero = DirectionalTable.constant(nodes, 0.0)
+        return Compensation(TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, zero, backlash), (), found.rise)
+    plus, minus = (float(present.tables.correction_um([how.at_mm], sign)[0]) for sign in (1, -1))
+    if abs(plus - minus - found.amount_um) > SAME_SHARE * found.amount_um + 1.0:
+        raise InputError(
+            f"the tables in force hold a reversal of {plus - minus:.1f} µm at {how.at_mm:g} mm, measured now are"
+            f" {found.amount_um:.1f} µm: calibrate again first"
+        )
+    terms = tuple(t for t in present.terms if not (isinstance(t, Term) and t.effect.id == "lost_motion"))
+    return Compensation(present.tables, terms, found.rise)
+
+
+def _is_lost_motion_alone(present: Compensation) -> bool:
+    """Whether these tables came of such a measurement before, and hold nothing that a new one does not."""
+    tables = present.tables
+    other = (tables.specified, tables.straightness)
+    return (
+        tables.mode is TableMode.UNIDIRECTIONAL_BACKLASH
+        and other == (None, None)
+        and not present.terms
+        and not np.any(tables.pitch.plus_um)
+    )
+
+
+def residual_um(records: Records, stretch: Stretch, in_force: Compensation | None) -> Floats:
+    """What is left of the lost motion in each row, µm: its error, less that of its place and what the tables do there either way."""
+    own = stretch.at_um(records.target_mm)
+    if in_force is not None:
+        plus, minus = (in_force.tables.correction_um(records.target_mm, sign) for sign in (1, -1))
+        own = own + (plus + minus) / 2.0
+    return np.asarray(records.error_um - own)
+
+
+# -- the whole of it -----------------------------------------------------------------------------------------------------
+
+
+def measure_lost_motion(
+    session: AxisSession,
+    campaign: Campaign,
+    how: LostMotionConfig,
+    present: Compensation | None,
+    listener: Listener = silent,
+    *,
+    seed: int = 1,
+    computing: Computing = at_once,
+) -> LostMotionResult:
+    """On a prepared session; `present` is what was in force until now, None for nothing. Nothing is stored here.
+
+    The session has no compensation in force afterwards, on every way out. A campaign that was interrupted goes on with its first
+    missing row. computing: how the fit is made. Raises InputError where no lost motion shows above the noise, or the tables are those
+    of another machine, CorrectionBoundError where it exceeds the axis's bound.
+    """
+    try:
+        session.compensation = None
+        records = measure(session, campaign, "strokes", stroke_steps(how), listener)
+        listener(Event("fit"))
+        reversals = reversals_of(records, how)
+        found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0))
+        stretch = stretch_of(records, how, found.amount_um)
+        if found.amount_um < NOISE_REACH * stretch.noise_um:
+            raise InputError(
+                f"no lost motion to correct: {found.amount_um:.2f} µm with a noise of {stretch.noise_um:.2f} µm"
+            )
+        limits = session.drive.limits
+        extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))
+        extended.check(session.steering.bound, "correction by the lost motion measured not used")
+        steps = proof_steps(how, seed)
+        proofs = []
+        for name, in_force in (("before", present), ("after", extended)):
+            session.compensation = in_force
+            rows = measure(session, campaign, name, steps, listener)
+            proofs.append((rows, residual_um(rows, stretch, in_force)))
+        (before, before_um), (after, after_um) = proofs
+        proof = Proof(before, after, before_um, after_um, found.amount_um, stretch.noise_um)
+        return LostMotionResult(records, found, stretch, extended, proof)
+    finally:
+        session.compensation = None
+
+
+def verdict(result: LostMotionResult) -> Sequence[str]:
+    """Sentences for what is not as it should be; none where everything is."""
+    found, proof = result.estimate, result.proof
+    said = []
+    if found.still_rising:
+        said.append(
+            f"{found.late_um:.2f} µm of {found.amount_um:.2f} µm came back over the second half of the places:"
+            " the strokes are too short for the whole lost motion (stroke_mm)"
+        )
+    if not proof.good:
+        said.append(
+            f"the correction did not prove itself: {rms(proof.before_um):.2f} µm RMS before, {rms(proof.after_um):.2f} after,"
+            f" {proof.over_um:.2f} µm over-compensated at worst"
+        )
+    return said

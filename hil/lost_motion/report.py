@@ -1,0 +1,200 @@
+"""The report of lost motion after reversals: the rise that was measured with every shape fitted, and the moves that prove it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from hil.app.report import markup
+from hil.app.report.page import header, page, tile
+from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
+from hil.lost_motion.estimate import NOT_SEPARATE, Estimate, separate, told
+from hil.records.rows import Floats, Records
+
+NAMES = {1: "− → +", -1: "+ → −"}
+
+
+class Proven(Protocol):
+    """What is shown of the proof: its rows, and what is left of the lost motion in each, µm."""
+
+    @property
+    def after(self) -> Records: ...
+    @property
+    def before_um(self) -> Floats: ...
+    @property
+    def after_um(self) -> Floats: ...
+    @property
+    def over_um(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class LostMotionReport:
+    """What one measurement found; verdict: sentences, none when there is nothing to say."""
+
+    title: str
+    estimate: Estimate
+    proof: Proven
+    verdict: Sequence[str] = ()
+    identity: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+
+def render_lost_motion(report: LostMotionReport) -> str:
+    """The whole page. Same data, same text."""
+    found = report.estimate
+    rise = inline_svg(rise_plot(found, PAGE), "rise", "Lost motion over the load's travel since the reversal")
+    proof = inline_svg(proof_plot(report.proof, PAGE), "proof", "What is left in fresh moves, before and after")
+    parts = [
+        header(report.title, report.identity.get("Measured", "")),
+        _tiles(report),
+        *(f'<p class="callout">{markup.text(sentence)}</p>' for sentence in report.verdict),
+        "<h2>Identity</h2>" + markup.definitions(dict(report.identity)) if report.identity else "",
+        "<h2>After a reversal</h2>"
+        + markup.figure(
+            rise,
+            "How far the load has fallen behind the motor since the turning, over its own travel; the place's own error, which is the"
+            " same after a long stroke, is taken out. Each point is one reading at rest, and every shape is fitted to all of them.",
+        ),
+        *(_data(number, found) for number in range(len(found.reversals))),
+        _contenders(found),
+        _parameters(found),
+        "<h2>Fresh moves of all lengths</h2>"
+        + markup.figure(
+            proof,
+            "What is left of the lost motion at the end of each move, with the sign of the move: above zero is too far. The same"
+            " moves, as the machine was before and with the correction in force.",
+        ),
+        _proof_data(report.proof),
+        "<h2>Result</h2>" + markup.definitions({k.strip(): v for k, v in report.facts.items()}) if report.facts else "",
+        _footer(),
+    ]
+    return page(report.title, parts)
+
+
+def rise_image(estimate: Estimate, kind: str = "png") -> bytes:
+    """The drawing of the rise as a file of its own, "png" or "svg"."""
+    return file_bytes(rise_plot(estimate, LIGHT), kind)
+
+
+def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
+    """Loss over the load's travel: all of it, and its beginning in µm."""
+    with mpl.rc_context(RC):
+        figure = new_figure(9.6, 4.2, top_in=0.75)
+        whole, begin = figure.subplots(1, 2, sharey=True, squeeze=False)[0]
+        end_mm = max(float(one.by_load().travel_mm.max()) for one in estimate.reversals)
+        early_mm = min(end_mm, 0.05)
+        for ax, reach_mm, scale in ((whole, end_mm, 1.0), (begin, early_mm, 1000.0)):
+            for direction, color, marker in ((1, theme.up, "^"), (-1, theme.down, "v")):
+                rows = [one.by_load().rise for one in estimate.reversals if one.direction == direction]
+                travel = np.concatenate([t for t, _ in rows]) if rows else np.zeros(0)
+                risen = np.concatenate([r for _, r in rows]) if rows else np.zeros(0)
+                inside = travel <= reach_mm
+                ax.plot(
+                    scale * travel[inside],
+                    risen[inside],
+                    marker,
+                    color=color,
+                    ms=3.5,
+                    mew=0,
+                    linestyle="none",
+                    label=f"measured, {NAMES[direction]}",
+                )
+            along = np.linspace(0.0, reach_mm, 600)
+            for one in estimate.contenders:
+                taken = one.fitted.rise is estimate.rise
+                ax.plot(
+                    scale * along,
+                    one.fitted.rise.along_um(along),
+                    color=theme.accent if taken else theme.muted,
+                    lw=2.0 if taken else 0.9,
+                    linestyle="-" if taken else (0, (4, 2)),
+                    label=f"{one.fitted.shape.name}, in force" if taken else "the other shapes",
+                )
+        label_axes(whole, theme, "Load's travel since the reversal, mm", "Lost motion, µm")
+        label_axes(begin, theme, "The beginning: load's travel, µm", "")
+        unique = dict(zip(*reversed(whole.get_legend_handles_labels()), strict=True))
+        figure.legend(list(unique.values()), list(unique), loc="upper left", ncols=4, labelcolor=theme.ink)
+        return figure
+
+
+def proof_plot(proof: Proven, theme: Theme) -> Figure:
+    """What is left, move by move, before and after."""
+    with mpl.rc_context(RC):
+        figure = new_figure(9.6, 3.2, top_in=0.6)
+        ax = figure.subplots()
+        moves = np.arange(len(proof.after_um))
+        sign = proof.after.direction
+        ax.axhline(0, color=theme.muted, lw=1)
+        ax.plot(moves, sign * proof.before_um, "o", color=theme.down, ms=4, mew=0, label="before")
+        ax.plot(moves, sign * proof.after_um, "D", color=theme.up, ms=4, mew=0, label="with the correction in force")
+        label_axes(ax, theme, "Move", "Left of the lost motion, µm")
+        figure.legend(loc="upper left", ncols=2, labelcolor=theme.ink)
+        return figure
+
+
+def _tiles(report: LostMotionReport) -> str:
+    found, proof = report.estimate, report.proof
+    amount = found.parameters["amount_um"]
+    before, after = (float(np.sqrt(np.mean(values**2))) for values in (proof.before_um, proof.after_um))
+    tiles = [
+        tile("Lost motion", markup.number(found.amount_um), "µm", f"± {markup.number(amount.std, 3)} (standard)"),
+        tile("Fresh moves, before", markup.number(before), "µm RMS"),
+        tile("Fresh moves, after", markup.number(after), "µm RMS"),
+        tile("Over-compensated at worst", markup.number(100.0 * proof.over_um / found.amount_um, 1), "%"),
+    ]
+    return '<div class="tiles">' + "".join(tiles) + "</div>"
+
+
+def _data(number: int, estimate: Estimate) -> str:
+    one = estimate.reversals[number]
+    load = one.by_load()
+    travel_mm, risen_um = load.rise
+    columns = {"travel_motor_mm": one.travel_mm, "travel_load_mm": travel_mm, "risen_um": risen_um}
+    return markup.data_table(f"data-reversal-{number + 1}", f"Reversal {number + 1}, {NAMES[one.direction]}", columns)
+
+
+def _contenders(estimate: Estimate) -> str:
+    rows = [
+        [
+            one.fitted.shape.name + (" (in force)" if one.fitted.rise is estimate.rise else ""),
+            markup.number(one.fitted.rise.amount_um),
+            markup.number(one.rms_um, 3),
+            markup.number(one.held_out_rms_um, 3),
+        ]
+        for one in estimate.contenders
+    ]
+    head = ["shape", "amount, µm", "RMS, µm", "RMS on strokes held out, µm"]
+    return "<h2>Shapes in competition</h2>" + markup.table(head, rows, css="numbers")
+
+
+def _parameters(estimate: Estimate) -> str:
+    rows = [
+        [name.replace("_", " "), markup.significant(each.value), markup.significant(each.std, 2)]
+        for name, each in told(estimate.published).items()
+    ]
+    head = ["two tanh terms", "value", "standard uncertainty"]
+    note = "" if separate(estimate.published) else f"<p>The amounts of the single terms are {NOT_SEPARATE}.</p>"
+    return markup.table(head, rows, css="numbers") + note
+
+
+def _proof_data(proof: Proven) -> str:
+    columns = {
+        "target_mm": proof.after.target_mm,
+        "direction": proof.after.direction,
+        "before_um": proof.before_um,
+        "after_um": proof.after_um,
+    }
+    return markup.data_table("data-proof", "Every move", columns)
+
+
+def _footer() -> str:
+    return (
+        "<footer>Uncertainties are standard ones, by the scatter of whole strokes: how well these repeat. A shape is fitted"
+        " over the load's own travel, and its RMS is that of the load's place at each place of the motor. The data"
+        " are inside this file as JSON.</footer>"
+    )

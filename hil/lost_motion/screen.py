@@ -1,0 +1,135 @@
+"""What the screen of system C shows: the reversals measured, the shapes laid over them, the proof, and the circle of two axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Phase, Progress
+from hil.axis.axis_file import DriveAxis
+from hil.lost_motion import job as lost_motion
+from hil.lost_motion.at_load import load_mm
+from hil.lost_motion.circle import job as circle
+from hil.lost_motion.circle.figures import ring_of
+from hil.lost_motion.circle.job import DrivenCircle
+from hil.lost_motion.estimate import Estimate
+from hil.lost_motion.job import MeasuredLostMotion
+from hil.lost_motion.procedure import Proof
+from hil.records.rows import UM_PER_MM, Floats
+
+Points = list[tuple[float, float]]
+FIT_POINTS, BEGINNING = 160, 3.0
+MOST_POINTS = 1500
+"""Of one circle; more would not be seen."""
+
+
+@dataclass(frozen=True)
+class LostMotionScreen:
+    """measurement: the last one; number: of its job; measured: what it came to, None before its end; stored: that it is in force;
+    warnings: in English"""
+
+    measurement: Progress | None
+    number: int
+    measured: MeasuredLostMotion | None
+    stored: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def storable(self) -> bool:
+        return self.measured is not None and self.measured.result.good and not self.stored
+
+
+def lost_motion_screen(desk: Desk) -> LostMotionScreen:
+    """As the desk stands."""
+    measurement, stored = desk.last(lost_motion.MEASURE), desk.last(lost_motion.STORE)
+    measured = None if measurement is None else measurement.result
+    if not isinstance(measured, MeasuredLostMotion):
+        measured = None
+    kept = stored is not None and stored.phase is Phase.DONE and stored.result is measured is not None
+    warnings = () if measured is None else tuple(lost_motion.sentences(measured))
+    return LostMotionScreen(measurement, 0 if measurement is None else measurement.number, measured, kept, warnings)
+
+
+def resumable(axis: DriveAxis) -> bool:
+    """Whether a measurement was broken off and can be gone on with: looks at the axis's folder."""
+    return lost_motion.unfinished(axis)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A shape as a curve; in_force: it is the one that was taken"""
+
+    name: str
+    in_force: bool
+    points: Points
+
+
+@dataclass(frozen=True)
+class RiseCurves:
+    """measured: by the direction after the reversal; how far the load has fallen behind, µm, over the motor's travel since it, mm or
+    µm"""
+
+    measured: Mapping[int, Points]
+    fitted: Sequence[Fitted]
+
+
+def rise_curves(estimate: Estimate, *, beginning: bool = False) -> RiseCurves:
+    """All of the travel in mm, or its beginning in µm: some `BEGINNING` times the lost motion."""
+    end_mm, per_mm = max(float(one.travel_mm.max()) for one in estimate.reversals), 1.0
+    if beginning:
+        end_mm, per_mm = min(end_mm, BEGINNING * estimate.amount_um / UM_PER_MM), UM_PER_MM
+    measured: dict[int, Points] = {1: [], -1: []}
+    for one in estimate.reversals:
+        travel_mm, risen_um = one.rise
+        inside = travel_mm <= end_mm
+        measured[one.direction] += _points(per_mm * travel_mm[inside], risen_um[inside])
+    motor_mm = np.linspace(0.0, end_mm, FIT_POINTS)
+    fitted = []
+    for contender in estimate.contenders:
+        rise = contender.fitted.rise
+        behind_um = UM_PER_MM * (motor_mm - load_mm(rise, motor_mm))
+        fitted.append(Fitted(rise.shape.name, rise is estimate.rise, _points(per_mm * motor_mm, behind_um)))
+    return RiseCurves(measured, fitted)
+
+
+def proof_points(proof: Proof) -> tuple[Points, Points]:
+    """What was left in each fresh move, µm, in the move's own direction: before, and with the correction; over its number."""
+    moves, sign = np.arange(1.0, len(proof.after_um) + 1.0), proof.after.direction
+    return _points(moves, sign * proof.before_um), _points(moves, sign * proof.after_um)
+
+
+def driven_circle(desk: Desk) -> DrivenCircle | None:
+    """The last circle that was driven from this desk."""
+    last = desk.last(circle.CIRCLE)
+    return last.result if last is not None and isinstance(last.result, DrivenCircle) else None
+
+
+@dataclass(frozen=True)
+class CircleCurves:
+    """ring_um: between two rings; traces: by name, deviation in µm and angle in degrees counter-clockwise, 0 to 360, None where a
+    curve goes through 0"""
+
+    ring_um: float
+    traces: Mapping[str, list[tuple[float, float] | None]]
+
+
+def circle_curves(driven: DrivenCircle) -> CircleCurves:
+    """What was driven, for a drawing around the circle."""
+    curves: dict[str, list[tuple[float, float] | None]] = {}
+    for name, trace in driven.traces.items():
+        step = max(1, len(trace.angle_deg) // MOST_POINTS)
+        angles = np.mod(trace.angle_deg[::step] * driven.circle.sense, 360.0)
+        curve: list[tuple[float, float] | None] = []
+        for point in _points(trace.deviation_um[::step], angles):
+            if curve and curve[-1] is not None and abs(point[1] - curve[-1][1]) > 180.0:
+                curve.append(None)
+            curve.append(point)
+        curves[name] = curve
+    return CircleCurves(ring_of(driven.traces.values()), curves)
+
+
+def _points(x: Floats, y: Floats) -> Points:
+    return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]

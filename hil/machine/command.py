@@ -1,0 +1,188 @@
+"""`hil scan`: who is on a CAN bus or a Modbus line. Reads only, needs no axis file, moves and writes nothing."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from enum import Enum
+from typing import Any
+
+from drivers.canopen import scan as canopen
+from drivers.canopen.bus import CanLink
+from drivers.clock import WallClock
+from drivers.errors import InputError
+from drivers.modbus import scan as modbus
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
+from hil.app.terminal.output import Align, add_json_option, print_table, write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.machine.events import Event
+
+EXAMPLE = """\
+example:
+  hil scan --channel can0                            every CANopen node: identity, state
+  hil scan --channel can0 --listen 2                 send nothing, list who is heard: where another master is at work
+  hil scan --interface slcan --channel /dev/ttyACM0
+  hil scan --tcp 192.168.0.20                        Modbus units 1 to 16
+  hil scan --serial "/dev/ttyUSB0?parity=N" --baud 9600 --units 1-31,100 --map vendor_style
+
+Nothing is written to any device. Exit status 1: nobody was found.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "scan",
+        description="List the CANopen nodes of a CAN bus, or the units of a Modbus line, with what they say of themselves.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--channel", help="CAN channel, such as can0 or a serial adapter's device")
+    where.add_argument("--tcp", metavar="HOST[:PORT]", help="Modbus TCP server (port 502 unless given)")
+    where.add_argument("--serial", metavar="DEVICE", help="Modbus RTU line")
+    can = parser.add_argument_group("CANopen")
+    can.add_argument("--interface", default="socketcan", help="of python-can (default socketcan)")
+    can.add_argument("--bitrate", type=int, help="bit/s, for interfaces that set it")
+    can.add_argument("--nodes", metavar="IDS", default="1-127", help="which to ask (default 1-127)")
+    can.add_argument("--listen", metavar="S", type=float, help="only listen, for so many seconds")
+    line = parser.add_argument_group("Modbus")
+    line.add_argument("--units", metavar="IDS", default="1-16", help="which to ask (default 1-16)")
+    line.add_argument("--baud", type=int, default=19_200, help="of a serial line (default 19200)")
+    line.add_argument("--map", metavar="MAP", help="register map, shipped or a file: read each drive's state too")
+    parser.add_argument("--timeout", metavar="S", type=float, help="for one answer (default 0.1 on CAN, 0.2 on Modbus)")
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: somebody was found; 1: nobody."""
+    if args.timeout is not None and not 0.001 <= args.timeout <= 60.0:
+        raise InputError(f"--timeout is {args.timeout:g}, expected 0.001 to 60 s")
+    found: Sequence[Any] = _canopen(args) if args.channel else _modbus(args)
+    if not found:
+        print("nobody answers")
+    if args.json:
+        kind = "nodes" if args.channel else "units"
+        write_json(args.json, {kind: [_plain(vars(each)) for each in found]})
+    return 0 if found else 1
+
+
+# -- CANopen -----------------------------------------------------------------------------------------------------------
+def _canopen(args: argparse.Namespace) -> list[canopen.FoundNode]:
+    nodes = parse_ids(args.nodes, "--nodes", 1, 127)
+    if args.listen is not None and not 0 < args.listen <= 3600:
+        raise InputError(f"--listen is {args.listen:g}, expected 0 to 3600 s")
+    clock = WallClock()
+    with CanLink.open(clock, interface=args.interface, channel=args.channel, bitrate=args.bitrate) as link:
+        if args.listen is not None:
+            found = canopen.listen(link, args.listen)
+        else:
+            with terminal_progress() as listener:
+                found = canopen.scan(
+                    link,
+                    nodes,
+                    timeout_s=0.1 if args.timeout is None else args.timeout,
+                    progress=lambda done: listener(Event("nodes", "", done, len(nodes))),
+                )
+    if found:
+        columns: list[str | tuple[str, Align]] = [
+            "node",
+            ("NMT", "left"),
+            ("device", "left"),
+            ("identity", "left"),
+            ("drive", "left"),
+            ("heard", "left"),
+        ]
+        print_table(columns, [_node_row(node) for node in found])
+    return found
+
+
+def _node_row(node: canopen.FoundNode) -> tuple[str, ...]:
+    nmt = "" if node.nmt_state is None else node.nmt_state.name.lower().replace("_", "-")
+    profile = "" if node.profile is None else f"profile {node.profile}"
+    device = ", ".join(part for part in (node.device_name, profile) if part)
+    if not node.answers_sdo:
+        device = "does not answer SDO"
+    identity = ":".join(
+        "–" if number is None else f"{number:X}h"
+        for number in (node.vendor_id, node.product_code, node.revision, node.serial)
+    )
+    drive = []
+    if node.state is not None:
+        drive.append(f"{node.state.value} ({node.statusword:04X}h)")
+    if node.fault_code:
+        drive.append(f"error {node.fault_code:04X}h")
+    if node.position_counts is not None:
+        drive.append(f"at {node.position_counts} counts")
+    return str(node.node_id), nmt, device, identity if node.answers_sdo else "", ", ".join(drive), ", ".join(node.heard)
+
+
+# -- Modbus ------------------------------------------------------------------------------------------------------------
+def _modbus(args: argparse.Namespace) -> list[modbus.FoundUnit]:
+    endpoint = _endpoint(args)
+    highest = 255 if isinstance(endpoint, TcpEndpoint) else 247
+    units = parse_ids(args.units, "--units", 0 if isinstance(endpoint, TcpEndpoint) else 1, highest)
+    drive_map = None if args.map is None else load_drive_map(args.map)
+    link = ModbusLink(endpoint, WallClock(), policy=modbus.POLICY)
+    link.open()
+    try:
+        with terminal_progress() as listener:
+            found = modbus.scan(
+                link, units, drive_map, progress=lambda done: listener(Event("units", "", done, len(units)))
+            )
+    finally:
+        link.close()
+    if found:
+        print_table(("unit", ("answers", "left"), ("drive", "left")), [_unit_row(unit) for unit in found])
+    if len(found) == len(units) > 1 and isinstance(endpoint, TcpEndpoint):
+        print("every unit id is answered: this server does not look at it, and is one device")
+    return found
+
+
+def _endpoint(args: argparse.Namespace) -> Endpoint:
+    timeout_s = 0.2 if args.timeout is None else args.timeout
+    if args.tcp is not None:
+        endpoint = parse_endpoint(args.tcp if "//" in args.tcp else f"tcp://{args.tcp}")
+        if not isinstance(endpoint, TcpEndpoint):
+            raise InputError(f"--tcp is {args.tcp!r}, expected host or host:port")
+        return TcpEndpoint(endpoint.host, endpoint.port, timeout_s)
+    line = parse_endpoint(args.serial, baud=args.baud)
+    if not isinstance(line, RtuEndpoint):
+        raise InputError(f"--serial is {args.serial!r}, expected a device")
+    return RtuEndpoint(line.device, line.baud, line.parity, line.stop_bits, timeout_s)
+
+
+def _unit_row(unit: modbus.FoundUnit) -> tuple[str, ...]:
+    drive = [] if unit.state is None else [unit.state.value, f"position {unit.position_raw} (raw)"]
+    if unit.fault_code:
+        drive.append(f"error {unit.fault_code}")
+    if unit.problem:
+        drive.append(unit.problem)
+    return str(unit.unit), unit.refusal or "registers", ", ".join(drive)
+
+
+# -- shared ------------------------------------------------------------------------------------------------------------
+def parse_ids(text: str, option: str, lowest: int, highest: int) -> list[int]:
+    """`1-5,9` -> [1, 2, 3, 4, 5, 9]. Raises InputError naming the option."""
+    ids: set[int] = set()
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        try:
+            start, end = int(first), int(last) if dash else int(first)
+        except ValueError as error:
+            raise InputError(f"{option} is {text!r}, expected ids such as 1-16,20") from error
+        if not lowest <= start <= end <= highest:
+            raise InputError(f"{option} is {text!r}, expected ids {lowest} to {highest}, ranges ascending")
+        ids.update(range(start, end + 1))
+    return sorted(ids)
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Enumerations by their names, everything else as it is."""
+    return {name: _name(value) if isinstance(value, Enum) else value for name, value in values.items()}
+
+
+def _name(value: Enum) -> str:
+    return value.value if isinstance(value.value, str) else value.name.lower()

@@ -1,0 +1,66 @@
+"""Reading at a target: what the instrument says of an axis that arrived, stood for its dwell and, where asked for, came to rest.
+
+The rules for outliers, averages and rest are `hil.figures.reading`'s; here is what is watched meanwhile, and what is too old to be used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.clock import NS_PER_S
+from drivers.errors import MeasurementLostError, MotionTimeoutError
+from drivers.instrument import Reading
+from hil.axis.axis_file import MeasurementConfig
+from hil.figures.reading import Average, average, creep
+from hil.machine.supervisor import Supervisor
+from hil.records.rows import Floats
+
+SETTLE_WITHIN_S = 10.0
+"""How long the load may take to come to rest where the axis file asks for it without a time of its own."""
+
+
+def average_at_rest(supervisor: Supervisor, how: MeasurementConfig) -> Average:
+    """Of the first axis, in the instrument's own frame. The axis is stopped whatever goes wrong.
+
+    Raises MeasurementLostError without readings or of an unsteady signal, MotionTimeoutError for a load that does not come to rest,
+    and what watching raises.
+    """
+    arrived_ns = supervisor.clock.now_ns()
+    supervisor.watch(how.dwell_s)
+    settle = supervisor.clock.deadline(how.settle_within_s or SETTLE_WITHIN_S)
+    with supervisor.stopping_on_error():
+        while True:
+            readings = _fresh(supervisor, how.reading_s, arrived_ns)
+            supervisor.watch_until(lambda _sample: True, 1.0, "holding the position while it was read")
+            if how.settle_um is None:
+                return _averaged(supervisor, readings)
+            seen = creep(np.array([reading.time_ns / NS_PER_S for reading in readings]), _positions(readings))
+            if seen.within(how.settle_um):
+                return _averaged(supervisor, readings)
+            if settle.expired:
+                raise MotionTimeoutError(
+                    f"drive {supervisor.axes[0].drive.name}: the load still moves by {seen.change_um:.2f} ± {2 * seen.std_um:.2f} µm"
+                    f" in {how.reading_s:g} s, expected at most {how.settle_um:g} µm"
+                )
+
+
+def _fresh(supervisor: Supervisor, reading_s: float, arrived_ns: int) -> list[Reading]:
+    """Readings over the reading time, none of them from before the axis arrived."""
+    for _ in range(2):  # without a dwell the first look may bring nothing but what waited on the line
+        readings = [r for r in supervisor.watch(reading_s) if r.earliest_ns >= arrived_ns]
+        if readings:
+            return readings
+    raise MeasurementLostError(f"instrument {supervisor.axes[0].instrument_name}: no reading in {reading_s:g} s")
+
+
+def _averaged(supervisor: Supervisor, readings: Sequence[Reading]) -> Average:
+    try:
+        return average(_positions(readings))
+    except MeasurementLostError as error:
+        raise MeasurementLostError(f"instrument {supervisor.axes[0].instrument_name}: {error}") from error
+
+
+def _positions(readings: Sequence[Reading]) -> Floats:
+    return np.array([reading.position_mm for reading in readings], dtype=np.float64)

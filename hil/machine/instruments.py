@@ -1,0 +1,89 @@
+"""From the [instrument] section of an axis file to the instrument: the one place that knows the concrete ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from drivers.clock import Clock
+from drivers.errors import InputError
+from drivers.instrument import DistanceInstrument
+from drivers.instruments import air, ciddor
+from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
+from drivers.instruments.gauge import Gauge
+from drivers.instruments.link import PatientLink
+from drivers.instruments.nd2xx import Nd2xxDecoder
+from drivers.instruments.replay import Recording, ReplayInstrument, ReplaySettings
+from drivers.instruments.serial_link import SerialLink
+from drivers.instruments.umd_laser import Beside, FixedAir, Optics, UmdLaser, UmdSettings
+from drivers.instruments.values import ValueProtocol
+from hil.axis.axis_file import DisplayConfig, InstrumentConfig
+from sim_backends.bench import BenchParameters
+from sim_backends.gauge import GaugeParameters
+
+PULSES_HZ = 10.0
+"""Of the bench's pulse generator on the external input of a display."""
+
+
+def instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
+    """The instrument, not opened. port: the config's, or where the bench's is. A port that goes away is looked for again.
+
+    Raises InputError for a recording that is none, or a pattern.
+    """
+    if config.replay is not None:
+        settings = ReplaySettings(config.replay.column, config.direction, config.replay.speed)
+        return ReplayInstrument(Recording.read(config.replay.file), clock, settings)
+    if config.display is not None:
+        return _gauge(config.display, config, port, clock)
+    return _umd(config, port, clock)
+
+
+def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: Clock) -> Gauge:
+    line = SerialLink(
+        port,
+        baudrate=display.baud,
+        bytesize=display.data_bits,
+        parity=display.parity,
+        stopbits=display.stop_bits,
+    )
+    protocol: ValueProtocol
+    if config.kind == "nd2xx":
+        protocol = Nd2xxDecoder(display.count_mm, pulsed=display.pulsed)
+    else:
+        request = display.request.encode("ascii")
+        protocol = AsciiDecoder(AsciiSettings(display.pattern, display.fault, display.unit, display.decimals, request))
+    return Gauge(PatientLink(line, clock), clock, protocol, direction=config.direction, name=config.kind)
+
+
+def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
+    fixed = config.fixed_air
+    settings = UmdSettings(
+        optics=Optics(config.wavelength_fraction),
+        vacuum_wavelength_nm=config.vacuum_wavelength_nm,
+        direction=config.direction,
+        phase_sign=config.phase_sign,
+        axis=config.axis,
+        compensate_air=config.compensate_air,
+        fixed_air=FixedAir(fixed.temp_c, fixed.pressure_hpa, fixed.humidity_percent),
+        air_temp_code=config.air_temp_channel,
+        places=config.place_temps,
+        dead_path_mm=config.dead_path_mm,
+        beside={column: Beside(*optics) for column, optics in (config.beside or {}).items()},
+        air_equation=ciddor.refractive_index if config.air_equation == "ciddor" else air.refractive_index,
+    )
+    return UmdLaser(PatientLink(SerialLink(port), clock), clock, settings)
+
+
+def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> BenchParameters:
+    """The bench with the instrument that its axis file asks for. Raises InputError for one that it has no counterpart of."""
+    if config.trigger_input is not None:
+        parameters = replace(parameters, trigger_input=config.trigger_input)
+    display = config.display
+    if display is None:
+        return parameters
+    kind = "mitutoyo" if display.pattern == "mitutoyo" else config.kind
+    if kind == "ascii" and (display.pattern != "number" or display.unit != "mm" or display.request):
+        raise InputError("[instrument] the bench writes patterns number (in mm, without a request) and mitutoyo")
+    pulse_hz = PULSES_HZ if display.pulsed else None
+    gauge = parameters.gauge or GaugeParameters()
+    resolution_mm = display.count_mm or gauge.resolution_mm
+    return replace(parameters, gauge=replace(gauge, kind=kind, pulse_hz=pulse_hz, resolution_mm=resolution_mm))

@@ -1,0 +1,237 @@
+"""Measuring a pass: a list of steps, each approached from its direction, each row on disk before the next motion.
+
+A pass that was interrupted is taken up at its first missing row. The order of steps is part of the plan, so that rows already there
+and rows still to come belong together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from drivers.errors import InputError
+from hil.axis.axis_file import MeasurementConfig
+from hil.correction.compensation import Command
+from hil.figures.reading import RULE
+from hil.machine.events import Event, Listener, Point, silent
+from hil.machine.pause import resuming
+from hil.machine.session import AxisSession, PositionReading
+from hil.records.journal import Campaign, RowJournal
+from hil.records.rows import UM_PER_MM, Records
+
+BASE_COLUMNS = (
+    "run",
+    "direction",
+    "target_mm",
+    "measured_mm",
+    "command_mm",
+    "time_s",
+    "velocity_mm_s",
+    "since_reversal_mm",
+    "stroke_mm",
+    "motor_mm",
+    "torque_percent",
+)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One capture: arrive at a target in a direction.
+
+    overrun_mm: how far beyond the target the axis turns before it, 0: it comes straight from where it stands; feed_mm_s: how fast it
+    comes; None is the session's
+    dwell_s: standing still before the session's own dwell
+    """
+
+    run: int
+    direction: int
+    target_mm: float
+    overrun_mm: float | None = None
+    feed_mm_s: float | None = None
+    dwell_s: float = 0.0
+
+
+def bidirectional_steps(targets_mm: Sequence[float], runs: int) -> list[Step]:
+    """ISO 230-2: every run goes up through all targets and down again."""
+    up = sorted(targets_mm)
+    steps: list[Step] = []
+    for run in range(1, runs + 1):
+        steps += [Step(run, 1, target) for target in up]
+        steps += [Step(run, -1, target) for target in reversed(up)]
+    return steps
+
+
+def steps_for_sections(wanted: Iterable[tuple[float, int]], runs: int) -> list[Step]:
+    """Only some sections, each in one direction: (target_mm, direction) pairs, repeated `runs` times."""
+    pairs = set(wanted)
+    up = sorted(target for target, direction in pairs if direction > 0)
+    down = sorted((target for target, direction in pairs if direction < 0), reverse=True)
+    steps: list[Step] = []
+    for run in range(1, runs + 1):
+        steps += [Step(run, 1, target) for target in up]
+        steps += [Step(run, -1, target) for target in down]
+    return steps
+
+
+def measure(
+    session: AxisSession,
+    campaign: Campaign,
+    name: str,
+    steps: Sequence[Step],
+    listener: Listener = silent,
+    *,
+    comment: str = "",
+) -> Records:
+    """Measure a pass, or what is missing of it, with the compensation now in force in the session.
+
+    Returns all its rows. The axis comes from beyond a target by the overrun wherever the direction changes, so that each target is
+    reached in its direction after at least that travel.
+    """
+    columns = campaign.columns(name)
+    if columns is None:
+        columns = (*BASE_COLUMNS, *sorted(column for column in session.known() if column not in BASE_COLUMNS))
+    session.time_offset_s = max(session.time_offset_s, campaign.last_time_s() - session.elapsed_s())
+    with campaign.rows(name, columns, comment) as journal:
+        done = _check_plan(journal, steps)
+        if 0 < done < len(steps):
+            journal.note(f"resumed after {done} rows; homed and datum taken anew")
+        readings: list[PositionReading] = []
+        way = _Way(session, steps)
+        listener(Event(name, done=done, total=len(steps)))
+        for index, step in enumerate(steps[done:], start=done):
+
+            def tell(what: str, done: int = index) -> None:
+                journal.note(what)
+                listener(Event(name, what, done, len(steps)))
+
+            command, reading = resuming(session, partial(way.capture, index), tell)
+            readings.append(reading)
+            journal.append(_row(step, command, reading, session.known(), columns))
+            listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps), _point(name, step, reading)))
+        if readings:
+            journal.note(_worth(readings))
+        records = journal.records()
+    if records is None:
+        raise ValueError(f"pass {name} has no steps")
+    return records
+
+
+def _point(name: str, step: Step, reading: PositionReading) -> Point:
+    """The error of one capture at its target, µm over mm; a curve for each direction of a pass."""
+    error_um = (reading.position_load_mm - step.target_mm) * UM_PER_MM
+    return Point(f"{name}, {'+' if step.direction > 0 else '−'}", step.target_mm, error_um)
+
+
+@dataclass
+class _Way:
+    """From step to step. at: the index of the one that the axis stands at, None where anything else has moved it since."""
+
+    session: AxisSession
+    steps: Sequence[Step]
+    at: int | None = None
+
+    def capture(self, index: int) -> tuple[Command, PositionReading]:
+        """Come to the step in its direction, and read."""
+        step, stands_at, self.at = self.steps[index], self.at, None
+        if step.overrun_mm == 0.0 and stands_at != index - 1:
+            self._come_back_to(index)
+        _approach(self.session, step)
+        command = self.session.move_to(step.target_mm, step.feed_mm_s)
+        if step.dwell_s:
+            self.session.watch(step.dwell_s)
+        reading, self.at = self.session.read_position(), index
+        return command, reading
+
+    def _come_back_to(self, index: int) -> None:
+        """Drive the way to a step that goes on from where the axis stands, without capturing.
+
+        A stop, homing or a new datum took the axis elsewhere, and with it the travel since the last turning, and the strokes before
+        it, which that row is made of. The way begins where the pass last stood at one of its ends, come to over its whole length.
+        """
+        targets = [step.target_mm for step in self.steps]
+        low, high = min(targets), max(targets)
+        begin = max((i for i in range(index) if targets[i] in (low, high)), default=0)
+        for i, step in enumerate(self.steps[begin:index], start=begin):
+            if i == begin:
+                at_end = step.target_mm == (high if step.direction > 0 else low)
+                _approach(self.session, replace(step, overrun_mm=high - low) if at_end else step, anyhow=True)
+            self.session.move_to(step.target_mm, step.feed_mm_s)
+
+
+def _worth(readings: Sequence[PositionReading]) -> str:
+    """What the averages of a pass are worth, as a sentence for its file: root mean squares over the points."""
+    one, mean = _rms([r.std_um for r in readings]), _rms([r.mean_std_um for r in readings])
+    return (
+        f"{len(readings)} averages of {min(r.count for r in readings)} or more readings: standard deviation of a reading"
+        f" {one:.4f} um, of an average {mean:.4f} um; {sum(r.left_out for r in readings)} left out ({RULE})"
+    )
+
+
+def _rms(values: Sequence[float]) -> float:
+    """Of those that are numbers."""
+    return float(np.sqrt(np.nanmean(np.square(values)))) if not np.all(np.isnan(values)) else math.nan
+
+
+def _check_plan(journal: RowJournal, steps: Sequence[Step]) -> int:
+    """How many rows are there; InputError unless they are the first rows of this plan."""
+    records = journal.records()
+    if records is None:
+        return 0
+    planned = [(step.run, step.direction, step.target_mm) for step in steps[: len(records)]]
+    found = list(zip(records.run.tolist(), records.direction.tolist(), records.target_mm.tolist(), strict=True))
+    if found != planned:
+        row = next(
+            (index for index, (is_, was) in enumerate(zip(planned, found, strict=False)) if is_ != was), len(steps)
+        )
+        raise InputError(
+            f"row {row + 1} is not what the plan measures there; expected the axis file it was started with",
+            path=journal.path,
+        )
+    return len(records)
+
+
+def _approach(session: AxisSession, step: Step, *, anyhow: bool = False) -> None:
+    """Make sure that the motion to the target goes in the step's direction: by an overrun where it would not, or `anyhow`."""
+    history = session.history
+    if history is None or history.direction == 0:
+        session.take_datum()
+        history = session.history
+    here = math.nan if history is None else history.position_mm
+    travel = (step.target_mm - here) * step.direction
+    if travel > 0 and step.overrun_mm == 0.0:
+        return
+    if anyhow or not travel > 0 or (history is not None and history.direction != step.direction):
+        overrun_mm = session.how.overrun_mm if step.overrun_mm is None else step.overrun_mm
+        session.approach(step.target_mm - step.direction * overrun_mm)
+
+
+def _row(
+    step: Step, command: Command, reading: PositionReading, known: Mapping[str, float], columns: Sequence[str]
+) -> dict[str, float]:
+    """One row; a sensor that has fallen silent leaves its cell empty."""
+    torque = reading.sample.torque_percent
+    row = {
+        "run": float(step.run),
+        "direction": float(step.direction),
+        "target_mm": step.target_mm,
+        "measured_mm": round(reading.position_load_mm, 7),
+        "command_mm": command.command_mm,
+        "time_s": round(known["time_s"], 6),
+        "velocity_mm_s": 0.0,
+        "since_reversal_mm": command.history.since_reversal_mm,
+        "stroke_mm": command.history.stroke_or_long_mm,
+        "motor_mm": reading.sample.position_load_mm,
+        "torque_percent": math.nan if torque is None else torque,
+    }
+    return {**{column: known.get(column, math.nan) for column in columns}, **row}
+
+
+def other_targets(how: MeasurementConfig, seed: int) -> tuple[float, ...]:
+    """Targets between those of the calibration, for proving it where it was not made: one at random in each interval."""
+    generator = np.random.default_rng([how.seed, seed])
+    low, high = np.array(how.targets_mm[:-1]), np.array(how.targets_mm[1:])
+    return tuple(round(float(target), 3) for target in low + generator.uniform(0.2, 0.8, len(low)) * (high - low))

@@ -1,0 +1,215 @@
+"""A download to one drive or several: who does what when, what is noted before, and what becomes of the others when one fails.
+
+    look      identity, state, snapshot, every entry looked at        nothing is written while anything speaks against it
+    write     what differs, in order, read back                       on any failure every drive is put back
+    store     the drives keep what they hold                          only when asked, only when all of it is proven
+    audit     start them anew and read all of it again                only when asked
+
+What may go in: these stages. Work on several drives runs side by side as far as their lines allow (`works`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from drivers.drive import DriveState
+from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, LinkLostError, StateError
+from drivers.raw_parameters import DriveIdentity, RawParameters, Steps
+from hil.parameters.audit import Ask, audit
+from hil.parameters.journal import Journal, Noted, Phase
+from hil.parameters.preflight import Objection, match_set, objection_to_state, objections_to_identity
+from hil.parameters.report import Ending, JobReport
+from hil.parameters.set_file import ParameterSet
+from hil.parameters.transaction import DriveJob, ended_in
+from hil.parameters.works import Progress, Work, reports_of, stage, unseen
+
+
+@dataclass
+class Target:
+    """One drive of a download: its set and its journal. any_version: a set read with another revision or firmware is welcome."""
+
+    drive: RawParameters
+    contents: ParameterSet
+    journal: Journal
+    any_version: bool = False
+
+
+@dataclass
+class _Download(Work):
+    """A target under way."""
+
+    target: Target = field(kw_only=True)
+    identity: DriveIdentity | None = None
+    written: Sequence[str] = ()
+    not_kept: str = ""  # why the drive did not store, where it said so
+
+
+def download(
+    targets: Sequence[Target], *, store: bool = False, ask: Ask | None = None, progress: Progress = unseen
+) -> list[JobReport]:
+    """Write every target's set, all or nothing over all of them; store: have the drives keep it afterwards.
+
+    ask: audit what was stored, by a restart of the drives; it asks a person for what a drive cannot do itself. Never raises for what a
+    drive or its wire does: the reports say it. Raises InputError where an earlier download of one of them is not finished, or the
+    journal cannot be written before the first write. Ctrl-C puts everything back first.
+    """
+    works = [_Download(each.drive, each.journal, DriveJob(each.drive), target=each) for each in targets]
+    for work in works:
+        refuse_unfinished(work)
+        work.began_ns = work.drive.clock.now_ns()
+    stage(works, "look", lambda work: len(work.target.contents.entries), partial(_look, store=store), progress)
+    if any(work.objections or work.error for work in works):
+        for work in works:
+            work.ending = Ending.REFUSED
+        return reports_of(works)
+    _begin(works, store)
+    changing = [work for work in works if work.noted is not None]
+    try:
+        stage(changing, "write", lambda work: 2 * len(work.differing()), _write, progress)
+    except KeyboardInterrupt:
+        stage(changing, "put back", lambda work: len(work.old), put_back, progress)
+        raise
+    for work in changing:
+        if work.drive.restarts != work.starts:
+            work.fail(LinkLostError(f"drive {work.drive.name} started anew before all of it was proven"))
+    if any(work.error for work in changing):
+        stage(changing, "put back", lambda work: len(work.old), put_back, progress)
+        for work in works:
+            work.ending = work.ending or Ending.UNCHANGED
+        return reports_of(works)
+    if store:
+        stage(changing, "store", lambda _work: 1, _keep, progress)
+    for work in works:
+        _end(work)
+    if ask is not None:
+        audit([work for work in works if work.stored], ask, progress)
+    return reports_of(works)
+
+
+def refuse_unfinished(work: Work) -> None:
+    """Raise InputError where a download was cut off and not finished yet."""
+    unfinished = work.journal.unfinished()
+    if unfinished is not None:
+        raise InputError(
+            f"drive {work.drive.name}: the download begun {unfinished.began} is not finished, expected `hil params resume`"
+            " or `hil params rollback` first",
+            path=unfinished.path,
+        )
+
+
+# -- the stages of one drive -------------------------------------------------------------------------------------------
+def _look(work: _Download, store: bool) -> Steps[None]:
+    drive, contents = work.drive, work.target.contents
+    wanted, work.objections = match_set(drive, contents)
+    for each in wanted:
+        work.parameters[each.address] = each.parameter
+        work.new[each.address] = each.data
+        work.after[each.address] = each.after
+    work.identity = yield from drive.identify()
+    work.objections += objections_to_identity(contents.identity, work.identity, any_version=work.target.any_version)
+    objection = objection_to_state((yield from drive.state()))
+    if objection is not None:
+        work.objections.append(objection)
+    if store:
+        why = yield from drive.objection_to_store()
+        if why is not None:
+            work.objections.append(Objection("", "", why))
+    yield from snapshot(work)
+
+
+def snapshot(work: Work) -> Steps[None]:
+    """What the drive holds of what is wanted; what it does not show becomes an objection."""
+    work.starts = work.drive.restarts
+    accesses = yield from work.drive.read(list(work.new), work.job.tell)
+    work.job.latencies.note(work.job.latencies.read_s, accesses)
+    for access in accesses:
+        if access.data is not None:
+            work.old[access.address] = access.data
+        elif access.error is not None:
+            name = work.parameters[access.address].info.name
+            work.objections.append(Objection(access.address, name, f"cannot be read: {ended_in(access.error)}"))
+    if work.drive.restarts != work.starts:
+        raise LinkLostError(f"drive {work.drive.name} started anew while it was read")
+
+
+def _begin(works: Sequence[_Download], store: bool) -> None:
+    """Note what is about to happen, of every drive, before the first write to any."""
+    for work in works:
+        if work.identity is None or not (work.differing() or store):
+            work.ending = Ending.UNCHANGED
+            continue
+        noted = [
+            Noted(address, parameter.info.name, work.old[address], work.new[address], tuple(work.after[address]))
+            for address, parameter in work.parameters.items()
+        ]
+        contents = work.target.contents
+        work.noted = work.journal.begin(
+            work.drive.name, contents.name, contents.digest(), work.identity, noted, store=store
+        )
+
+
+def _write(work: _Download) -> Steps[None]:
+    work.written = yield from work.job.bring(work.new, work.old, work.after, starts=work.starts)
+    work.note(Phase.PROVEN)
+
+
+def put_back(work: Work) -> Steps[None]:
+    """Everything as it was before, and shown by the drive; else the work stays unfinished."""
+    try:
+        work.note(Phase.GOING_BACK)
+    except InputError as error:  # the disk is full: no reason to leave the drive as it is
+        work.notes.append(ended_in(error))
+    work.ending = Ending.UNFINISHED
+    try:
+        yield from work.job.settle_at(work.old, work.after)
+    except BridgeError as error:
+        work.notes.append(f"it could not be put back: {ended_in(error)}")
+        return
+    work.note(Phase.END, ending=Ending.PUT_BACK.name)
+    work.ending = Ending.PUT_BACK
+
+
+def _keep(work: _Download) -> Steps[None]:
+    try:
+        yield from keep(work, work.new)
+    except (AbortError, CapabilityError, StateError) as error:  # it said no: nothing is uncertain
+        work.not_kept = ended_in(error)
+
+
+def keep(work: Work, goals: Mapping[str, bytes]) -> Steps[None]:
+    """Have a drive without power on its motor store what it holds, the goals. Raises StateError, and what storing raises.
+
+    A drive that started anew since the goals were proven may have stored something else: then they are read again, and ProtocolError
+    is raised where it does not hold them any more.
+    """
+    drive = work.drive
+    state: DriveState = yield from drive.state()
+    objection = objection_to_state(state)
+    if objection is not None:
+        raise StateError(f"drive {drive.name}: {objection.why}; it was not stored")
+    work.note(Phase.STORING)
+    refusal: BridgeError | None = None
+    try:
+        yield from drive.store()
+    except (AbortError, CapabilityError) as error:
+        refusal = error
+    if drive.restarts != work.starts or not drive.hears_restarts:
+        yield from work.job.prove(list(goals), goals)
+    if refusal is not None:
+        raise refusal
+    work.stored = True
+    work.note(Phase.STORED)
+
+
+def _end(work: _Download) -> None:
+    """After everything is proven. A store that was not answered leaves the job unfinished: it can be resumed."""
+    if work.error:
+        work.ending = Ending.UNFINISHED
+        work.notes.append("everything is written and was read back; whether the drive keeps it is not known")
+        return
+    work.ending = Ending.WRITTEN if work.written else Ending.UNCHANGED
+    work.note(Phase.END, ending=work.ending.name)
+    if work.not_kept:
+        work.fail(StateError(f"it was not stored: {work.not_kept}"))

@@ -1,0 +1,148 @@
+"""May this set be written to this drive? Every entry is looked at before the first is written, and every objection is named.
+
+What may go in: decisions on what is known already. Reading it from the drive is `transaction`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from drivers.drive import DriveState
+from drivers.errors import InputError, ProtocolError
+from drivers.parameters import ParameterKind
+from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters
+from hil.parameters.set_file import ParameterSet, SetEntry
+
+WITHOUT_POWER = (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
+_AGREES = 1e-6  # of a value as written by a person, relative to its raw one
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why something is not written. address "" speaks of the drive as a whole; line: of the set's file."""
+
+    address: str
+    name: str
+    why: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        place = " ".join(part for part in (self.address, self.name) if part)
+        line = "" if self.line is None else f"line {self.line}: "
+        return f"{line}{place}: {self.why}" if place else f"{line}{self.why}"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One entry of a set as the drive would hold it."""
+
+    parameter: RawParameter
+    data: bytes
+    after: tuple[str, ...] = ()
+
+    @property
+    def address(self) -> str:
+        return self.parameter.address
+
+
+def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted], list[Objection]]:
+    """The set in the drive's bytes, and what speaks against it: missing, wrong type, out of limits, read only, moves the axis."""
+    wanted: list[Wanted] = []
+    objections: list[Objection] = []
+    for entry in contents.entries:
+        parameter = drive.find(entry.address)
+        if parameter is None:
+            objections.append(
+                Objection(entry.address, entry.name, "the drive's file has no such parameter", entry.line)
+            )
+            continue
+        try:
+            data = data_of(drive, parameter, entry)
+            for other in entry.after:
+                if other not in contents.addresses:
+                    raise InputError(f"is to come after {other}, which is not in the set")
+        except InputError as error:
+            objections.append(Objection(entry.address, parameter.info.name, error.what, entry.line))
+            continue
+        why = drive.objection(parameter, data)
+        if why is not None:
+            objections.append(Objection(entry.address, parameter.info.name, why, entry.line))
+        wanted.append(Wanted(parameter, data, entry.after))
+    return wanted, objections
+
+
+def data_of(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> bytes:
+    """An entry's bytes. Raises InputError where type, value or raw do not fit, or do not agree with each other."""
+    if entry.type and entry.type.upper() != parameter.type.upper():
+        raise InputError(f"is a {entry.type} in the set, the drive's is a {parameter.type}")
+    if entry.raw is None:
+        if entry.value is None:
+            raise InputError("has neither value nor raw")
+        return _encoded(drive, parameter, entry)
+    data = drive.from_raw(parameter, entry.raw)
+    if entry.value is not None and not _agree(drive, parameter, entry, data):
+        try:
+            shown = f"{drive.decode(parameter, data)!r}"
+        except ProtocolError as error:
+            shown = str(error)
+        raise InputError(f"value {entry.value!r} and raw {entry.raw!r} do not agree: raw is {shown}")
+    return data
+
+
+def _encoded(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> bytes:
+    value = entry.value
+    if value is None:
+        raise InputError("has no value")
+    if parameter.info.kind is ParameterKind.BYTES and isinstance(value, str):
+        try:
+            return bytes.fromhex(value)
+        except ValueError as error:
+            raise InputError(f"{value!r} is to be bytes, expected hexadecimal digits") from error
+    return drive.encode(parameter, value)
+
+
+def _agree(drive: RawParameters, parameter: RawParameter, entry: SetEntry, data: bytes) -> bool:
+    if drive.same(parameter, _encoded(drive, parameter, entry), data):
+        return True
+    shown = drive.decode(parameter, data)
+    if isinstance(shown, float) and isinstance(entry.value, int | float):
+        return abs(shown - entry.value) <= _AGREES * max(abs(shown), abs(entry.value))
+    return False
+
+
+def objections_to_identity(
+    meant: DriveIdentity | None, found: DriveIdentity, *, any_version: bool = False, same_unit: bool = False
+) -> list[Objection]:
+    """A set for another model is never written; for another revision or firmware when that is wanted; same_unit: this very drive."""
+    if meant is None:
+        return []
+    if meant.protocol != found.protocol:
+        return [Objection("", "", f"the set is for a drive on {meant.protocol}, this one is on {found.protocol}")]
+    parts = [_differences("is for", meant.model, found.model)]
+    if not any_version:
+        parts.append(_differences("was read with", meant.version, found.version))
+    if same_unit:
+        parts.append(_differences("is of the drive with", meant.unit, found.unit))
+    return [Objection("", "", why) for part in parts for why in part]
+
+
+def _differences(verb: str, meant: Mapping[str, int | str], found: Mapping[str, int | str]) -> Sequence[str]:
+    return [
+        f"the set {verb} {name.replace('_', ' ')} {_shown(value)}, this drive has {_shown(found.get(name))}"
+        for name, value in meant.items()
+        if found.get(name) != value
+    ]
+
+
+def _shown(value: int | str | None) -> str:
+    if value is None:
+        return "none"
+    return f"{value:#x}" if isinstance(value, int) else repr(value)
+
+
+def objection_to_state(state: DriveState) -> Objection | None:
+    """Parameters are written without power on the motor only."""
+    if state in WITHOUT_POWER:
+        return None
+    return Objection("", "", f"the drive is {state.value}: parameters are written while it is disabled")

@@ -1,0 +1,129 @@
+"""What became of a job on one drive, in words that were true when they were written down.
+
+What may go in: results as data, and the figures made of them. Printing is `hil.app.terminal`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from statistics import median
+from typing import Any
+
+from drivers.parameters import ParameterValue
+from hil.parameters.preflight import Objection
+
+_SLOW = 5.0  # times the median latency, and
+_SLOW_S = 0.002  # at least so much longer than it
+
+
+class Ending(Enum):
+    """What the drive holds after a job."""
+
+    UNCHANGED = "it held everything already, nothing was written"
+    WRITTEN = "written, and read back"
+    PUT_BACK = "put back: it holds what it held before"
+    REFUSED = "refused, nothing was written"
+    UNFINISHED = "unfinished: what it holds is not known"
+
+    @property
+    def good(self) -> bool:
+        return self in (Ending.UNCHANGED, Ending.WRITTEN)
+
+
+class Verdict(Enum):
+    """What became of one parameter."""
+
+    SAME = "same"
+    WRITTEN = "written"
+    PUT_BACK = "put back"
+    NOT_WRITTEN = "not written"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter of a job; values in its unit. Latencies in s, None where it was not accessed in that way."""
+
+    address: str
+    name: str
+    unit: str
+    old: ParameterValue
+    new: ParameterValue
+    verdict: Verdict
+    read_s: float | None = None
+    write_s: float | None = None
+
+
+@dataclass(frozen=True)
+class JobReport:
+    """One drive's share of a job. stored: the drive was told to keep it, and said that it did; seconds: from first to last access.
+
+    journal: where a job that is not finished stands.
+    """
+
+    drive: str
+    ending: Ending
+    rows: tuple[Row, ...] = ()
+    stored: bool = False
+    error: str = ""
+    objections: tuple[Objection, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    journal: str = ""
+    meant_back: bool = False  # putting back was the job
+    audited: bool | None = None  # None: was not asked for
+    lost: tuple[str, ...] = ()  # what the audit found changed after the restart
+
+    @property
+    def good(self) -> bool:
+        """Whether the job did what it was there for."""
+        reached = self.ending is Ending.PUT_BACK if self.meant_back else self.ending.good
+        return reached and not self.error and self.audited is not False
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "drive": self.drive,
+            "good": self.good,
+            "ending": self.ending.name.lower(),
+            "stored": self.stored,
+            "audited": self.audited,
+            "lost": list(self.lost),
+            "error": self.error,
+            "objections": [vars(each) for each in self.objections],
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+            "journal": self.journal,
+            "parameters": [
+                {**vars(row), "verdict": row.verdict.value, "old": _plain(row.old), "new": _plain(row.new)}
+                for row in self.rows
+            ],
+            "slow": [row.address for row in slow(self.rows)],
+        }
+
+
+def _plain(value: ParameterValue) -> int | float | str:
+    return value.hex() if isinstance(value, bytes) else value
+
+
+def shown(value: ParameterValue | None) -> str:
+    """A value as a person reads it in a table."""
+    if value is None:
+        return "–"
+    if isinstance(value, bytes):
+        return value.hex() or "empty"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def slow(rows: Sequence[Row]) -> list[Row]:
+    """Parameters whose answers take much longer than the others', the slowest first."""
+    times = [time for row in rows for time in (row.read_s, row.write_s) if time is not None]
+    if not times:
+        return []
+    usual = median(times)
+    limit = max(_SLOW * usual, usual + _SLOW_S)
+    return sorted(
+        (row for row in rows if max(row.read_s or 0.0, row.write_s or 0.0) > limit),
+        key=lambda row: -max(row.read_s or 0.0, row.write_s or 0.0),
+    )

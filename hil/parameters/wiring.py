@@ -1,0 +1,162 @@
+"""From axis files to their drives' parameters: the concrete lines and nodes behind `hil.parameters`.
+
+Drives on one bus share one link, so that work on them runs side by side. Nothing is opened for motion, enabled or moved.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from drivers.canopen.bus import CanLink
+from drivers.canopen.eds import load_eds
+from drivers.canopen.raw_parameters import CanOpenRawParameters
+from drivers.canopen.side_by_side import CanLine
+from drivers.canopen.table_map import load_table_map
+from drivers.clock import Clock, Waiting, WallClock
+from drivers.errors import CapabilityError, InputError
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
+from drivers.modbus.wear import WearLedger
+from drivers.modbus.wire import Endpoint, parse_endpoint
+from drivers.raw_parameters import RawParameters
+from hil.axis.axis_file import DriveAxis
+from hil.machine.wiring import bench_parameters
+from hil.parameters.journal import Journal
+from hil.records.files import held_by_name
+from sim_backends.bench import Bench
+from sim_backends.canopen_drive import attach_to_wire
+from sim_backends.canopen_wire import SimWire
+from sim_backends.clock import SimClock
+
+Bus = tuple[str, str]
+"""python-can's interface and channel."""
+
+_BOOT_S = 0.01  # of the bench's drive
+
+
+@dataclass
+class _Lines:
+    """What the drives share. waiting: through whom their clocks wait."""
+
+    waiting: Waiting | None = None
+    can: dict[Bus, CanLine] = field(default_factory=dict)
+    modbus: dict[Endpoint, ModbusLine] = field(default_factory=dict)
+
+    @property
+    def wall_clock(self) -> Clock:
+        return WallClock(self.waiting)
+
+
+@contextmanager
+def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = None) -> Iterator[list[RawParameters]]:
+    """The parameters of each axis's drive, in the order of the axes. Reading and writing only; nothing is set up in a drive.
+
+    waiting: through whom the drives' clocks wait, so that somebody else can end a wait.
+    Raises InputError for an axis given twice or in use by another process, CapabilityError for a drive without parameters on a wire,
+    and whatever connecting raises.
+    """
+    with ExitStack() as stack:
+        lines = _Lines(waiting)
+        drives = []
+        for axis in axes:
+            if any(other.name == axis.name for other in axes if other is not axis):
+                raise InputError(f"axis {axis.name} is given twice, expected different ones", path=axis.path)
+            stack.enter_context(held_by_name(axis.path))
+            drives.append(_drive(axis, lines, stack))
+        yield drives
+
+
+@contextmanager
+def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParameters]]:
+    """The same without a wire: what the drives' files say of their parameters. Work on them is never answered."""
+    with ExitStack() as stack:
+        lines = _Lines()
+        clock = WallClock()
+        drives: list[RawParameters] = []
+        for axis in axes:
+            if axis.drive.backend == "modbus":
+                endpoint = _endpoint(axis)
+                drives.append(_modbus(axis, lines.modbus.setdefault(endpoint, ModbusLine(ModbusLink(endpoint, clock)))))
+                continue
+            bus = axis.drive.interface, axis.drive.channel
+            if bus not in lines.can:
+                link = CanLink.open(clock, interface="virtual", channel=f"nobody-{uuid.uuid4().hex}")
+                lines.can[bus] = CanLine(stack.enter_context(link))
+            drives.append(_canopen(axis, bus, lines, stack))
+        yield drives
+
+
+def journal_of(axis: DriveAxis) -> Journal:
+    """Where an axis's downloads are noted."""
+    return Journal(axis.store.directory / "parameters")
+
+
+def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
+    if axis.drive.backend == "canopen":
+        return _canopen(axis, (axis.drive.interface, axis.drive.channel), lines, stack)
+    if axis.drive.backend == "modbus":
+        endpoint = _endpoint(axis)
+        if endpoint not in lines.modbus:
+            link = ModbusLink(endpoint, lines.wall_clock)
+            link.open()
+            stack.callback(link.close)
+            lines.modbus[endpoint] = ModbusLine(link)
+        return _modbus(axis, lines.modbus[endpoint])
+    if axis.drive.backend == "bench" and axis.drive.face == "canopen":
+        bench = stack.enter_context(_bench(axis, lines.waiting))
+        wire = SimWire(bench.clock, axis.drive.bitrate)  # waiting for an answer lets the bench's time pass
+        attach_to_wire(wire, bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
+        bus = ("bench", axis.name)
+        lines.can[bus] = CanLine(stack.enter_context(CanLink(wire.port(), bench.clock)))
+        bench.clock.sleep_s(_BOOT_S)
+        return _canopen(axis, bus, lines, stack)
+    raise CapabilityError(
+        f"axis {axis.name}: its drive ({axis.drive.backend}) has no parameters that could be written as a set"
+    )
+
+
+def _bench(axis: DriveAxis, waiting: Waiting | None) -> Bench:
+    parameters = bench_parameters(axis)
+    return Bench(parameters, clock=SimClock(parameters.step_s, waiting))
+
+
+def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawParameters:
+    config, (interface, channel) = axis.drive, bus
+    if bus not in lines.can:
+        bitrate = None if interface == "virtual" else config.bitrate
+        link = CanLink.open(lines.wall_clock, interface=interface, channel=channel, bitrate=bitrate)
+        lines.can[bus] = CanLine(stack.enter_context(link))
+    eds = None if config.eds is None else load_eds(config.eds, config.node_id)
+    table = load_table_map(config.correction_table) if config.correction_table else None
+    drive = CanOpenRawParameters(
+        axis.name,
+        lines.can[bus],
+        config.node_id,
+        eds,
+        table=table,
+        timeout_s=config.sdo_timeout_s,
+        bitrate=config.bitrate,
+    )
+    stack.callback(drive.close)
+    return drive
+
+
+def _endpoint(axis: DriveAxis) -> Endpoint:
+    try:
+        return parse_endpoint(axis.drive.url, baud=axis.drive.baud)
+    except InputError as error:
+        raise InputError(f"[drive] url: {error.what}", path=axis.path) from error
+
+
+def _modbus(axis: DriveAxis, line: ModbusLine) -> RawParameters:
+    return ModbusRawParameters(
+        axis.name,
+        line,
+        axis.drive.unit,
+        load_drive_map(axis.drive.register_map),
+        wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
+    )

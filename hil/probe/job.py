@@ -1,0 +1,263 @@
+"""A machine with a touch probe (system D): M90 measured and stored, M91 to M93 driven, a bore centred; for terminal and screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from drivers.clock import NS_PER_S, Clock, Waiting, WallClock
+from drivers.drive import ServoDrive
+from hil.app.jobs.job import Job, Workplace
+from hil.app.jobs.plan import Move, Plan, Write
+from hil.correction.sealed import load_private_key, load_public_key
+from hil.machine.events import Listener, silent
+from hil.probe.machine_file import ProbeMachineConfig
+from hil.probe.procedure import (
+    BoreCentre,
+    Correction,
+    RunOutMeasurement,
+    centre_bore,
+    correct,
+    measure_and_store,
+)
+from hil.probe.runout import ANGLES_DEG, UM_PER_MM, CorrectionCode, RunOut
+from hil.probe.session import ProbeSession
+from hil.probe.store import RunOutStore, Seal
+from hil.probe.wiring import probe_bench, probe_drives, probe_session
+from sim_backends.probe_bench import ProbeBench
+
+MEASURE, CORRECT, CENTRE = "probe measure", "probe correct", "probe centre"
+
+Ask = Callable[[], str]
+Seen = Callable[[ProbeSession], None]
+"""Is given the session as soon as it is connected."""
+
+
+def opened_store(config: ProbeMachineConfig, reading: Ask, key: Ask | None = None) -> RunOutStore:
+    """The store of the machine's run-out. Where it is sealed, passwords are asked for, that of the builder's key first.
+
+    key: where something is to be written. Raises WrongPasswordError for the key's, and InputError; the reading password shows itself
+    to be wrong when something is read.
+    """
+    place = config.store
+    if not place.sealed:
+        return RunOutStore(place.directory, config.name)
+    private = None if key is None else load_private_key(place.builder_key, key())
+    password = reading()
+    public = load_public_key(place.builder_public) if private is None else private.public_key()
+    return RunOutStore(place.directory, config.name, Seal(password, public, private))
+
+
+# -- the machine -----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class ProbePlace:
+    """A machine to work at: its file, its store, and the simulated machine behind it with its drives, if any.
+
+    begun: when work at it began; waiting: through whom its clock waits
+    """
+
+    config: ProbeMachineConfig
+    store: RunOutStore
+    bench: ProbeBench | None
+    drives: Mapping[str, ServoDrive]
+    begun: datetime
+    waiting: Waiting | None = None
+
+    @property
+    def clock(self) -> Clock:
+        return WallClock(self.waiting) if self.bench is None else self.bench.clock
+
+    def now(self) -> datetime:
+        """The date; on the bench, simulated time has passed since work began."""
+        if self.bench is None:
+            return _date()
+        return self.begun + timedelta(seconds=self.bench.clock.now_ns() / NS_PER_S)
+
+    @contextmanager
+    def session(self, *touching: str, mode: str | None = None) -> Iterator[ProbeSession]:
+        """Connected for as long as it takes; real drives are let go between the turns of a schedule."""
+        with ExitStack() as stack:
+            drives = self.drives or stack.enter_context(probe_drives(self.config, waiting=self.waiting))
+            yield stack.enter_context(probe_session(self.config, drives, touching=touching, mode=mode))
+
+
+def _date() -> datetime:
+    return datetime.now(UTC).replace(microsecond=0)
+
+
+@contextmanager
+def at_machine(
+    config: ProbeMachineConfig, store: RunOutStore, *, in_bore: bool = True, waiting: Waiting | None = None
+) -> Iterator[ProbePlace]:
+    """A place at the machine of a machine file. in_bore: on the bench, where the probe was jogged to, if there is a bore."""
+    if not config.on_bench:
+        yield ProbePlace(config, store, None, {}, _date(), waiting)
+        return
+    begun = _date()
+    bench = probe_bench(config, in_bore=in_bore and config.bore is not None, waiting=waiting)
+    with probe_drives(config, bench) as drives:
+        yield ProbePlace(config, store, bench, drives, begun, waiting)
+
+
+# -- the work --------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class MeasuredRunOut:
+    """What M90 found. refusal: why it was not put into force, None where it was"""
+
+    measurement: RunOutMeasurement
+    refusal: str | None
+
+
+def measure(
+    place: ProbePlace, mode: str | None = None, listener: Listener = silent, seen: Seen = lambda _session: None
+) -> MeasuredRunOut:
+    """M90, into the history, and into force unless it is refused. mode: the machine file's by default."""
+    with place.session("x", mode=mode) as session:
+        seen(session)
+        return MeasuredRunOut(*measure_and_store(session, place.store, place.now, listener))
+
+
+def drive_correction(
+    place: ProbePlace,
+    known: RunOut,
+    code: CorrectionCode,
+    listener: Listener = silent,
+    seen: Seen = lambda _session: None,
+) -> Correction:
+    """M91, M92 or M93 from where the machine stands."""
+    with place.session(*(("x", "y") if code.in_y else ("x",)), mode="step") as session:
+        seen(session)
+        return correct(session, known, code, listener)
+
+
+def centre(
+    place: ProbePlace,
+    known: RunOut,
+    code: CorrectionCode,
+    *,
+    mode: str | None = None,
+    listener: Listener = silent,
+    seen: Seen = lambda _session: None,
+) -> BoreCentre:
+    """Find the bore's middle, and go to its centre."""
+    with place.session("x", "y", mode=mode) as session:
+        seen(session)
+        return centre_bore(session, known, code, listener)
+
+
+# -- plans -----------------------------------------------------------------------------------------------------------------
+def measuring_plan(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> Plan:
+    """M90: to the start, from there towards the face and back at each angle of the spindle; into force if it closes."""
+    block, probe, spindle = config.block, config.probe, config.orientation
+    moves = []
+    if block.y_mm is not None:
+        moves.append(_to(config, "y", block.y_mm))
+    moves.append(_to(config, "x", block.start_mm))
+    low_mm, high_mm = sorted((block.start_mm, block.start_mm + block.facing * block.search_mm))
+    moves.append(Move(f"{_touching(mode)} {config.x.name}", low_mm, high_mm, probe.touch_mm_s))
+    angles = [spindle.position_deg(angle) for angle in ANGLES_DEG]
+    moves.append(Move(f"spindle {config.spindle.name}", min(angles), max(angles), spindle.velocity_deg_s, "turns"))
+    writes = (Write("run_out", str(store.path)), Write("history", str(store.history_path)))
+    return _plan(config, moves, writes, contacts=block.turns * len(ANGLES_DEG), locked=config.store.sealed)
+
+
+def correction_plan(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode) -> Plan:
+    """M91 to M93: by the run-out at most, whatever the spindle's angle."""
+    return _plan(config, _corrections(config, known, code))
+
+
+def centring_plan(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode, mode: str) -> Plan:
+    """To the bore's middle as the file has it, to both sides in X and in Y, and by the run-out."""
+    bore, y = config.require_bore(), config.require_y("centring a bore")
+    moves = []
+    for axis, middle_mm in ((config.x, bore.x_mm), (y, bore.y_mm)):
+        ends_mm = middle_mm - bore.reach_mm, middle_mm + bore.reach_mm
+        moves.append(Move(f"bore_{_touching(mode)} {axis.name}", *ends_mm, config.probe.touch_mm_s))
+    places = [_to(config, "x", bore.x_mm), _to(config, "y", bore.y_mm)]
+    return _plan(config, [*places, *moves, *_corrections(config, known, code)], contacts=4)
+
+
+def _touching(mode: str) -> str:
+    return "touch" if mode == "latch" else "step"
+
+
+def _to(config: ProbeMachineConfig, name: str, place_mm: float) -> Move:
+    return Move(f"place {config.axes[name].name}", place_mm, place_mm, config.probe.position_mm_s, "goes")
+
+
+def _corrections(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode) -> list[Move]:
+    most_mm, speed = known.size_um / UM_PER_MM, config.probe.position_mm_s
+    axes = [config.x] if code.in_x else []
+    axes += [config.require_y(code.value)] if code.in_y else []
+    return [Move(f"correct {axis.name}", -most_mm, most_mm, speed, "drives") for axis in axes]
+
+
+def _plan(
+    config: ProbeMachineConfig,
+    moves: list[Move],
+    writes: tuple[Write, ...] = (),
+    *,
+    contacts: int = 0,
+    locked: bool = False,
+) -> Plan:
+    names = ", ".join(axis.name for axis in config.axes.values())
+    overtravel_mm = config.probe.overtravel_mm if contacts else None
+    return Plan(
+        names,
+        config.x.drive.backend,
+        tuple(moves),
+        writes,
+        config.home,
+        positions=contacts,
+        overtravel_mm=overtravel_mm,
+        locked=locked,
+        of_probe=locked,
+    )
+
+
+# -- for the desk ----------------------------------------------------------------------------------------------------------
+def measuring_job(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> Job:
+    """Returns a MeasuredRunOut."""
+
+    def work(place: Workplace) -> MeasuredRunOut:
+        with at_machine(config, store, in_bore=False, waiting=place.waiting) as there:
+            return measure(there, mode, place.listener, _showing(config, place))
+
+    return Job(MEASURE, measuring_plan(config, store, mode), work, connects=True)
+
+
+def correction_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, code: CorrectionCode) -> Job:
+    """Returns a Correction. known: what is in force"""
+
+    def work(place: Workplace) -> Correction:
+        with at_machine(config, store, waiting=place.waiting) as there:
+            return drive_correction(there, known, code, place.listener, _showing(config, place))
+
+    return Job(CORRECT, correction_plan(config, known, code), work, connects=True)
+
+
+def centring_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, code: CorrectionCode, mode: str) -> Job:
+    """Returns a BoreCentre. known: what is in force"""
+
+    def work(place: Workplace) -> BoreCentre:
+        with at_machine(config, store, waiting=place.waiting) as there:
+            return centre(there, known, code, mode=mode, listener=place.listener, seen=_showing(config, place))
+
+    return Job(CENTRE, centring_plan(config, known, code, mode), work, connects=True)
+
+
+def _showing(config: ProbeMachineConfig, place: Workplace) -> Seen:
+    """The looks at the machine's axes are shown at the desks that have them otherwise."""
+
+    def seen(session: ProbeSession) -> None:
+        for name, axis in config.axes.items():
+            place.watch(axis.name, session.drives[name], None)
+
+    return seen
+
+
+def codes(config: ProbeMachineConfig) -> tuple[CorrectionCode, ...]:
+    """Those that the machine's axes can do."""
+    return tuple(code for code in CorrectionCode if config.y is not None or not code.in_y)

@@ -1,0 +1,111 @@
+"""M91 to M93 and the centring of a bore, a part of the probe's page: with the run-out in force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nicegui import ui
+
+from hil.app.panel.reading import Reading
+from hil.probe import job as probe
+from hil.probe.pages.at_probe import AtProbe
+from hil.probe.procedure import Correction
+from hil.probe.runout import UM_PER_MM, CorrectionCode
+from hil.probe.screen import ProbeRecord, centred_at, corrected_at
+
+Refresh = Callable[[], None]
+Kept = Reading[ProbeRecord]
+
+
+def draw_corrections(at: AtProbe, kept: Kept, mode: ui.select) -> Refresh:
+    """Both cards; returns the refresh. mode: where it is chosen how contacts are found"""
+    with ui.element("div").classes("hil-grid"):
+        parts = [_draw_correction(at, kept), _draw_bore(at, kept, mode)]
+
+    def refresh() -> None:
+        for part in parts:
+            part()
+
+    return refresh
+
+
+def _draw_code(at: AtProbe, name: str) -> ui.select:
+    """Which axes are corrected; the last that the machine can do is chosen."""
+    choices = {code.value: at.view.t(f"probe.codes.{code.value}") for code in probe.codes(at.config)}
+    return at.view.named(ui.select(choices, label=at.view.t("probe.code"), value=list(choices)[-1]), name)
+
+
+def _draw_correction(at: AtProbe, kept: Kept) -> Refresh:
+    """Drive the axes by the run-out in force."""
+    view = at.view
+    with view.card("probe.correction"):
+        with ui.row().classes("items-end hil-fields"):
+            code = _draw_code(at, "probe.code")
+
+            async def start() -> None:
+                store, known = at.store, None if kept.value is None else kept.value.in_force
+                if store is not None and known is not None:
+                    await at.ask_and_run(probe.correction_job(at.config, store, known, CorrectionCode(code.value)))
+
+            button = view.button("probe.correct", start)
+        fill = _draw_driven(at, "probe")
+
+    def refresh() -> None:
+        button.set_enabled(at.can_start and kept.value is not None and kept.value.in_force is not None)
+        fill(corrected_at(view.desks))
+
+    return refresh
+
+
+def _draw_driven(at: AtProbe, name: str) -> Callable[[Correction | None], None]:
+    """What was driven, and what is left on the counter; returns what fills it."""
+    view, t = at.view, at.view.t
+    driven = view.value("probe.driven", "µm", small=True, name=f"{name}.driven")
+    counter = view.value("probe.counter", "µm", small=True, name=f"{name}.counter")
+
+    def pair(values_mm: tuple[float, float]) -> str:
+        x, y = (t.number(UM_PER_MM * value, 2, sign=True) for value in values_mm)
+        return t("probe.pair", x=x, y=y)
+
+    def fill(done: Correction | None) -> None:
+        driven.set_text("–" if done is None else pair(done.driven_mm))
+        counter.set_text("–" if done is None else pair(done.counter_mm))
+
+    return fill
+
+
+def _draw_bore(at: AtProbe, kept: Kept, mode: ui.select) -> Refresh:
+    """Touch a bore on both sides, and go to its centre."""
+    view, t = at.view, at.view.t
+    with view.card("probe.bore"):
+        if at.config.bore is None:
+            view.named(ui.label(t("probe.no_bore")).classes("hil-note"), "probe.no_bore")
+            return lambda: None
+        with ui.row().classes("items-end hil-fields"):
+            code = _draw_code(at, "probe.bore.code")
+
+            async def start() -> None:
+                store, known = at.store, None if kept.value is None else kept.value.in_force
+                if store is not None and known is not None:
+                    chosen = CorrectionCode(code.value)
+                    await at.ask_and_run(probe.centring_job(at.config, store, known, chosen, str(mode.value)))
+
+            button = view.button("probe.centre", start)
+        centre = view.value("probe.bore_centre", "mm", small=True, name="probe.bore.centre")
+        middle = view.value("probe.middle", "mm", small=True, name="probe.bore.middle")
+        diameter = view.value("probe.diameter", "mm", small=True, name="probe.bore.diameter")
+        fill = _draw_driven(at, "probe.bore")
+
+    def pair(values_mm: tuple[float, float]) -> str:
+        x, y = (t.number(value, 4) for value in values_mm)
+        return t("probe.pair", x=x, y=y)
+
+    def refresh() -> None:
+        button.set_enabled(at.can_start and kept.value is not None and kept.value.in_force is not None)
+        found = centred_at(view.desks)
+        centre.set_text("–" if found is None else pair(found.centring.centre_mm))
+        middle.set_text("–" if found is None else pair(found.centring.middle_mm))
+        diameter.set_text("–" if found is None else t.number(found.centring.diameter_mm, 4))
+        fill(None if found is None else found.correction)
+
+    return refresh

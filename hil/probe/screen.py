@@ -1,0 +1,246 @@
+"""What the screen of system D shows: contacts as they come, the run-out they give, what is in force, and how it went over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from drivers.errors import InputError
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Progress
+from hil.machine.events import Measured
+from hil.probe import job as probe
+from hil.probe.job import MeasuredRunOut
+from hil.probe.machine_file import ProbeMachineConfig
+from hil.probe.procedure import BoreCentre, Correction, RunOutMeasurement, contact_name
+from hil.probe.runout import ANGLES_DEG, UM_PER_MM, FourFeeds, RunOut, run_out_std_um
+from hil.probe.store import RunOutStore
+
+Points = list[tuple[float, float]]
+KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE)
+SHOWN = 200
+"""Of a long history the latest are shown."""
+UNITS, MOST_OF_A_UNIT = {"minutes": 60.0, "hours": 3600.0, "days": 86_400.0}, 100
+STORED, REFUSED, BROKEN_OFF = "stored", "refused", "broken off"
+
+
+# -- jobs: one machine, whichever axis's page it was started from --------------------------------------------------------------
+def last_at(desks: Iterable[Desk], kinds: Iterable[str] = KINDS) -> Progress | None:
+    """The last job of these kinds at any desk, running or over."""
+    kinds = tuple(kinds)
+    jobs = filter(None, (desk.last_of(kinds) for desk in desks))
+    return max(jobs, key=lambda job: job.number, default=None)
+
+
+def measured_at(desks: Iterable[Desk]) -> MeasuredRunOut | None:
+    """What the last M90 came to; None before its end."""
+    job = last_at(desks, [probe.MEASURE])
+    return job.result if job is not None and isinstance(job.result, MeasuredRunOut) else None
+
+
+def corrected_at(desks: Iterable[Desk]) -> Correction | None:
+    """The last correction that was driven."""
+    job = last_at(desks, [probe.CORRECT])
+    return job.result if job is not None and isinstance(job.result, Correction) else None
+
+
+def centred_at(desks: Iterable[Desk]) -> BoreCentre | None:
+    """The last bore that was centred."""
+    job = last_at(desks, [probe.CENTRE])
+    return job.result if job is not None and isinstance(job.result, BoreCentre) else None
+
+
+def lent(config: ProbeMachineConfig, desks: Iterable[Desk], own: Desk) -> list[Desk]:
+    """The other desks whose axes are the machine's too: these have to be let go for its jobs. Told by their files, or their names."""
+    files = {axis.path.resolve() for axis in config.axes.values()}
+    names = {axis.name for axis in config.axes.values()}
+    return [
+        desk for desk in desks if desk is not own and (desk.axis.path.resolve() in files or desk.axis.name in names)
+    ]
+
+
+# -- the store -------------------------------------------------------------------------------------------------------------
+def store_at(config: ProbeMachineConfig, desk: Desk) -> RunOutStore | None:
+    """The machine's store as far as it is open at a desk; None for a sealed one whose password nobody gave."""
+    if not config.store.sealed:
+        return RunOutStore(config.store.directory, config.name)
+    return desk.rights.probe_store
+
+
+def writable(store: RunOutStore | None) -> bool:
+    """Whether values can be put into force: the store is not sealed, or its builder's key is there."""
+    return store is not None and (store.sealing is None or store.sealing.builder_key is not None)
+
+
+@dataclass(frozen=True)
+class PastMeasurement:
+    """One line of the history. verdict: stored, refused or broken off; why: in English, "" for one that is stored"""
+
+    when: datetime
+    mode: str
+    x_um: float
+    y_um: float
+    tip_radius_mm: float
+    closure_um: float
+    verdict: str
+    why: str
+
+
+@dataclass(frozen=True)
+class ProbeRecord:
+    """in_force: None for nothing, or where it is sealed; since: when that was measured; history: the oldest first; trouble: why it
+    cannot be read"""
+
+    in_force: RunOut | None
+    since: datetime | None
+    history: Sequence[PastMeasurement]
+    trouble: str = ""
+
+
+def probe_record(config: ProbeMachineConfig, store: RunOutStore | None) -> ProbeRecord:
+    """What is kept: reads files. store: as far as it is open"""
+    plain = store or RunOutStore(config.store.directory, config.name)
+    history = past(plain.history())
+    if store is None or not store.path.exists():
+        return ProbeRecord(None, None, history)
+    try:
+        known, when = store.load()
+    except InputError as error:
+        return ProbeRecord(None, None, history, str(error))
+    return ProbeRecord(known, _date(when), history)
+
+
+def past(rows: Sequence[Mapping[str, str]]) -> list[PastMeasurement]:
+    """The rows of `RunOutStore.history` as measurements, the latest of them; a closure is that of the worst turn."""
+    found: list[PastMeasurement] = []
+    for row in rows:
+        when, closure_um = _date(row["time"]), _number(row["closure_um"])
+        if when is None:
+            continue
+        if row["turn"] != "1" and found:
+            worst_um = max(found[-1].closure_um, closure_um, key=abs)
+            found[-1] = replace(found[-1], closure_um=worst_um)
+            continue
+        verdict, _, why = row["verdict"].partition(": ")
+        why = (why.partition(": ")[2] or why) if verdict == BROKEN_OFF else why  # its error's kind, and what that said
+        x_um, y_um, radius_mm = (_number(row[name]) for name in ("x_um", "y_um", "tip_radius_mm"))
+        found.append(PastMeasurement(when, row["mode"], x_um, y_um, radius_mm, closure_um, verdict, why))
+    return found[-SHOWN:]
+
+
+def _date(text: str) -> datetime | None:
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+@dataclass(frozen=True)
+class HistoryCurves:
+    """begun: of the first measurement; the others so many minutes, hours or days (unit) after it. x, y: of what was put into force,
+    µm; left_out: of what was not"""
+
+    begun: datetime
+    unit: str
+    x: Points
+    y: Points
+    left_out: Points
+
+
+def history_curves(history: Sequence[PastMeasurement]) -> HistoryCurves | None:
+    """Run-out over time; None without any."""
+    if not history:
+        return None
+    begun = history[0].when
+    lasted_s = (history[-1].when - begun).total_seconds()
+    unit, unit_s = next((one for one in UNITS.items() if lasted_s < MOST_OF_A_UNIT * one[1]), ("days", UNITS["days"]))
+    curves = HistoryCurves(begun, unit, [], [], [])
+    for one in history:
+        later = (one.when - begun).total_seconds() / unit_s
+        if one.verdict == STORED:
+            curves.x.append((later, one.x_um))
+            curves.y.append((later, one.y_um))
+        else:
+            curves.left_out.extend([(later, one.x_um), (later, one.y_um)])
+    return curves
+
+
+# -- one measurement -------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Contact:
+    """How far X was fed until contact. pulses: of the machine file's size"""
+
+    turn: int
+    angle_deg: int
+    feed_mm: float
+    pulses: float
+
+
+def contacts(config: ProbeMachineConfig, job: Progress | None) -> list[Contact]:
+    """The contacts of an M90, as far as it has come."""
+    if job is None:
+        return []
+    feeds = {figure.name: figure.value for figure in job.figures if isinstance(figure, Measured)}
+    wanted = ((turn, angle) for turn in range(1, config.block.turns + 1) for angle in ANGLES_DEG)
+    return [
+        Contact(turn, angle, feed_mm, feed_mm / config.probe.pulse_mm)
+        for turn, angle in wanted
+        if (feed_mm := feeds.get(contact_name(turn, angle))) is not None
+    ]
+
+
+def worst_closure_um(measurement: RunOutMeasurement) -> float:
+    """Of the turn that closes worst."""
+    return max((turn.closure_um for turn in measurement.turns), key=abs)
+
+
+def std_um(config: ProbeMachineConfig, measurement: RunOutMeasurement) -> float | None:
+    """Standard uncertainty of Δx and of Δy, as far as it is known: of several turns."""
+    fine_mm = config.x.scaling.resolution_load_mm
+    return run_out_std_um(measurement.turns, config.probe.pulse_mm if measurement.mode == "step" else fine_mm)
+
+
+def angle_deg(found: RunOut) -> float:
+    """Where the run-out points to with the spindle at 0: counter-clockwise from +X, 0 to 360."""
+    return math.degrees(math.atan2(found.y_mm, found.x_mm)) % 360.0
+
+
+@dataclass(frozen=True)
+class BallPlaces:
+    """Places about the spindle axis, seen along it: distance in µm, bearing in degrees counter-clockwise from +X.
+
+    run_out: of the ball's centre with the spindle at 0; at: for each angle of the spindle, as its contacts have it
+    """
+
+    run_out: tuple[float, float]
+    at: Mapping[int, tuple[float, float]]
+
+
+def ball_places(config: ProbeMachineConfig, measurement: RunOutMeasurement) -> BallPlaces:
+    """Where the ball's centre was at each angle.
+
+    A contact at one angle tells how far the ball is off towards the face; how far across the face, the contact 90° before tells. They
+    lie on one circle as far as the contacts close.
+    """
+    found, feeds = measurement.run_out, measurement.feeds
+    return BallPlaces((found.size_um, angle_deg(found)), _places(feeds, config.block.facing))
+
+
+def _places(feeds: FourFeeds, facing: int) -> dict[int, tuple[float, float]]:
+    n_mm = (feeds.n_0_mm, feeds.n_90_mm, feeds.n_180_mm, feeds.n_270_mm)
+    mean_mm = sum(n_mm) / len(n_mm)
+    off_um = [UM_PER_MM * facing * (mean_mm - n) for n in n_mm]  # along X
+    places = {}
+    for number, angle in enumerate(ANGLES_DEG):
+        x_um, y_um = off_um[number], off_um[number - 1]
+        places[angle] = (math.hypot(x_um, y_um), math.degrees(math.atan2(y_um, x_um)) % 360.0)
+    return places

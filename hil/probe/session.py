@@ -1,0 +1,289 @@
+"""A machine with a touch probe: X, Y, the spindle and the probe's signal together.
+
+Every motion says whether it may end in a contact. One that may not, and does, and one that should, and does not, stop the machine
+before anyone hears of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
+from types import TracebackType
+from typing import NoReturn, Protocol, Self
+
+from drivers.clock import Clock
+from drivers.drive import Capability, DriveSample, ServoDrive
+from drivers.errors import CapabilityError, SafetyError, StateError
+from drivers.touch_probe import Edge, TouchProbe
+from drivers.undo import Step
+from hil.machine.supervisor import Supervisor, finish_despite_interrupt
+from hil.machine.watched_axis import WatchedAxis
+from hil.probe.machine_file import ProbeMachineConfig
+
+SPINDLE = "spindle"
+ARRIVED_WITHIN = {"x": 0.01, "y": 0.01, SPINDLE: 0.05}
+"""mm, and degrees of the spindle: what an axis that says it has arrived may be off; contacts are not taken from there."""
+PULSE_S = 2.0
+"""How long a drive may take over one pulse."""
+POLL_S = 0.005
+"""How often axis and probe are looked at: at the speeds of touching the ball goes some µm meanwhile."""
+
+
+class ContactError(SafetyError):
+    """The probe signalled, or did not, against expectation; the machine was stopped."""
+
+
+class UnexpectedContactError(ContactError):
+    """A contact where none is expected."""
+
+
+class NoContactError(ContactError):
+    """No contact within the stated travel."""
+
+
+class ProbeSignal(Protocol):
+    """The probe's signal as one drive shows it."""
+
+    def touching(self) -> bool:
+        """Whether the probe signals now. Raises CapabilityError or InputError where the drive does not show it."""
+
+
+class ProbeSession:
+    """Use as a context manager; entering connects, and checks everything that can be checked before anything moves.
+
+    drives: "x", "spindle" and, where there is one, "y"; signals: of those that touch; touching: the axes that will; mode: "latch" or
+    "step", the machine file's by default.
+    """
+
+    def __init__(
+        self,
+        config: ProbeMachineConfig,
+        drives: Mapping[str, ServoDrive],
+        signals: Mapping[str, ProbeSignal],
+        *,
+        touching: Sequence[str] = ("x",),
+        mode: str | None = None,
+    ) -> None:
+        self.drives = dict(drives)
+        self._axes = {name: WatchedAxis(drive) for name, drive in drives.items()}
+        self._supervisor = Supervisor(list(self._axes.values()))
+        self.config = config
+        self.mode = config.probe.mode if mode is None else mode
+        self._signals = {name: signals[name] for name in touching}
+        self._latches: dict[str, TouchProbe] = {}
+
+    @property
+    def clock(self) -> Clock:
+        return self._supervisor.clock
+
+    # -- coming and going --------------------------------------------------------------------------------------------
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            for drive in self.drives.values():
+                drive.open()
+                opened.callback(drive.close)
+            self._supervisor.begin()
+            self.check()
+            opened.pop_all()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        closing: list[Step] = [
+            (f"drive {drive.name} was not let go", drive.close) for drive in reversed(self.drives.values())
+        ]
+        self._supervisor.leave(exc, *self._disarming(), *closing)
+
+    def check(self) -> None:
+        """What a drive cannot do is said here, while everything stands still."""
+        home = [Capability.HOMING] if self.config.home else []
+        for drive in self.drives.values():
+            drive.require(Capability.PROFILE_POSITION, *home)
+        for name in self._signals:
+            drive = self.drives[name]
+            if self.mode == "latch" and Capability.TOUCH_PROBE not in drive.capabilities:
+                raise CapabilityError(
+                    f"drive {drive.name} cannot do: {Capability.TOUCH_PROBE.value}; nothing was moved, expected mode step,"
+                    " which needs the probe's signal only"
+                )
+        if self.touching():
+            raise StateError(
+                "the probe signals before anything has moved: expected it clear, and connected as the machine file says"
+            )
+        for drive in self.drives.values():
+            if drive.sample().homed is False and not self.config.home:
+                raise StateError(
+                    f"drive {drive.name} is not homed; home it first, or let home = true in [machine] do it"
+                )
+
+    def prepare(self) -> None:
+        """Power on, and home what says it is not homed where the machine file asks for it."""
+        self._supervisor.enable()
+        for name, axis in self._axes.items():
+            if self.config.home and axis.drive.sample().homed is not True:
+                self._supervisor.home(axis=axis, look=self._clear(name, "homing"))
+        if self.mode == "latch" and not self._latches:
+            self._latches = {name: self.drives[name].touch_probe() for name in self._signals}
+
+    def _disarming(self) -> list[Step]:
+        """Of the inputs that were armed."""
+        latches, self._latches = self._latches, {}
+        return [
+            (
+                f"the probe's input of drive {self.drives[name].name} may still be armed",
+                partial(finish_despite_interrupt, partial(latch.disarm, self.config.probe.input)),
+            )
+            for name, latch in latches.items()
+        ]
+
+    # -- the probe's signal --------------------------------------------------------------------------------------------
+    def touching(self) -> bool:
+        """Whether any of the inputs in use shows a contact."""
+        return any(signal.touching() for signal in self._signals.values())
+
+    def _clear(
+        self, name: str, what: str, allowed: Callable[[DriveSample], bool] = lambda _sample: False
+    ) -> Callable[[DriveSample], None]:
+        """A look at the probe with every sample: a contact is an error unless it is allowed there."""
+
+        def look(sample: DriveSample) -> None:
+            if self.touching() and not allowed(sample):
+                raise UnexpectedContactError(
+                    f"the probe touched at {self._at(name, sample)} during {what}, where nothing should be;"
+                    " the machine was stopped there"
+                )
+
+        return look
+
+    def _at(self, name: str, sample: DriveSample) -> str:
+        unit = "°" if name == SPINDLE else " mm"
+        return f"{self.drives[name].name} = {sample.position_load_mm:.3f}{unit}"
+
+    def place(self, name: str) -> float:
+        """Where an axis is, in the unit of its axis file."""
+        return self.drives[name].sample().position_load_mm
+
+    @property
+    def angle_deg(self) -> float:
+        """The spindle's angle."""
+        return self.config.orientation.angle_deg(self.place(SPINDLE))
+
+    # -- moving ------------------------------------------------------------------------------------------------------
+    def move(self, name: str, target: float) -> None:
+        """Go somewhere; a contact on the way is an error."""
+        if self.touching():
+            raise UnexpectedContactError(
+                f"the probe touches while {self.drives[name].name} is to move to {target:.3f}; nothing was moved"
+            )
+        self._go(name, target, self._clear(name, "a move"))
+
+    def _go(self, name: str, target: float, look: Callable[[DriveSample], None]) -> None:
+        self._supervisor.move(
+            target,
+            self._speed(name),
+            axis=self._axes[name],
+            within_mm=ARRIVED_WITHIN[name],
+            slice_s=POLL_S,
+            look=look,
+        )
+
+    def orient(self, angle_deg: float) -> None:
+        """Turn the spindle to an angle."""
+        self.move(SPINDLE, self.config.orientation.position_deg(angle_deg))
+
+    def _speed(self, name: str) -> float:
+        config = self.config
+        return config.orientation.velocity_deg_s if name == SPINDLE else config.probe.position_mm_s
+
+    # -- touching ----------------------------------------------------------------------------------------------------
+    def touch(self, name: str, direction: int, search_mm: float, free_mm: float = 0.0) -> float:
+        """Feed an axis from where it stands until contact, and go back; returns its position at the contact, mm.
+
+        By pulses the contact lies between the last pulse and the one before: their middle is returned. Raises LimitError before
+        anything moves, NoContactError after `search_mm`, UnexpectedContactError for a contact before `free_mm`.
+        """
+        drive = self.drives[name]
+        start_mm = drive.sample().position_load_mm
+        drive.limits.check_target(start_mm + direction * search_mm)
+        find = self._latched if self.mode == "latch" else self._stepped
+        contact_mm = find(name, start_mm, direction, search_mm)
+        self._retreat(name, start_mm, contact_mm, direction)
+        feed_mm = direction * (contact_mm - start_mm)
+        if feed_mm < free_mm:
+            raise UnexpectedContactError(
+                f"the probe touched after {feed_mm:.4f} mm of {drive.name}, expected {free_mm:g} mm free of contact"
+            )
+        return contact_mm
+
+    def _latched(self, name: str, start_mm: float, direction: int, search_mm: float) -> float:
+        """The position that the drive latched."""
+        drive, latch, probe = self.drives[name], self._latches[name], self.config.probe
+        latch.arm(probe.input, [Edge.NEGATIVE if probe.normally_closed else Edge.POSITIVE])
+        end_mm = start_mm + direction * search_mm
+        found: list[float] = []
+        seen: list[float] = []
+
+        def contact(sample: DriveSample) -> bool:
+            found.extend(one.position_load_mm for one in latch.poll())
+            return bool(found) or sample.target_reached
+
+        def allowed(sample: DriveSample) -> bool:
+            """A signal comes with its latch; one without is of an input that is wired to another place."""
+            seen.append(sample.position_load_mm)
+            return abs(seen[-1] - seen[0]) <= probe.overtravel_mm
+
+        what = f"touching with {drive.name}"
+        look = self._clear(name, what, allowed)
+        axis = self._axes[name]
+        self._supervisor.move_until(contact, end_mm, probe.touch_mm_s, what, axis=axis, slice_s=POLL_S, look=look)
+        if not found:
+            self._no_contact(name, search_mm)
+        return found[0]
+
+    def _stepped(self, name: str, start_mm: float, direction: int, search_mm: float) -> float:
+        """One pulse at a time until the probe signals."""
+        drive, probe = self.drives[name], self.config.probe
+        close_mm = 0.5 * (probe.pulse_mm + drive.scaling.resolution_load_mm)
+        for pulses in range(1, int(search_mm / probe.pulse_mm) + 1):
+            self._pulse(name, start_mm + direction * pulses * probe.pulse_mm, close_mm)
+            with self._supervisor.stopping_on_error():
+                self.clock.sleep_s(probe.settle_s)
+                if self.touching():
+                    return start_mm + direction * (pulses - 0.5) * probe.pulse_mm
+        self._no_contact(name, search_mm)
+
+    def _pulse(self, name: str, target_mm: float, close_mm: float) -> None:
+        """One pulse further, until the axis is there; whether it touched is asked when it rests."""
+        self._supervisor.move_until(
+            lambda sample: sample.target_reached and abs(sample.position_load_mm - target_mm) <= close_mm,
+            target_mm,
+            self.config.probe.touch_mm_s,
+            "a pulse",
+            axis=self._axes[name],
+            timeout_s=PULSE_S,
+            slice_s=POLL_S,
+        )
+
+    def _no_contact(self, name: str, search_mm: float) -> NoReturn:
+        drive = self.drives[name]
+        with self._supervisor.stopping_on_error():
+            raise NoContactError(
+                f"no contact within {search_mm:g} mm of {drive.name}, which stands at {self.place(name):.3f} mm;"
+                " the machine was stopped there"
+            )
+
+    def _retreat(self, name: str, start_mm: float, contact_mm: float, direction: int) -> None:
+        """Back to the start; the signal has to go on the way."""
+        overtravel_mm = self.config.probe.overtravel_mm
+
+        def allowed(sample: DriveSample) -> bool:
+            return direction * (contact_mm - sample.position_load_mm) <= overtravel_mm
+
+        look = self._clear(name, "the way back from a contact", allowed)
+        self._go(name, start_mm, look)
+        if self.touching():
+            raise UnexpectedContactError(
+                f"the probe still signals {abs(contact_mm - start_mm):.3f} mm away from its contact; is it stuck?"
+            )

@@ -1,0 +1,145 @@
+"""Where a probe's run-out is kept: the values in force, replaced as a whole, and every measurement that was made, appended.
+
+The values in force are a small JSON file, or, where the machine file asks for it, an entry of a sealed file that only its builder can
+change. A measurement that was refused stands in the history and nowhere else.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+from drivers.errors import InputError, StateError
+from hil.correction.sealed import open_sealed, reseal, seal
+from hil.probe.runout import FourFeeds, RunOut
+from hil.records.files import held, naming, read_bytes, replace_file, sync_directory
+
+FORMAT = "hil-runout-1"
+HISTORY_COLUMNS = (
+    "time", "mode", "turn", "n_0_mm", "n_90_mm", "n_180_mm", "n_270_mm", "closure_um",
+    "x_um", "y_um", "tip_radius_mm", "verdict",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Seal:
+    """How values are sealed. builder_key: only where they are written."""
+
+    password: str
+    builder_public: Ed25519PublicKey
+    builder_key: Ed25519PrivateKey | None = None
+
+
+@dataclass(frozen=True)
+class RunOutStore:
+    """One machine's values and history below a directory."""
+
+    directory: Path
+    machine: str
+    sealing: Seal | None = None
+
+    @property
+    def path(self) -> Path:
+        """The values in force."""
+        return self.directory / ("runout.json" if self.sealing is None else "runout.sealed")
+
+    @property
+    def history_path(self) -> Path:
+        return self.directory / "history.csv"
+
+    def save(self, run_out: RunOut, when: datetime) -> None:
+        """Put values into force. Raises StateError for a sealed store without the builder's key."""
+        form = {"format": FORMAT, "machine": self.machine, "measured": when.isoformat(), **asdict(run_out)}
+        data = (json.dumps(form, indent=1, allow_nan=False) + "\n").encode()
+        self.directory.mkdir(parents=True, exist_ok=True)
+        with held(self.directory, wait=True):
+            replace_file(self.path, data if self.sealing is None else self._sealed(self.sealing, data))
+
+    def _sealed(self, sealing: Seal, data: bytes) -> bytes:
+        if sealing.builder_key is None:
+            raise StateError(f"{self.path} is locked: changing it needs the builder's private key")
+        entries = {f"{self.machine}.runout": data}
+        if not self.path.exists():
+            return seal(entries, sealing.password, sealing.builder_key)
+        with naming(self.path):
+            return reseal(read_bytes(self.path), entries, sealing.password, sealing.builder_key)
+
+    def load(self) -> tuple[RunOut, str]:
+        """The values in force and when they were measured. Raises InputError or SealedError naming the file."""
+        with naming(self.path):
+            data = read_bytes(self.path)
+            if self.sealing is not None:
+                name = f"{self.machine}.runout"
+                data = open_sealed(data, self.sealing.password, self.sealing.builder_public, names=[name])[name]
+            return self._parse(data)
+
+    def _parse(self, data: bytes) -> tuple[RunOut, str]:
+        try:
+            form = json.loads(data)
+        except ValueError as error:
+            raise InputError("is not JSON, expected values that `hil probe measure` stored") from error
+        if not isinstance(form, dict) or form.get("format") != FORMAT:
+            raise InputError(f"is no {FORMAT} file, expected values that `hil probe measure` stored")
+        if form.get("machine") != self.machine:
+            raise InputError(f"is of machine {form.get('machine')}, expected {self.machine}")
+        names = ("x_mm", "y_mm", "tip_radius_mm", "closure_um")
+        return RunOut(*(_finite(form, name) for name in names)), str(form.get("measured", ""))
+
+    # -- history -------------------------------------------------------------------------------------------------------
+    def append(self, when: datetime, mode: str, turns: tuple[FourFeeds, ...], run_out: RunOut, verdict: str) -> None:
+        """Add a measurement, one line for each turn of the spindle; on return it is on disk."""
+        self.directory.mkdir(parents=True, exist_ok=True)
+        text = io.StringIO()
+        lines = csv.writer(text, lineterminator="\n")
+        new = not self.history_path.exists()
+        if new:
+            lines.writerow(HISTORY_COLUMNS)
+        elif not read_bytes(self.history_path).endswith(b"\n"):
+            text.write("\n")  # a power cut tore the last line; what follows is whole again
+        for number, turn in enumerate(turns, start=1):
+            feeds = (turn.n_0_mm, turn.n_90_mm, turn.n_180_mm, turn.n_270_mm)
+            row = [when.isoformat(), mode, str(number), *(f"{feed:.6f}" for feed in feeds), f"{turn.closure_um:.3f}"]
+            row += [
+                f"{1000.0 * run_out.x_mm:.3f}",
+                f"{1000.0 * run_out.y_mm:.3f}",
+                f"{run_out.tip_radius_mm:.6f}",
+                verdict,
+            ]
+            lines.writerow(row)
+        try:
+            handle = os.open(self.history_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            try:
+                os.write(handle, text.getvalue().encode())
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+            if new:
+                sync_directory(self.directory)
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", path=self.history_path) from error
+
+    def history(self) -> list[dict[str, str]]:
+        """Every line of the history that is whole; empty where there is none."""
+        if not self.history_path.exists():
+            return []
+        text = read_bytes(self.history_path).decode("utf-8", "replace")
+        whole = text[: text.rfind("\n") + 1]
+        rows = csv.DictReader(io.StringIO(whole))
+        return [row for row in rows if None not in row and None not in row.values()]  # not what was torn
+
+
+def _finite(form: Mapping[str, Any], name: str) -> float:
+    value = form.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{name} is {value!r}, expected a number")
+    return float(value)

@@ -1,0 +1,1 @@
+"""Records: rows, the journal that keeps them as they come, the chain that proves them unchanged, the zero they were taken in."""

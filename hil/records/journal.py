@@ -1,0 +1,414 @@
+"""The journal of a campaign: rows reach the disk as they are measured, and a restart finds every one of them.
+
+A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of `hil.records.rows`), written
+row by row and synced before the axis moves on; a half-written last line, left by a power cut, was never confirmed and is dropped.
+What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. Each line is chained
+to the one before it in `rows.chain` (`hil.records.row_chain`), and resuming refuses rows that are not as they were written. A pass says when
+it was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Self
+
+from drivers.errors import InputError, StateError
+from hil.records.files import read_bytes, read_text, replace_file, sync_directory
+from hil.records.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
+from hil.records.rows import Records, format_row, parse_csv
+
+CHECKSUMS = "SHA256SUMS"
+FINISHED = "finished"
+"""Name of the empty file in a campaign whose job came to its end: one without it can be gone on with."""
+BEGUN = "begun "
+"""Of the comment line that says when a pass was begun."""
+CHAINED = ", rows chained"
+"""Ends that line where the campaign has a chain: one that is gone is then missed."""
+UNCHECKED = (
+    f"its rows were measured before rows were chained ({CHAIN}): whether they are as they were written is not known"
+)
+"""Of a resumed campaign."""
+MARKER = "campaign.json"
+"""What a campaign was started for."""
+
+
+class RowJournal:
+    """One growing record file, open for appending by one process at a time."""
+
+    def __init__(self, path: Path, names: Sequence[str], comment: str = "", chain: RowChain | None = None) -> None:
+        """Open; `names` is the header, `comment` stands above it and says what the rows belong to; chain: to which each line goes.
+
+        Raises InputError when the file was begun with another header or comment, holds a row that is none, cannot be
+        written, or is open in another process.
+        """
+        self.path = path
+        self.names = tuple(names)
+        self._chain = chain
+        self._header = ("".join(f"# {line}\n" for line in comment.splitlines()) + ",".join(self.names) + "\n").encode()
+        self._rows = 0
+        try:
+            self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise InputError(f"cannot be opened: {error.strerror}", path=path) from error
+        try:
+            self._lock()
+            self._recover()
+        except BaseException:
+            self.close()
+            raise
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise InputError("is being written by another process", path=self.path) from error
+
+    def _recover(self) -> None:
+        """Count the rows; a last line without its end was torn by a crash and never confirmed, so it is cut off."""
+        data = read_bytes(self.path)
+        whole = data[: data.rfind(b"\n") + 1] if self._chain is None else self._chain.confirmed(self.path.name)
+        if len(whole) < len(self._header) and self._header.startswith(whole):  # new, or killed before its first row
+            self._write(self._header[len(whole) :], keep=len(whole))
+            sync_directory(self.path.parent)
+            return
+        lines = whole.decode("utf-8", "replace").split("\n")
+        if not whole.startswith(self._header):
+            self._refuse_header(lines)
+        if len(whole) != len(data):
+            self._write(b"", keep=len(whole))
+        if sum(map(_is_data, lines)) > 1:
+            self._rows = len(parse_csv(read_text(self.path), self.path))
+
+    def _refuse_header(self, lines: Sequence[str]) -> None:
+        expected = ",".join(self.names)
+        for number, line in enumerate(lines, start=1):
+            if _is_data(line):
+                if line != expected:
+                    raise InputError(f"has columns {line[:200]}, expected {expected}", path=self.path, line=number)
+                break
+        first = self._header.decode().split("\n")[0]
+        raise InputError(
+            f"was measured for something else: {lines[0][:100]!r}, expected {first!r}", path=self.path, line=1
+        )
+
+    @property
+    def _fd(self) -> int:
+        if self._handle is None:
+            raise StateError(f"{self.path} is closed")
+        return self._handle
+
+    def __len__(self) -> int:
+        """Rows confirmed on disk."""
+        return self._rows
+
+    def records(self) -> Records | None:
+        """All rows, None while there are none."""
+        if not self._rows:
+            return None
+        return parse_csv(read_text(self.path), self.path)
+
+    def append(self, row: Mapping[str, float]) -> None:
+        """Write one row; on return it is on disk.
+
+        Raises InputError, with the file as it was, for a row that could not be read back and when the disk does not take it.
+        """
+        Records.of({name: [row[name]] for name in self.names})
+        self._write((format_row(row, self.names) + "\n").encode())
+        self._rows += 1
+
+    def note(self, text: str) -> None:
+        """Write comment lines, such as that a measurement was resumed."""
+        for line in text.splitlines():  # one at a time: a crash leaves at most one that is not chained
+            self._write(f"# {line}\n".encode())
+
+    def _write(self, data: bytes, *, keep: int | None = None) -> None:
+        """Put data behind the first `keep` bytes (default: all there is), whole or not at all, flush it to the disk, and chain it.
+
+        An interrupt on the way leaves what the next opening recovers from, and closes the file.
+        """
+        end = os.fstat(self._fd).st_size if keep is None else keep
+        try:
+            try:
+                if keep is not None:
+                    os.ftruncate(self._fd, keep)
+                left = data
+                while left:
+                    left = left[os.write(self._fd, left) :]
+                os.fsync(self._fd)
+                if self._chain is not None and data:
+                    self._chain.add(self.path.name, data)
+            except OSError:
+                os.ftruncate(self._fd, end)
+                raise
+            except BaseException:
+                self.close()
+                raise
+        except OSError as error:
+            raise InputError(
+                f"cannot be written: {error.strerror}; the rows before are kept", path=self.path
+            ) from error
+
+    def close(self) -> None:
+        """Close the file; harmless when it is closed already."""
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A campaign that was broken off and can be gone on with. purpose: what it was started for"""
+
+    directory: Path
+    purpose: Mapping[str, Any]
+
+
+class Campaign:
+    """A campaign's directory."""
+
+    def __init__(self, directory: Path, purpose: Mapping[str, Any], *, resume: bool) -> None:
+        """Start a campaign, or resume one.
+
+        purpose: JSON-able; what decides which rows are to be measured (axis, plan, mode). A resumed campaign must have the same.
+        Raises InputError when the directory holds a campaign and `resume` is False, holds none and it is True, or holds another, and
+        naming the first line of a resumed one that is not as it was written.
+        """
+        self.directory = directory
+        self.resumed = resume
+        self.warning = ""  # for whoever resumed it
+        marker = directory / MARKER
+        text = json.dumps(purpose, indent=1, sort_keys=True, allow_nan=False)
+        if resume:
+            if not marker.exists():
+                raise InputError("holds no campaign to resume", path=directory)
+            _check_same(directory, json.loads(text))
+            self.warning = _check_rows(directory)
+            return
+        if marker.exists():
+            raise InputError("holds a campaign already; use --resume, or another directory", path=directory)
+        if next(directory.glob("*.csv"), None) is not None:
+            raise InputError("holds rows without saying what they are of (campaign.json is gone)", path=directory)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot be made: {error.strerror}", path=directory) from error
+        replace_file(marker, text.encode())
+
+    @classmethod
+    def numbered(cls, parent: Path, purpose: Mapping[str, Any], *, resume: bool) -> Campaign:
+        """The next of a series of campaigns below `parent` (calibrate-001, calibrate-002 …), or with `resume` the last one.
+
+        One that was broken off before its first row, such as by a drive that did not answer, does not stand before the one
+        with rows. With nothing there to resume, the first is started: an interruption may have come before it.
+        """
+        kind = str(purpose["kind"])
+        begun = {
+            int(suffix): any(path.parent.glob("*.csv"))
+            for path in parent.glob(f"{kind}-[0-9]*/{MARKER}")
+            if (suffix := path.parent.name.removeprefix(f"{kind}-")).isdecimal()
+        }
+        last = max(begun, default=0)
+        if resume and begun:
+            number = max((number for number, rows in begun.items() if rows), default=last)
+            return cls(parent / f"{kind}-{number:03d}", purpose, resume=True)
+        return cls(parent / f"{kind}-{last + 1:03d}", purpose, resume=False)
+
+    @contextmanager
+    def rows(self, name: str, columns: Sequence[str], comment: str = "") -> Iterator[RowJournal]:
+        """The journal of one measuring pass, open for appending; closed, whatever ended it, its checksum is written.
+
+        Raises InputError naming the first line that is not as it was written, also when it was changed while the pass was open.
+        """
+        path = self.directory / f"{name}.csv"
+        try:
+            with (
+                self._chain() as chain,
+                RowJournal(path, columns, comment, chain) as journal,
+            ):
+                if not len(journal):
+                    journal.note(f"{BEGUN}{datetime.now().astimezone().isoformat(timespec='seconds')}{CHAINED}")
+                yield journal
+        except BaseException:
+            with suppress(InputError):  # what ended the pass matters more
+                self._write_checksum(path)
+            raise
+        self._write_checksum(path)
+
+    def _chain(self) -> RowChain:
+        return RowChain(self.directory, read_bytes(self.directory / MARKER))
+
+    def _write_checksum(self, path: Path) -> None:
+        """Of the confirmed lines: opening the chain anew has cut off what an interrupt left behind them."""
+        with self._chain() as chain:
+            confirmed = chain.confirmed(path.name)
+        if not confirmed:
+            return
+        sums = checksums(self.directory) | {path.name: hashlib.sha256(confirmed).hexdigest()}
+        text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+        replace_file(self.directory / CHECKSUMS, text.encode())
+
+    def finish(self) -> None:
+        """The job that this campaign was started for has come to its end."""
+        replace_file(self.directory / FINISHED, b"")
+
+    @staticmethod
+    def unfinished(parent: Path, kind: str) -> Unfinished | None:
+        """The campaign of this kind that `numbered` would resume, if it has rows and its job did not come to its end.
+
+        None, too, where what it was started for cannot be read: that one cannot be resumed.
+        """
+        begun = [path.parent for path in parent.glob(f"{kind}-[0-9]*/{MARKER}")]
+        with_rows = [
+            path for path in begun if path.name.removeprefix(f"{kind}-").isdecimal() and any(path.glob("*.csv"))
+        ]
+        last = max(with_rows, key=lambda path: int(path.name.rpartition("-")[2]), default=None)
+        if last is None or (last / FINISHED).exists():
+            return None
+        try:
+            return Unfinished(last, read_purpose(last))
+        except InputError:
+            return None
+
+    def columns(self, name: str) -> tuple[str, ...] | None:
+        """The columns of a pass that was begun, None for one that was not."""
+        path = self.directory / f"{name}.csv"
+        lines = _written_lines(path) if path.exists() else []
+        header = next(filter(_is_data, lines), None)
+        return None if header is None else tuple(header.split(","))
+
+    def has_rows(self, name: str) -> bool:
+        """Whether a pass was begun and has at least one row on disk."""
+        path = self.directory / f"{name}.csv"
+        return path.exists() and sum(map(_is_data, _written_lines(path))) > 1
+
+    def last_time_s(self) -> float:
+        """The latest `time_s` of all rows measured so far, in any pass; 0.0 without rows."""
+        latest = 0.0
+        for path in self.directory.glob("*.csv"):
+            lines = _written_lines(path)
+            if sum(map(_is_data, lines)) > 1:
+                records = parse_csv("\n".join(lines), path)
+                latest = max(latest, float(records["time_s"][-1])) if "time_s" in records else latest
+        return latest
+
+    def write(self, name: str, data: bytes) -> Path:
+        """Put a derived file beside the rows, as a whole."""
+        path = self.directory / name
+        replace_file(path, data)
+        return path
+
+
+def checksums(directory: Path) -> dict[str, str]:
+    """SHA-256 of each pass as it was when it was last closed, by file name; lines that say something else are passed over."""
+    path = directory / CHECKSUMS
+    lines = read_text(path).splitlines() if path.exists() else []
+    return {match[2]: match[1] for line in lines if (match := re.fullmatch(r"([0-9a-f]{64})  ([^/]+)", line))}
+
+
+def _check_rows(directory: Path) -> str:
+    """Refuse rows that are not as they were written, with InputError naming file and line; what could not be checked, or ""."""
+    origin, warning = read_bytes(directory / MARKER), ""
+    if not (directory / CHAIN).exists():
+        passes = sorted(path for path in directory.glob("*.csv") if written_lines(path))
+        if any(map(_says_chained, passes)):
+            raise InputError("is gone; without it the rows beside it cannot be checked", path=directory / CHAIN)
+        _check_closed(directory)
+        if not passes:
+            return ""
+        adopt(directory, origin)
+        warning = UNCHECKED
+    with RowChain(directory, origin):
+        pass
+    _check_closed(directory)
+    return warning
+
+
+def _says_chained(path: Path) -> bool:
+    return any(line.startswith(f"# {BEGUN}") and line.endswith(CHAINED) for line in _written_lines(path))
+
+
+def _check_closed(directory: Path) -> None:
+    """Refuse a pass that is not as it was closed, unless it only grew since."""
+    for name, digest in checksums(directory).items():
+        path = directory / name
+        if not path.exists() or not grew_from(digest, read_bytes(path)):
+            raise InputError(f"was changed since it was closed: it does not agree with {CHECKSUMS}", path=path)
+
+
+def grew_from(digest: str, data: bytes) -> bool:
+    """Whether data begins with whole lines of this SHA-256: a pass that was closed, and perhaps gone on with."""
+    found = hashlib.sha256()
+    for line in data.splitlines(keepends=True):
+        found.update(line)
+        if found.hexdigest() == digest:
+            return True
+    return False
+
+
+def _written_lines(path: Path) -> list[str]:
+    """The lines of a journal, without one that was torn."""
+    data = read_bytes(path)
+    return data[: data.rfind(b"\n") + 1].decode("utf-8", "replace").split("\n")
+
+
+def _is_data(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def check_rows(directory: Path) -> Chained | None:
+    """Compare the rows of a campaign with its chain; None where it has none. Raises InputError naming the first line that differs."""
+    return check_chain(directory, read_bytes(directory / MARKER))
+
+
+def read_purpose(directory: Path) -> dict[str, Any]:
+    """What the campaign in this directory was started for. Raises InputError where that cannot be read."""
+    marker = directory / MARKER
+    try:
+        purpose = json.loads(read_text(marker))
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON, expected what the campaign was started for", path=marker) from error
+    if not isinstance(purpose, dict):
+        raise InputError("does not say what the campaign was started for", path=marker)
+    return purpose
+
+
+def _check_same(directory: Path, purpose: Mapping[str, Any]) -> None:
+    """InputError, naming what differs, unless the campaign was started for this."""
+    started_for = read_purpose(directory)
+    differences = list(_differences(started_for, purpose, ""))
+    if differences:
+        more = f" and {len(differences) - 3} more" if len(differences) > 3 else ""
+        raise InputError(
+            f"was started for something else: {', '.join(differences[:3])}{more};"
+            " expected the axis file it was started with, or a new campaign",
+            path=directory / MARKER,
+        )
+
+
+def _differences(was: Any, now: Any, name: str) -> Iterator[str]:
+    """`name was … and is …` for everything that is not the same, innermost names first."""
+    if isinstance(was, dict) and isinstance(now, dict):
+        for key in sorted({*was, *now}):
+            yield from _differences(was.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif was != now:
+        yield f"{name or 'it'} was {_brief(was)} and is {_brief(now)}"
+
+
+def _brief(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:40] + "…"

@@ -1,0 +1,279 @@
+"""Measurement records: one row per captured position, in the order of time.
+
+The columns are those of the file format (README, "Records"): `run`, `direction`, `target_mm` and `measured_mm` are required, the
+named optional ones are known, any other column is kept as a candidate regressor. All columns are float64 arrays of one length,
+read-only; a cell left empty (or `nan`) is NaN and allowed in optional columns only. An empty `command_mm` means the target.
+
+Signs: error = measured - target; error of the uncorrected machine = measured - command.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputError
+from hil.records.files import read_text
+
+Floats = NDArray[np.float64]
+
+REQUIRED = ("run", "direction", "target_mm", "measured_mm")
+OPTIONAL = (
+    "command_mm",
+    "time_s",
+    "velocity_mm_s",
+    "since_reversal_mm",
+    "stroke_mm",
+    "motor_mm",
+    "torque_percent",
+    "load_kg",
+    "pitch_urad",
+    "yaw_urad",
+    "air_temp_c",
+    "air_pressure_hpa",
+    "air_humidity_percent",
+)
+UM_PER_MM = 1000.0
+
+LARGEST = 1e30
+"""No column holds anything larger (time in ns since 1970 is 2e18); beyond it the squares of a fit would overflow."""
+
+_LINE_END = re.compile(r"\r\n|\r|\n")
+_SHOWN = 40  # characters of a bad cell that an error quotes
+
+
+@dataclass(frozen=True)
+class Records:
+    """Rows of one or more runs. Build with `Records.of`, `read_csv` or `concatenate`; never mutated."""
+
+    columns: Mapping[str, Floats]
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Iterable[float]]) -> Records:
+        """Check and freeze columns given by name. Raises InputError on missing or ragged columns or bad required values."""
+        frozen: dict[str, Floats] = {}
+        for name, values in columns.items():
+            frozen[_column_name(name)] = _column(name, values)
+        missing = [name for name in REQUIRED if name not in frozen]
+        if missing:
+            raise InputError(f"records lack the column(s) {', '.join(missing)}")
+        lengths = {len(array) for array in frozen.values()}
+        if len(lengths) != 1:
+            raise InputError(f"columns differ in length: {sorted(lengths)}")
+        for name in REQUIRED:
+            if np.any(np.isnan(frozen[name])):
+                raise InputError(f"column {name} holds a value that is not a number")
+        if not np.all(np.abs(frozen["direction"]) == 1.0):
+            raise InputError("column direction holds a value other than +1 or -1")
+        if not np.all(frozen["run"] == np.floor(frozen["run"])):
+            raise InputError("column run holds a value that is not a whole number")
+        return cls(frozen)
+
+    def __len__(self) -> int:
+        return len(self.columns["run"])
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.columns[name]
+
+    @property
+    def run(self) -> Floats:
+        return self.columns["run"]
+
+    @property
+    def direction(self) -> Floats:
+        """+1 or -1, shape (n,)."""
+        return self.columns["direction"]
+
+    @property
+    def target_mm(self) -> Floats:
+        return self.columns["target_mm"]
+
+    @property
+    def measured_mm(self) -> Floats:
+        return self.columns["measured_mm"]
+
+    @property
+    def command_mm(self) -> Floats:
+        """What the drive was told, in mm; the target where nothing else is said (no column, or an empty cell)."""
+        command = self.columns.get("command_mm")
+        return self.target_mm if command is None else np.where(np.isnan(command), self.target_mm, command)
+
+    @property
+    def error_um(self) -> Floats:
+        """Error as measured, with whatever correction was in force: measured - target, µm, shape (n,)."""
+        return (self.measured_mm - self.target_mm) * UM_PER_MM
+
+    @property
+    def uncorrected_error_um(self) -> Floats:
+        """Error of the uncorrected machine: measured - command, µm, shape (n,)."""
+        return (self.measured_mm - self.command_mm) * UM_PER_MM
+
+    @property
+    def runs(self) -> list[int]:
+        """The run numbers, ascending."""
+        return sorted({int(run) for run in self.run})
+
+    def where(self, mask: NDArray[np.bool_]) -> Records:
+        """The rows where mask, shape (n,), holds."""
+        return Records.of({name: array[mask] for name, array in self.columns.items()})
+
+    def of_runs(self, runs: Iterable[int]) -> Records:
+        """The rows of the given runs."""
+        return self.where(np.isin(self.run, list(runs)))
+
+    def with_column(self, name: str, values: Floats) -> Records:
+        """A copy with one column added or replaced."""
+        return Records.of({**self.columns, name: values})
+
+
+def _column_name(name: str) -> str:
+    """A name that a header row can hold and give back."""
+    if not name or name != name.strip() or name.startswith("#") or "," in name or not name.isprintable():
+        raise InputError(f"column name {name!r} cannot stand in a header row")
+    return name
+
+
+def _column(name: str, values: Iterable[float]) -> Floats:
+    try:
+        array = np.array(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"column {name} holds something that is not a number") from error
+    if array.ndim != 1:
+        raise InputError(f"column {name} has {array.ndim} dimensions, expected 1")
+    if np.any(np.abs(array) > LARGEST):
+        raise InputError(f"column {name} holds a value beyond ±{LARGEST:g}")
+    array.setflags(write=False)
+    return array
+
+
+def concatenate(parts: Iterable[Records]) -> Records:
+    """Rows one after the other; a column that a part lacks is NaN there (`command_mm` falls back to the target)."""
+    parts = list(parts)
+    names = list(dict.fromkeys(name for part in parts for name in part.columns))
+    columns: dict[str, Floats] = {}
+    for name in names:
+        pieces = []
+        for part in parts:
+            if name in part:
+                pieces.append(part[name])
+            elif name == "command_mm":
+                pieces.append(part.target_mm)
+            else:
+                pieces.append(np.full(len(part), np.nan))
+        columns[name] = np.concatenate(pieces)
+    return Records.of(columns)
+
+
+def read_csv(path: str | Path) -> Records:
+    """Read a record file. Raises InputError with file and line for anything that is not a clean row."""
+    return parse_csv(read_text(path), path)
+
+
+def parse_csv(text: str, path: str | Path = "records") -> Records:
+    """Parse the text of a record file; `path` only names it in errors."""
+    header: list[str] | None = None
+    rows: list[list[float]] = []
+    for number, line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        if header is None:
+            header = _check_header(cells, path, number)
+        else:
+            rows.append(_parse_row(cells, header, path, number))
+    if header is None:
+        raise InputError("holds no header row", path=path)
+    if not rows:
+        raise InputError("holds no rows under its header", path=path)
+    table = np.array(rows, dtype=np.float64)
+    return Records.of({name: table[:, column] for column, name in enumerate(header)})
+
+
+def _check_header(cells: list[str], path: str | Path, line: int) -> list[str]:
+    missing = [name for name in REQUIRED if name not in cells]
+    if missing:
+        found = shown(",".join(cells))
+        raise InputError(
+            f"header {found} lacks {', '.join(missing)}; expected at least {','.join(REQUIRED)}", path=path, line=line
+        )
+    for number, name in enumerate(cells, start=1):
+        if not name:
+            raise InputError(f"header has no name for column {number} of {len(cells)}", path=path, line=line)
+        if not name.isprintable():
+            raise InputError(f"header names column {number} {shown(name)}, expected a name", path=path, line=line)
+        if cells.count(name) > 1:
+            raise InputError(f"header names column {shown(name)} twice", path=path, line=line)
+    return cells
+
+
+def _parse_row(cells: list[str], header: list[str], path: str | Path, line: int) -> list[float]:
+    if len(cells) != len(header):
+        raise InputError(f"row has {len(cells)} columns, expected {len(header)}", path=path, line=line)
+    values: list[float] = []
+    for name, cell in zip(header, cells, strict=True):
+        if not cell and name not in REQUIRED:
+            values.append(math.nan)
+            continue
+        value = parse_number(cell)
+        if value is None or (name in REQUIRED and math.isnan(value)):
+            raise InputError(f"{name} is {shown(cell)}, expected a number", path=path, line=line)
+        if abs(value) > LARGEST:
+            raise InputError(f"{name} is {shown(cell)}, expected at most ±{LARGEST:g}", path=path, line=line)
+        if name == "direction" and value not in (1.0, -1.0):
+            raise InputError(f"direction is {shown(cell)}, expected +1 or -1", path=path, line=line)
+        if name == "run" and value != int(value):
+            raise InputError(f"run is {shown(cell)}, expected a whole number", path=path, line=line)
+        values.append(value)
+    return values
+
+
+def parse_number(cell: str) -> float | None:
+    """The number a cell holds, None for anything else; Python's own `1_000` and foreign digits are not numbers of a file."""
+    if not cell.isascii() or "_" in cell:
+        return None
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def shown(cell: str) -> str:
+    """A wrong cell as an error quotes it: not all of it when it is long."""
+    return repr(cell) if len(cell) <= _SHOWN else repr(cell[:_SHOWN] + "…")
+
+
+def format_row(values: Mapping[str, float], names: Iterable[str]) -> str:
+    """One CSV line without its line end; floats so that they read back the same, NaN as an empty cell."""
+    return ",".join(_format_cell(name, values[name]) for name in names)
+
+
+def _format_cell(name: str, value: float) -> str:
+    if math.isnan(value):
+        return ""
+    if name == "run":
+        return str(int(value))
+    if name == "direction":
+        return f"{int(value):+d}"
+    return repr(float(value))
+
+
+def to_csv(records: Records, comment: str = "") -> str:
+    """The text of a record file with these rows."""
+    out = io.StringIO()
+    for line in comment.splitlines():
+        out.write(f"# {line}\n")
+    names = list(records.columns)
+    out.write(",".join(names) + "\n")
+    for row in range(len(records)):
+        out.write(format_row({name: float(records[name][row]) for name in names}, names) + "\n")
+    return out.getvalue()

@@ -1,0 +1,339 @@
+"""The zero of an axis: what ties its positions to the machine, kept on disk, and whether it still stands.
+
+An axis's zero is made by its first homing and kept beside its campaigns, in `<axis>.zero.json`; each campaign keeps a copy in
+`zero.json`, sealed tables carry it in their header. Whoever measures or corrects in it later is held against it: before anything moves
+by what the drive says (who it is, how it homes, whether it has kept its zero), and at the reference position by what the instrument
+reads there. What is another zero, or can no longer be shown to be the same, is refused. Why so: hil/decisions/0018.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.drive import DriveZero, ServoDrive
+from drivers.errors import InputError, StateError
+from hil.records.files import read_text, replace_file
+
+FILE = "zero.json"
+"""A campaign's copy of the zero that its rows were measured in."""
+FROM_WHERE_IT_STANDS = frozenset({33, 34, 35, 37})
+"""Homing methods of 6098h without a switch: 35 and 37 take the place where the axis stands, 33 and 34 the index pulse beside it, which
+is off by whole turns of the motor."""
+REFERENCE_WITHIN_UM = 100.0
+"""How far the instrument may find the reference position from where it was. An ordinary switch returns within 20 µm, half a metre of
+steel grows by 58 µm in 10 K. An index pulse that was missed, the least of the mistakes looked for, is a turn of the motor: mm."""
+_SAME_MM = 1e-6  # home positions: less than any encoder's count
+_FEWEST = 0.5
+"""Share of the samples due since, by the instrument's present rate, that it must have counted to have run on. One that was switched
+off has counted since then only; readings that a full line dropped are far fewer."""
+_SLACK_S = 5.0
+"""Between a sample and the time that is noted for it."""
+
+
+class ZeroError(StateError):
+    """The axis is not in the zero that was expected, or nothing shows that it is."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What was read at the reference position.
+
+    motor_mm: the drive's position there; instrument_mm: the reading, in the instrument's own frame; sequence: the instrument's own
+    number of its sample, None where it gives none; time: ISO 8601 in UTC
+    """
+
+    motor_mm: float
+    instrument_mm: float
+    instrument: str
+    sequence: int | None
+    time: str
+
+    @property
+    def apart_mm(self) -> float:
+        """Of the instrument's frame from the drive's."""
+        return self.instrument_mm - self.motor_mm
+
+
+@dataclass(frozen=True)
+class Zero:
+    """One zero of one axis. drive: who made it; homes: by its own homing, with method and home position (load mm); made: in UTC."""
+
+    id: str
+    axis: str
+    made: str
+    drive: Mapping[str, int | str] = field(default_factory=dict)
+    homes: bool = True
+    method: int | None = None
+    home_position_mm: float | None = None
+    reference: Reference | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, form: Any) -> Zero:
+        """Raises ValueError for anything that `to_json` did not give."""
+        try:
+            values = dict(form)
+            reference = values.pop("reference")
+            zero = cls(**values, reference=None if reference is None else Reference(**reference))
+            if zero.reference is not None:
+                datetime.fromisoformat(zero.reference.time)
+                float(zero.reference.apart_mm)
+        except (TypeError, KeyError, AttributeError) as error:
+            raise ValueError("no zero of an axis") from error
+        if not (isinstance(zero.id, str) and isinstance(zero.axis, str) and isinstance(zero.drive, Mapping)):
+            raise ValueError("no zero of an axis")
+        return zero
+
+    def describe(self) -> str:
+        return f"{self.id[:8]} of {self.made[:10]}, {describe_homing(self.homes, self.method, self.home_position_mm)}"
+
+
+def describe_homing(homes: bool, method: int | None, home_position_mm: float | None) -> str:
+    """In a few words."""
+    if not homes:
+        return "not homed"
+    named = "homed by the drive's own method" if method is None else f"homing method {method}"
+    return named if home_position_mm is None else f"{named} to {home_position_mm:g} mm"
+
+
+def read_zero(path: Path) -> Zero | None:
+    """None where there is no such file. Raises InputError for one that cannot be read."""
+    if not path.exists():
+        return None
+    try:
+        return Zero.from_json(json.loads(read_text(path)))
+    except (ValueError, RecursionError) as error:
+        raise InputError("does not say what zero the axis has", path=path) from error
+
+
+def write_zero(path: Path, zero: Zero) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, (json.dumps(zero.to_json(), indent=1, allow_nan=False) + "\n").encode())
+
+
+def homing_risk(homes: bool, method: int | None) -> str | None:
+    """What there is to say against an axis's homing; None for nothing."""
+    if not homes:
+        return None
+    if method is None:
+        return "the drive does not say how it homes; a method that takes the place where the axis stands would lose its zero"
+    if method in FROM_WHERE_IT_STANDS:
+        where = (
+            "the place where the axis stands" if method in (35, 37) else "the index pulse beside where the axis stands"
+        )
+        return (
+            f"takes {where} for zero: tables and limits are off by as much after each homing; home to a switch instead"
+        )
+    if method < 0:
+        return "is the maker's own: see its manual whether it depends on where the axis stands"
+    return None
+
+
+class ZeroKeeper:
+    """Holds one connected axis against its zero. Without a file of the zero the axis is a fresh one, and gets it.
+
+    path: of the axis's zero; absolute_encoder: the drive knows its position without homing, also after its power was off;
+    instrument: its kind. anew: the next homing makes a new zero; instrument_zeroed: a person says that the instrument does not count
+    from where it did.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        axis: str,
+        axis_file: Path,
+        *,
+        within_um: float = REFERENCE_WITHIN_UM,
+        absolute_encoder: bool = False,
+        instrument: str = "",
+    ) -> None:
+        self.path = path
+        self.axis = axis
+        self.anew = False
+        self.instrument_zeroed = False
+        self.stands = False
+        """Found by `begin`: the axis has its zero, and a homing would lose it."""
+        self.current: Zero | None = None
+        """What the axis is in, since `begin`."""
+        self._file = axis_file
+        self._within_um = within_um
+        self._absolute = absolute_encoder
+        self._instrument = instrument
+        self._allowed = False  # the next homing, by `begin`
+        self._tied = False  # by the drive: its zero is the same whatever the instrument counts from
+        self._campaign: Path | None = None
+        self._begun = ""
+
+    def guard(self, drive: ServoDrive) -> None:
+        """From now on the drive homes only where that loses no zero, whoever asks it to."""
+        drive.before_homing = lambda: self._before_homing(drive)
+
+    # -- before anything moves -----------------------------------------------------------------------------------------------
+    def begin(
+        self,
+        drive: ServoDrive,
+        *,
+        homes: bool,
+        campaign: Path | None = None,
+        tables: Zero | None = None,
+        old_tables: bool = False,
+    ) -> None:
+        """Hold drive, campaign and tables against the axis's zero. Raises ZeroError; nothing has moved.
+
+        campaign: its folder; tables: the zero that what is to be put into force was made in; old_tables: that states none.
+        """
+        self._campaign, self._allowed, self.stands, self._begun = campaign, False, False, _now()
+        rows = None if campaign is None else read_zero(campaign / FILE)
+        known = self.kept(rows, tables)
+        now = drive.zero()
+        place = homes and now.method in FROM_WHERE_IT_STANDS
+        asks = not self.anew and (place or (not homes and known is not None))
+        homed = self._has_kept_zero(drive, known) if asks else False
+        if known is not None:
+            self._check_same(known, now, homes=homes, homed=homed)
+        if place and not homed and not self.anew and (known is not None or old_tables or self._was_measured()):
+            raise ZeroError(self._refused(now.method, known))
+        self.stands = place and homed
+        self._tied = homed or (homes and not place)
+        self._allowed = homes and not self.stands
+        self.current = known or Zero(
+            secrets.token_hex(16), self.axis, _now(), dict(now.identity), homes, now.method, now.home_position_mm
+        )
+
+    def kept(self, rows: Zero | None = None, tables: Zero | None = None) -> Zero | None:
+        """The axis's zero, after `rows` of a campaign and `tables` were found to be in it. Raises ZeroError where they are not."""
+        known = None if self.anew else read_zero(self.path) or rows or tables
+        for what, zero in (("the campaign's rows were measured", rows), ("the tables were made", tables)):
+            if zero is not None and (known is None or zero.id != known.id):
+                other = "another is being made" if known is None else f"it has {known.describe()} now"
+                raise ZeroError(
+                    f"axis {self.axis}: {what} in another zero ({zero.describe()}), {other}: calibrate anew"
+                    f" (hil calibrate {self._file})"
+                )
+        return known
+
+    def check_tables(self, tables: Zero | None) -> None:
+        """Raise ZeroError for tables that were made in another zero than the axis has."""
+        if tables is not None and self.current is not None and tables.id != self.current.id:
+            self.kept(tables=tables)
+
+    def _has_kept_zero(self, drive: ServoDrive, known: Zero | None) -> bool:
+        return (self._absolute and known is not None) or drive.says_homed() is True
+
+    def _check_same(self, known: Zero, now: DriveZero, *, homes: bool, homed: bool) -> None:
+        if dict(known.drive) != dict(now.identity):
+            raise ZeroError(
+                f"axis {self.axis}: its zero ({known.describe()}) was made with drive {_named(known.drive)}, this one is"
+                f" {_named(now.identity)}{self._way_out}"
+            )
+        if not homes or homed:
+            return
+        was, is_ = known.home_position_mm, now.home_position_mm
+        moved = was is not None and is_ is not None and abs(was - is_) > _SAME_MM
+        if not known.homes or known.method != now.method or moved:
+            raise ZeroError(
+                f"axis {self.axis}: its zero is {known.describe()}, the drive would home by"
+                f" {describe_homing(homes, now.method, is_)}{self._way_out}"
+            )
+
+    def _refused(self, method: int | None, known: Zero | None) -> str:
+        lost = "what was measured before" if known is None else f"its zero ({known.describe()})"
+        return (
+            f"axis {self.axis}: homing method {method} depends on where the axis stands, {lost} would be lost, and the drive does not"
+            " say that it is homed; home to a switch, or bring the axis to its zero and begin anew"
+            f" (hil calibrate {self._file} --new-zero)"
+        )
+
+    @property
+    def _way_out(self) -> str:
+        return f"; to begin anew: hil calibrate {self._file} --new-zero"
+
+    def _was_measured(self) -> bool:
+        """Whether the axis has rows from before its zero was kept."""
+        for marker in self.path.parent.glob("*/campaign.json"):
+            try:
+                mine = json.loads(read_text(marker)).get("axis") == self.axis
+            except (InputError, ValueError, AttributeError):
+                mine = True
+            if mine and any(marker.parent.glob("*.csv")):
+                return True
+        return False
+
+    def _before_homing(self, drive: ServoDrive) -> None:
+        """By any caller; one that did not begin here homes an axis by itself."""
+        if not self._allowed:
+            self.begin(drive, homes=True)
+            if self.stands and (self.path.exists() or self._was_measured()):
+                method = None if self.current is None else self.current.method
+                raise ZeroError(self._refused(method, self.current))
+        self._allowed = False
+        if self.current is not None and (self.anew or not self.path.exists()):
+            write_zero(self.path, self.current)  # before the order: killed after it, the zero is a new one
+
+    # -- at the reference position ------------------------------------------------------------------------------------------
+    def at_reference(self, motor_mm: float, instrument_mm: float, sequence: int | None, rate_hz: float | None) -> None:
+        """Hold a reading at the reference position against the one of before, or keep it where there is none, or where the instrument
+        counts from another place now. Raises ZeroError; nothing has been measured.
+
+        sequence: of a sample taken when `begin` was called; rate_hz: of the instrument's samples
+        """
+        current = self.current
+        if current is None:
+            return
+        self._allowed = False
+        found = Reference(motor_mm, instrument_mm, self._instrument, sequence, self._begun)
+        before = None if self.anew else current.reference
+        counts_on = before is not None and self._counts_on(before, found, rate_hz)
+        if before is not None and counts_on and not self.instrument_zeroed:
+            off_um = 1000.0 * (found.apart_mm - before.apart_mm)
+            if abs(off_um) > self._within_um:
+                raise ZeroError(
+                    f"axis {self.axis}: the instrument finds the reference position {off_um / 1000.0:+.4f} mm from where it was on"
+                    f" {before.time[:16]}, at most {self._within_um:g} µm are allowed (reference_within_um): the axis's zero has moved"
+                    f" (hil calibrate {self._file} --new-zero), or the instrument was zeroed since (--instrument-zeroed)"
+                )
+            found = before
+        elif before is not None and not self._tied:
+            raise ZeroError(
+                f"axis {self.axis}: the instrument counts from another place than on {before.time[:16]}, the axis is not homed to a"
+                " switch, and its drive does not say that it has kept its zero: nothing shows that it is the same ([axis]"
+                f" absolute_encoder = true where the drive keeps it){self._way_out}"
+            )
+        self.current = replace(current, reference=found)
+        write_zero(self.path, self.current)
+        if self._campaign is not None and not (self._campaign / FILE).exists():
+            write_zero(self._campaign / FILE, self.current)
+        self.anew = self.instrument_zeroed = False
+
+    def instrument_lost(self, motor_mm: float, instrument_mm: float) -> None:
+        """The signal was away while the axis kept its zero: from now on the instrument counts from where this was read."""
+        if self.current is not None and self.current.reference is not None:
+            reference = replace(self.current.reference, motor_mm=motor_mm, instrument_mm=instrument_mm, time=_now())
+            self.current = replace(self.current, reference=reference)
+            write_zero(self.path, self.current)
+
+    def _counts_on(self, before: Reference, found: Reference, rate_hz: float | None) -> bool:
+        """Whether the instrument has run on since; one that numbers no samples is taken to have."""
+        if before.instrument != found.instrument:
+            return False
+        if before.sequence is None or found.sequence is None:
+            return True
+        counted = found.sequence - before.sequence
+        passed_s = (datetime.fromisoformat(found.time) - datetime.fromisoformat(before.time)).total_seconds()
+        return counted >= 0 and (rate_hz is None or counted >= rate_hz * (_FEWEST * passed_s - _SLACK_S))
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _named(identity: Mapping[str, int | str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in identity.items()) or "without a name"

@@ -1,0 +1,150 @@
+"""Who is let in: spoken to as ASGI, without a server."""
+
+import asyncio
+from collections.abc import MutableMapping
+from typing import Any
+
+import pytest
+
+from hil.app.panel.browsers import COOKIE
+from hil.app.panel.guard import ACCESS, LOGIN, Guard
+
+Answer = tuple[int, dict[str, str], bytes]
+TOKEN = "an-access-token"
+OURS = "https://127.0.0.1:8080"  # where there is a token there is TLS
+
+
+class Inside:
+    """What stands behind the guard: remembers the cookies it was shown."""
+
+    cookies = ""
+
+    async def __call__(self, scope: MutableMapping[str, Any], _receive: Any, send: Any) -> None:
+        self.cookies = dict(scope["headers"]).get(b"cookie", b"").decode()
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.accept"})
+            return
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b"inside"})
+
+
+def guard(inside: Inside, token: str | None = None) -> Guard:
+    return Guard(inside, ["127.0.0.1", "localhost", "::1"], token, "<form>", secure=token is not None)
+
+
+def ask(
+    app: Guard, kind: str = "http", method: str = "GET", path: str = "/", body: bytes = b"", **headers: str
+) -> Answer:
+    given = {"host": "127.0.0.1:8080", **headers}
+    raw = [(name.encode(), value.encode()) for name, value in given.items() if value]
+    sent: list[MutableMapping[str, Any]] = []
+
+    async def receive() -> MutableMapping[str, Any]:
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    async def send(message: MutableMapping[str, Any]) -> None:
+        sent.append(message)
+
+    asyncio.run(app({"type": kind, "method": method, "path": path, "headers": raw}, receive, send))
+    if kind == "websocket":
+        return (101 if sent[0]["type"] == "websocket.accept" else 403), {}, b""
+    found = {name.decode(): value.decode() for name, value in sent[0]["headers"]}
+    return int(sent[0]["status"]), found, b"".join(one.get("body", b"") for one in sent[1:])
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:1", "[::1]:8080", "LOCALHOST"])
+def test_asked_for_by_a_name_of_ours(host: str) -> None:
+    assert ask(guard(Inside()), host=host)[0] == 200
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:80", "", "[", "localhost@evil.example"])
+def test_a_name_that_somebody_lets_point_here_is_refused(host: str) -> None:
+    inside = Inside()
+    assert ask(guard(inside), host=host)[0] == 421
+    assert ask(guard(inside), "websocket", host=host, origin=f"http://{host}")[0] == 403
+    assert inside.cookies == ""
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:9999", "http://127.0.0.1", "https://127.0.0.1:8080"]
+)
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+def test_what_another_page_sends_is_refused(kind: str, origin: str) -> None:
+    assert ask(guard(Inside()), kind, "POST", "/stop", origin=origin)[0] == 403
+
+
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+def test_what_our_page_sends_is_let_in(kind: str) -> None:
+    assert ask(guard(Inside()), kind, "POST", "/stop", origin="http://127.0.0.1:8080")[0] in (200, 101)
+
+
+def test_every_browser_gets_a_number_of_its_own_and_keeps_it() -> None:
+    inside = Inside()
+    _, headers, _ = ask(guard(inside))
+    cookie = headers["set-cookie"]
+    assert inside.cookies == cookie.partition(";")[0]
+    assert {"HttpOnly", "SameSite=Strict"} <= {part.strip() for part in cookie.split(";")}
+    status, headers, _ = ask(guard(inside), cookie=inside.cookies)
+    assert (status, "set-cookie" in headers) == (200, False)
+    assert ask(guard(Inside()))[1]["set-cookie"] != cookie
+
+
+def test_beyond_loopback_nobody_without_the_token() -> None:
+    inside = Inside()
+    app = guard(inside, TOKEN)
+    status, _, body = ask(app)
+    assert (status, body) == (401, b"<form>")
+    assert ask(app, "websocket", origin=OURS)[0] == 403
+    assert ask(app, method="POST", path="/stop", origin=OURS)[0] == 401
+    wrong = ask(app, method="POST", path=LOGIN, body=b"token=wrong", origin=OURS)
+    assert wrong[0] == 401
+    assert inside.cookies == ""
+    status, headers, _ = ask(app, method="POST", path=LOGIN, body=f"token={TOKEN}".encode(), origin=OURS)
+    assert (status, headers["location"]) == (303, "/")
+    assert {"HttpOnly", "Secure", "SameSite=Strict"} <= {part.strip() for part in headers["set-cookie"].split(";")}
+    assert ask(app, cookie=headers["set-cookie"].partition(";")[0])[2] == b"inside"
+    assert ask(app, cookie=f"{ACCESS}=wrong; {COOKIE}=x")[0] == 401
+
+
+LED = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+@pytest.mark.parametrize(
+    ("kind", "method", "how"),
+    [
+        ("http", "GET", LED | {"sec-fetch-dest": "iframe"}),
+        ("http", "GET", {"sec-fetch-mode": "no-cors", "sec-fetch-dest": "script"}),
+        ("http", "GET", {}),
+        ("http", "POST", LED),
+        ("websocket", "GET", LED),
+    ],
+)
+def test_a_foreign_page_loads_nothing_from_here(kind: str, method: str, how: dict[str, str], site: str) -> None:
+    ours = {"origin": "http://127.0.0.1:8080"}  # as from our page in all else
+    assert ask(guard(Inside()), kind, method, **ours, **how)[0] in (200, 101)
+    assert ask(guard(Inside()), kind, method, **ours, **how, **{"sec-fetch-site": site})[0] == 403
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "same-origin", "none"])
+def test_a_foreign_page_may_lead_here(site: str) -> None:
+    inside = Inside()
+    status, headers, _ = ask(guard(inside), **LED, **{"sec-fetch-site": site})
+    assert status == 200
+    assert inside.cookies.startswith(COOKIE)
+    assert ("set-cookie" in headers) == (site in ("same-origin", "none"))  # a number it has is not taken from it
+
+
+def test_no_answer_can_be_shown_inside_another_page() -> None:
+    answers = [
+        ask(guard(Inside())),
+        ask(guard(Inside()), cookie=f"{COOKIE}=x"),
+        ask(guard(Inside()), host="evil.example"),
+        ask(guard(Inside()), origin="http://evil.example"),
+        ask(guard(Inside(), TOKEN)),
+        ask(guard(Inside(), TOKEN), method="POST", path=LOGIN, body=f"token={TOKEN}".encode(), origin=OURS),
+    ]
+    assert [status for status, _, _ in answers] == [200, 200, 421, 403, 401, 303]
+    for _, headers, _ in answers:
+        assert headers["content-security-policy"] == "frame-ancestors 'none'"
+        assert headers["x-frame-options"] == "DENY"

@@ -1,0 +1,147 @@
+"""Two campaigns set against each other, a report as a PDF, its uncertainty and its signatures, by the verb as a user calls it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.bench_axis import lay_out
+
+from hil.app.report.compare import difference, verdict
+from hil.app.terminal.main import main
+from hil.correction.sealed import load_private_key, sign_detached
+from hil.records.rows import Records, read_csv, to_csv
+
+TARGETS = np.array([0.0, 51.0, 99.0, 160.0, 204.0, 250.0])
+
+
+def campaign(
+    seed: int, step_um: float = 0.0, targets: np.ndarray = TARGETS, runs: int = 5, noise_um: float = 0.3
+) -> Records:
+    """A slope along the axis, noise, and a step beyond 150 mm."""
+    rng = np.random.default_rng(seed)
+    rows = [
+        (run, d, p, p + (0.01 * p + d + step_um * (p > 150) + noise_um * rng.normal()) / 1000.0)
+        for run in range(1, runs + 1)
+        for d in (1, -1)
+        for p in targets[::d]
+    ]
+    return Records.of(dict(zip(("run", "direction", "target_mm", "measured_mm"), zip(*rows, strict=True), strict=True)))
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("a.csv").write_text(to_csv(campaign(1)))
+    Path("b.csv").write_text(to_csv(campaign(2, step_um=2.0)))
+    return tmp_path
+
+
+def test_what_moved_is_found_and_what_did_not_is_not() -> None:
+    found = difference(campaign(1), campaign(2, step_um=2.0))
+    beyond = found.target_mm > 150
+    assert found.difference_um[beyond] == pytest.approx(2.0, abs=0.6)
+    assert (np.abs(found.difference_um) > found.limit_um)[beyond].all()
+    assert found.clear <= 6 + 2
+    assert (found.judged, found.between) == (12, 0)
+
+
+def test_the_limit_holds_for_95_of_100() -> None:
+    clear = judged = 0
+    for seed in range(120):
+        found = difference(campaign(2 * seed), campaign(2 * seed + 1, runs=3))
+        clear, judged = clear + found.clear, judged + found.judged
+    assert clear / judged == pytest.approx(0.05, abs=0.02)
+
+
+def test_other_targets_are_compared_between_the_first_one_s() -> None:
+    """Along a straight line the means between targets are exact."""
+    middle = (TARGETS[:-1] + TARGETS[1:]) / 2
+    found = difference(campaign(1, noise_um=0.0), campaign(2, targets=np.r_[middle, 300.0], noise_um=0.0))
+    assert (len(found.target_mm), found.between) == (10, 10)
+    assert found.difference_um == pytest.approx(0.0, abs=1e-9)
+    assert "10 targets are not the other's" in verdict(found)
+
+
+def test_one_run_has_no_scatter_and_no_common_stretch_no_difference() -> None:
+    found = difference(campaign(1, runs=1), campaign(2, runs=1))
+    assert found.judged == 0
+    assert "no scatter to judge by" in verdict(found)
+    assert len(difference(campaign(1), campaign(2, targets=TARGETS + 1000.0)).target_mm) == 0
+
+
+@pytest.mark.slow
+def test_the_verb_compares(place: Path) -> None:
+    assert main(["report", "--compare", "a.csv", "b.csv", "--out", "c.html", "--png", "png", "--json", "c.json"]) == 0
+    page = Path("c.html").read_text()
+    assert "b against a" in page
+    assert re.search(r"\d+ of 12 target means differ", page)
+    assert Path("png/difference.png").exists()
+    assert json.loads(Path("c.json").read_text())["campaigns"][0]["uncertainty_um"] is None
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        (["--compare", "a.csv", "b.csv", "a.csv"], "and not both"),
+        ([], "expected record files, or --compare"),
+        (["a.csv", "--axis-file", "none.toml"], "none.toml: cannot be read"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    place: Path, argv: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", "--out", "c.html", *argv]) == 2
+    assert says in capsys.readouterr().err
+    assert not Path("c.html").exists()
+
+
+@pytest.mark.slow
+def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(place: Path) -> None:
+    path = lay_out(place / "axis", correction="band_um = [-1.0, 4.0]")
+    path.write_text(path.read_text() + "\n[uncertainty]\ndevice_um_per_m = 0.8\nvariation_um = 1.0\n")
+    argv = ["report", "a.csv", "--axis-file", str(path), "--out", "r.html", "--pdf", "r.pdf", "--json", "r.json"]
+    assert main(argv) == 0
+    page = Path("r.html").read_text()
+    assert "Uncertainty of measurement" in page
+    assert "certificate 0 µm + 0.8 µm/m" in page
+    assert "Inside -1 to 4 µm" in page
+    stated = json.loads(Path("r.json").read_text())["campaigns"][0]["uncertainty_um"]
+    u = 1.0 / np.sqrt(3.0)
+    assert stated["E"] == pytest.approx(np.hypot(0.8 * 0.25, np.sqrt(2 / 5) * u))
+    assert stated["R_up"] == pytest.approx(2 * u)
+    figures = json.loads(Path("r.json").read_text())["campaigns"][0]["iso230"]["figures_um"]
+    assert f"{figures['E']:.2f} ± {stated['E']:.2f}" in page
+    paper = Path("r.pdf").read_bytes()
+    assert paper.startswith(b"%PDF-")
+    assert paper.rstrip().endswith(b"%%EOF")
+    assert len(re.findall(rb"/Type /Page\b", paper)) > 3
+
+
+@pytest.mark.slow
+def test_the_same_data_give_the_same_paper() -> None:
+    from hil.app.report.data import NamedCampaign, ReportData  # noqa: PLC0415  (plots are slow to import)
+    from hil.app.report.pdf import render_pdf  # noqa: PLC0415
+
+    data = ReportData("Axis X", (NamedCampaign("a", campaign(1), "long " * 60),), notes=("one", "µ ± ↑"))
+    assert render_pdf(data) == render_pdf(data)
+
+
+@pytest.mark.slow
+def test_signatures_are_shown_and_a_bad_one_is_a_verdict(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lay_out(place / "axis")
+    key = load_private_key(place / "axis" / "builder.key", "builder")
+    Path("a.csv.sig").write_bytes(sign_detached(Path("a.csv").read_bytes(), key))
+    argv = ["report", "a.csv", "b.csv", "--builder", "axis/builder.pub", "--out", "s.html", "--json", "s.json"]
+    assert main(argv) == 0
+    page = Path("s.html").read_text()
+    assert "signed by" in page
+    assert "not signed" in page
+    Path("b.csv.sig").write_bytes(sign_detached(Path("a.csv").read_bytes(), key))
+    assert main(argv) == 1
+    assert "b.csv: signature NOT GOOD" in capsys.readouterr().out
+    assert json.loads(Path("s.json").read_text())["signatures"]["b.csv"].startswith("NOT GOOD")
+    assert len(read_csv("a.csv")) == 60

@@ -1,0 +1,161 @@
+"""The `hil` process as its surroundings see it: streams that are closed, full or poor in letters, and Ctrl-C before it has begun."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from functools import partial
+from pathlib import Path
+
+import pytest
+from support import bench_axis
+
+from hil.app.error_log import MOST_BYTES, ErrorLog
+from hil.app.terminal import main as entry
+
+RECORDS = "run,direction,target_mm,measured_mm\n" + "".join(
+    f"{run},{d:+d},{p},{p + 0.001 * run * d}\n" for run in (1, 2) for d in (1, -1) for p in (0.0, 10.0)
+)
+
+
+@pytest.fixture
+def records(tmp_path: Path) -> Path:
+    path = tmp_path / "µm é.csv"
+    path.write_text(RECORDS)
+    return path
+
+
+def hil(*argv: str | Path, shell: str = '"$@"', **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run it in a shell, which lays the streams; its standard error is read."""
+    command = ["sh", "-c", shell, "sh", sys.executable, "-m", "hil.app.terminal", *map(str, argv)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
+
+
+def test_a_terminal_without_the_letters_of_the_field_gets_the_figures_all_the_same(records: Path) -> None:
+    done = hil("iso230", records, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "ISO 230-2:2014 ? 2 targets" in done.stdout
+
+
+def test_with_standard_output_closed_the_verdict_still_counts(records: Path) -> None:
+    done = hil("iso230", records, shell='"$@" >&-')
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_output_that_nobody_takes_is_an_error_of_one_line(records: Path) -> None:
+    done = hil("iso230", records, shell='"$@" >/dev/full')
+    assert done.returncode != 0
+    assert done.stderr == "hil: No space left on device\n"
+
+
+def test_ctrl_c_while_the_program_loads_ends_it_without_a_traceback(records: Path, tmp_path: Path) -> None:
+    package = tmp_path / "path" / "numpy"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(f"import os\nos.kill(os.getpid(), {int(signal.SIGINT)})\n")
+    done = hil("iso230", records, shell='exec "$@"', PYTHONPATH=str(package.parent))
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
+HEAVY = {"numpy", "scipy", "matplotlib", "can", "canopen", "pymodbus", "serial", "cryptography", "rich", "nicegui"}
+
+
+@pytest.mark.parametrize(
+    ("verb", "absent"),
+    [
+        ("--help", HEAVY),
+        ("nonsense", HEAVY),
+        ("sim", {"scipy", "numpy", "pymodbus"}),
+        ("scan", {"scipy", "matplotlib"}),
+    ],
+)
+def test_a_verb_loads_what_it_needs_and_no_more(verb: str, absent: set[str]) -> None:
+    """The help is a list of lines; starting a simulated part takes as long as its own modules take, not those of the diagnosis."""
+    look = "import sys; from hil.app.terminal.main import load_verb; load_verb(sys.argv[1:]); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", look, verb], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & absent
+
+
+@pytest.mark.parametrize("module", entry.VERBS)
+def test_every_line_of_the_help_has_its_verb(module: str, capsys: pytest.CaptureFixture[str]) -> None:
+    verb = entry.verb_name(module)
+    with pytest.raises(SystemExit):
+        entry.build_parser([verb]).parse_args([verb, "--help"])
+    assert capsys.readouterr().out.startswith(f"usage: hil {verb} ")
+
+
+def mistaken(_args: object) -> int:
+    raise LookupError("nobody\nforesaw this")
+
+
+def test_a_mistake_of_the_program_is_one_line_and_its_traceback_a_file(
+    records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr("hil.figures.command.run", mistaken)
+    log = tmp_path / "state" / "hil" / "errors.log"
+    assert entry.main(["iso230", str(records)]) == 1
+    assert capsys.readouterr().err == f"hil: LookupError: nobody foresaw this; the traceback is in {log}\n"
+    assert 'raise LookupError("nobody\\nforesaw this")' in log.read_text()
+    axis = bench_axis.lay_out(tmp_path)
+    monkeypatch.setattr("hil.doctor.command.run", mistaken)
+    assert entry.main(["doctor", str(axis)]) == 1
+    log = tmp_path / "X-campaign" / "errors.log"
+    assert capsys.readouterr().err.endswith(f"; the traceback is in {log}\n")
+    assert "Traceback" in log.read_text()
+
+
+def test_a_file_that_cannot_be_written_hides_no_mistake(
+    records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "state").write_text("no directory")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr("hil.figures.command.run", mistaken)
+    assert entry.main(["iso230", str(records)]) == 1
+    assert "LookupError: nobody foresaw this; its traceback cannot be kept in" in capsys.readouterr().err
+
+
+def test_a_thread_that_nobody_watches_tells_its_mistake_and_leaves_its_traceback(
+    records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(_args: object) -> int:
+        for work in (partial(mistaken, None), sys.exit):
+            thread = threading.Thread(target=work, name="stray")
+            thread.start()
+            thread.join()
+        return 0
+
+    hook = threading.excepthook
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr("hil.figures.command.run", run)
+    assert entry.main(["iso230", str(records)]) == 0
+    log = tmp_path / "state" / "hil" / "errors.log"
+    assert capsys.readouterr().err == f"hil: LookupError: nobody foresaw this; the traceback is in {log}\n"
+    assert "thread stray" in log.read_text()
+    assert threading.excepthook is hook
+
+
+def test_the_file_of_tracebacks_stays_small_and_keeps_the_same_one_once(tmp_path: Path) -> None:
+    log = ErrorLog(tmp_path / "errors.log")
+    for number in range(3 * MOST_BYTES // 1000):
+        error = ValueError(f"{number} {'x' * 1000}")
+        assert log.line_of(error) == log.line_of(error)
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept == ["errors.log", "errors.log.1"]
+    assert all(path.stat().st_size <= MOST_BYTES for path in tmp_path.iterdir())
+    text = log.path.read_text()
+    assert text.count(f"ValueError: {number} ") == 1, "the last one, once"
+
+
+def test_ctrl_c_at_any_later_moment_is_said_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_argv: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(entry, "build_parser", interrupted)
+    assert entry.main(["iso230", "records.csv"]) == 130
+    assert capsys.readouterr().err.startswith("hil: interrupted; ")

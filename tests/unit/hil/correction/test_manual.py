@@ -1,0 +1,87 @@
+"""Manual mode's table files: what they say, and how every way of getting one wrong is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputError
+from hil.correction.manual import read_manual_tables, read_straightness
+from hil.correction.tables import TableMode
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "typed.csv"
+
+
+def test_two_directions(path: Path) -> None:
+    path.write_text("\ufeff# typed by hand\nposition_mm, plus_um, minus_um\n\n0,1,4\r\n100,2,6\n", encoding="utf-8")
+    tables = read_manual_tables(path)
+    assert tables.mode is TableMode.BIDIRECTIONAL
+    assert (float(tables.correction_um(50.0, 1)), float(tables.correction_um(50.0, -1))) == (1.5, 5.0)
+    assert (tables.specified, tables.straightness) == (None, None)
+
+
+def test_one_direction_and_a_backlash_counted_once(path: Path) -> None:
+    path.write_text("position_mm,plus_um,backlash_um\n0,1,10\n100,2,12\n")
+    tables = read_manual_tables(path)
+    assert tables.mode is TableMode.UNIDIRECTIONAL_BACKLASH
+    np.testing.assert_allclose(tables.correction_um([0.0, 100.0], 1), [1, 2])
+    np.testing.assert_allclose(tables.correction_um([0.0, 100.0], -1), [1 - 10, 2 - 12])
+
+
+def test_specified_accuracy_and_straightness_add_up(path: Path) -> None:
+    path.write_text(
+        "position_mm,plus_um,minus_um,specified_plus_um,specified_minus_um,straightness_um\n0,1,4,6.5,6.4,0.25\n100,2,6,6.5,6.4,0.25\n"
+    )
+    tables = read_manual_tables(path)
+    assert (float(tables.correction_um(0.0, 1)), float(tables.correction_um(0.0, -1))) == (7.75, 10.65)
+
+
+def test_a_straightness_correction_is_minus_the_deviation(path: Path) -> None:
+    path.write_text("position_mm,deviation_um\n0,3\n100,-5\n")
+    assert read_straightness(path).value_um.tolist() == [-3, 5]
+
+
+HEAD = "position_mm,plus_um,minus_um\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("", None, "holds no table"),
+        (HEAD, None, "holds no table"),
+        ("0,1,2\n3,4,5\n", 1, "unknown column '0'"),
+        ("position_mm,plus_um\n0,1\n", 1, "one of the columns minus_um and backlash_um"),
+        ("position_mm,plus_um,minus_um,backlash_um\n0,1,1,0\n", 1, "one of the columns minus_um and backlash_um"),
+        ("plus_um,minus_um\n0,1\n", 1, "lacks position_mm"),
+        ("position_mm,plus_um,plus_um\n0,1,1\n", 1, "twice"),
+        ("position_mm,plus_um,minus_um,specified_plus_um\n0,1,1,1\n", 1, "both specified_plus_um and"),
+        (HEAD + "0,1\n", 2, "row has 2 columns, expected 3"),
+        (HEAD + "# a remark\n\n0,1,2\n10,1,nan\n", 5, "minus_um is 'nan'"),
+        (HEAD + "0,1,inf\n", 2, "minus_um is 'inf'"),
+        (HEAD + "0,1,\n", 2, "minus_um is ''"),
+        (HEAD + "0,1_0,2\n", 2, "plus_um is '1_0'"),
+        (HEAD + "0;1;2\n", 2, "row has 1 columns"),
+        (HEAD + '"0,1,2\n', 2, "position_mm is '\"0'"),
+        (HEAD + "0,1," + "9" * 200_000 + "\n", 2, "minus_um is '9999"),
+        (HEAD + "10,1,2\n0,1,2\n", None, "strictly ascending"),
+        (HEAD + "0,1,2\n0,1,2\n", None, "strictly ascending"),
+    ],
+)
+def test_what_is_no_table_is_refused_with_its_place(path: Path, text: str, line: int | None, words: str) -> None:
+    path.write_text(text)
+    with pytest.raises(InputError, match=re.escape(words)) as refused:
+        read_manual_tables(path)
+    assert (refused.value.path, refused.value.line) == (str(path), line)
+    assert len(str(refused.value)) < 400
+
+
+def test_bytes_that_are_no_text(path: Path) -> None:
+    path.write_bytes(HEAD.encode() + b"0,1,\xff\n")
+    with pytest.raises(InputError, match=r"typed\.csv:2: byte FFh is not UTF-8 text"):
+        read_manual_tables(path)

@@ -1,0 +1,270 @@
+"""Measurements of other programs become the records they were."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InputError
+from hil.correction.formats import keysight, measured_csv, wide_iso
+from hil.correction.formats.keysight import KeysightSettings
+from hil.correction.formats.measured_csv import Column, MeasuredCsvSettings, parse_column
+from hil.correction.formats.wide_iso import WideIsoSettings
+from hil.figures.iso230 import iso230
+from hil.records.rows import Records, read_csv
+
+DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
+
+
+def campaign(seed: int) -> Records:
+    """Bidirectional runs in the order they are measured."""
+    rng = np.random.default_rng(seed)
+    targets = np.round(np.sort(rng.choice(5000, int(rng.integers(2, 12)), replace=False) / 10.0 - 100), 4)
+    rows: list[tuple[float, float, float]] = []
+    for run in range(1, int(rng.integers(2, 6))):
+        rows += [(run, 1.0, t) for t in targets] + [(run, -1.0, t) for t in targets[::-1]]
+    run, direction, target = np.array(rows).T
+    error_um = np.round(rng.normal(0, 5, len(rows)), 3)
+    return Records.of(
+        {"run": run, "direction": direction, "target_mm": target, "measured_mm": target + error_um / 1000}
+    )
+
+
+def same(found: Records, wanted: Records) -> None:
+    assert len(found) == len(wanted)
+    for name in ("run", "direction", "target_mm"):
+        assert np.array_equal(found[name], wanted[name]), name
+    assert found.measured_mm == pytest.approx(wanted.measured_mm, abs=1e-9)
+
+
+# -- Keysight ----------------------------------------------------------------------------------------------------------
+
+
+def as_lin(records: Records, separator: str = ", ", lines: int = 1) -> str:
+    targets = records.target_mm[: len(records) // (2 * len(records.runs))]
+    errors = np.array_split(records.error_um, lines)
+    head = "Identify=MeaType,Choosing=0\nIdentify=Operator,Text=somebody\n"
+    positions = f"Identify=Positions,TextUnit={separator.join(f'{t:.4f}' for t in targets)} mm\n"
+    body = "".join(f"Identify=LinearErr,TextUnit={separator.join(f'{e:.3f}' for e in part)} um\r\n" for part in errors)
+    return head + positions + body + "Identify=AirTemp,TextUnit=20.1 C\n"
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([", ", " ", ";", "\t"]), st.integers(1, 3))
+def test_keysight_cycles_run_forward_then_back(seed: int, separator: str, lines: int) -> None:
+    wanted = campaign(seed)
+    same(keysight.load(as_lin(wanted, separator, lines)), wanted)
+
+
+@needs_data
+def test_keysight_gives_the_published_figures() -> None:
+    """The example campaign, written as the file it came from, keeps the figures known of it."""
+    records = keysight.load(as_lin(read_csv(DATA / "iso230_example.csv")))
+    figures = iso230(records).figures()
+    assert {name: f"{figures[name]:.2f}" for name in ("A", "R", "B")} == {"A": "9.59", "R": "6.55", "B": "4.12"}
+
+
+def test_keysight_units_and_refusals() -> None:
+    text = "Identify=Positions,TextUnit=0 1 in\nIdentify=LinearErr,TextUnit=1 2 3 4 um\n"
+    records = keysight.load(text)
+    assert records.target_mm.tolist() == [0.0, 25.4, 25.4, 0.0]
+    assert records.error_um == pytest.approx([1, 2, 3, 4])
+    for change, complaint in (
+        (("1 2 3 4 um", "1 2 3 um"), "3 errors for 2 positions, expected a multiple of 4"),
+        (("4 um", "4"), "ends in '4', expected a unit"),
+        (("0 1 in", "0 0 in"), "twice"),
+        (("1 2 3", "1 x 3"), "is 'x', expected a number"),
+        (("LinearErr", "AngularErr"), "no field LinearErr"),
+        (("Positions,TextUnit", "Positions,Text"), "expected TextUnit"),
+    ):
+        with pytest.raises(InputError, match=complaint):
+            keysight.load(text.replace(*change))
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "Identify={},TextUnit={}",
+        'Identify={} "TextUnit={}"',
+        "Identify={}\nTextUnit={}",
+        'identify = {} , "TextUnit = {}"',
+    ],
+)
+def test_keysight_fields_in_any_punctuation(form: str) -> None:
+    lines = [
+        form.format("Operator", "somebody"),
+        form.format("Positions", "0 10 mm"),
+        form.format("LinearErr", "1 2 3 4 um"),
+    ]
+    records = keysight.load("\r\n".join(lines))
+    assert records.target_mm.tolist() == [0.0, 10.0, 10.0, 0.0]
+    assert records.error_um == pytest.approx([1, 2, 3, 4])
+    with pytest.raises(InputError, match="Positions is given as '', expected TextUnit"):
+        keysight.load("Identify=Positions\nIdentify=LinearErr,TextUnit=1 um\n")
+
+
+def test_keysight_commas_within_numbers_are_never_taken_for_commas_between_them() -> None:
+    """Six targets or three? Read as a list, the fields below would fit together and give six."""
+    text = "Identify=Positions,TextUnit=0,1 10,5 20,7 mm\nIdentify=LinearErr,TextUnit=1,5 2,5 3,5 3,6 2,6 1,6 um\n"
+    with pytest.raises(InputError, match=r"holds '0,1': one number or two\?") as caught:
+        keysight.load(text)
+    assert caught.value.line == 1
+    records = keysight.load(text, KeysightSettings(decimal=","))
+    assert records.target_mm.tolist() == [0.1, 10.5, 20.7, 20.7, 10.5, 0.1]
+    assert records.error_um == pytest.approx([1.5, 2.5, 3.5, 3.6, 2.6, 1.6])
+    same(keysight.load(text.replace(" ", ";"), KeysightSettings(decimal=",")), records)
+    with pytest.raises(InputError, match="neither ascend nor descend"):
+        keysight.load("Identify=Positions,TextUnit=0,2,1 mm\nIdentify=LinearErr,TextUnit=1,2,3,3,2,1 um\n")
+
+
+# -- CSV ---------------------------------------------------------------------------------------------------------------
+
+
+def test_csv_with_other_names_units_and_marks() -> None:
+    text = "Lauf;Richtung;Soll;Abw;Temp\n1;up;0,0;1,5;20,1\n1;down;10,5;-2,5;20,2\n"
+    chosen = MeasuredCsvSettings(
+        dict(
+            parse_column(column)
+            for column in ("run=Lauf", "direction=Richtung", "target_mm=Soll", "error_um=Abw:um", "temp_screw_c=Temp")
+        ),
+        decimal=",",
+    )
+    records = measured_csv.load(text, chosen)
+    assert records.direction.tolist() == [1.0, -1.0]
+    assert records.target_mm.tolist() == [0.0, 10.5]
+    assert records.error_um == pytest.approx([1.5, -2.5])
+    assert records["temp_screw_c"].tolist() == [20.1, 20.2]
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("um", 1e-3), ("in", 25.4), ("m", 1000.0), ("nm", 1e-6), ("", 1.0)])
+def test_csv_units(unit: str, factor: float) -> None:
+    chosen = MeasuredCsvSettings({"measured_mm": Column("measured_mm", unit)})
+    records = measured_csv.load("run,direction,target_mm,measured_mm\n1,+,0,2\n", chosen)
+    assert records.measured_mm[0] == pytest.approx(2 * factor)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1))
+def test_csv_run_and_direction_from_the_order(seed: int) -> None:
+    wanted = campaign(seed)
+    rows = zip(wanted.target_mm, wanted.measured_mm, strict=True)
+    text = "target_mm\tmeasured_mm\n" + "".join(f"{t!r}\t{m!r}\n" for t, m in ((float(a), float(b)) for a, b in rows))
+    same(measured_csv.load(text, MeasuredCsvSettings(infer=True)), wanted)
+
+
+def test_csv_one_way_runs_from_the_order() -> None:
+    run, direction = measured_csv.inferred(np.array([0.0, 5.0, 9.0]), 2)
+    assert run.tolist() == [1, 1, 1]
+    assert direction.tolist() == [1, 1, 1]
+    with pytest.raises(InputError, match="first two targets are the same"):
+        measured_csv.inferred(np.array([1.0, 1.0, 2.0]), 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "chosen", "complaint", "line"),
+    [
+        ("a,b\n1,2\n", MeasuredCsvSettings(), "header lacks 'target_mm'", 1),
+        ("target_mm,measured_mm\n1,2\n", MeasuredCsvSettings(), "lacks 'run' .* inferred", 1),
+        ("run,direction,target_mm,measured_mm\n1,+,2\n", MeasuredCsvSettings(), "3 columns, expected 4", 2),
+        ("run,direction,target_mm,measured_mm\n1,0,2,2\n", MeasuredCsvSettings(), "direction is '0'", 2),
+        ("run,direction,target_mm,measured_mm\n#\n1,+,2,\n", MeasuredCsvSettings(), "measured_mm is ''", 3),
+        ("run,direction,target_mm,measured_mm\n1.5,+,2,2\n", MeasuredCsvSettings(), "whole number", 2),
+        ("run,run,target_mm,measured_mm\n1,1,2,2\n", MeasuredCsvSettings(), "twice", 1),
+        ("only\n1\n", MeasuredCsvSettings(), "name the delimiter", None),
+        ("run,direction,target_mm,measured_mm\n1,+,2," + "2" * 200_000 + "\n", MeasuredCsvSettings(), "no row", 2),
+    ],
+)
+def test_csv_refusals_name_the_line(text: str, chosen: MeasuredCsvSettings, complaint: str, line: int | None) -> None:
+    with pytest.raises(InputError, match=complaint) as caught:
+        measured_csv.load(text, chosen)
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimal", "expected"),
+    [
+        ("\N{MINUS SIGN}1.5", ".", -1.5),
+        ("\N{MINUS SIGN}1,5", ",", -1.5),
+        ("1e1", ".", 10.0),
+        ("1,5", ".", "expected a number; with another decimal mark"),
+        ("1.5", ",", "expected a number; with another decimal mark"),
+        ("1.000,5", ",", "'1.000,5', expected a number$"),
+        ("1_0", ".", "expected a number$"),
+        ("\N{ARABIC-INDIC DIGIT ONE}", ".", "expected a number$"),
+        ("nan", ".", "expected a number$"),
+        ("1e999", ".", "expected a number$"),
+    ],
+)
+def test_a_number_is_read_as_it_was_meant_or_not_at_all(cell: str, decimal: str, expected: float | str) -> None:
+    wide = f"target;1+\n{cell};0\n", lambda text: wide_iso.load(text, WideIsoSettings(decimal=decimal))
+    names = "run;direction;target_mm;measured_mm"
+    long = f"{names}\n1;+;{cell};0\n", lambda text: measured_csv.load(text, MeasuredCsvSettings(decimal=decimal))
+    for text, load in (wide, long):
+        if isinstance(expected, float):
+            assert load(text).target_mm.tolist() == [expected]
+            continue
+        with pytest.raises(InputError, match=expected) as caught:
+            load(text)
+        assert caught.value.line == 2
+
+
+def test_csv_columns_are_checked() -> None:
+    for bad in ("target_mm", "=x", "target_mm="):
+        with pytest.raises(InputError, match="expected NAME=HEADER"):
+            parse_column(bad)
+    with pytest.raises(InputError, match="expected such as mm"):
+        MeasuredCsvSettings({"target_mm": Column("x", "furlong")})
+    with pytest.raises(InputError, match="not both"):
+        MeasuredCsvSettings({"measured_mm": Column("a"), "error_um": Column("b")})
+    with pytest.raises(InputError, match="is no length"):
+        MeasuredCsvSettings({"run": Column("x", "mm")})
+
+
+# -- wide --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("label", ["{run}{sign}", "run {run} {word}", "{word} {run}", "{arrow}{run}"])
+@pytest.mark.parametrize("cells", ["deviation_um", "deviation_mm", "position_mm"])
+def test_wide_table_in_any_heading(label: str, cells: str) -> None:
+    wanted = campaign(11)
+    runs, targets = wanted.runs, np.unique(wanted.target_mm)
+    names = {1: {"sign": "+", "word": "forward", "arrow": "↑"}, -1: {"sign": "-", "word": "reverse", "arrow": "↓"}}
+    columns = [(run, direction) for direction in (1, -1) for run in runs]
+    lines = ["target;" + ";".join(label.format(run=run, **names[direction]) for run, direction in columns)]
+    for target in targets[::-1]:
+        row = []
+        for run, direction in columns:
+            at = (wanted.run == run) & (wanted.direction == direction) & (wanted.target_mm == target)
+            measured = float(wanted.measured_mm[at][0])
+            value = {
+                "deviation_um": (measured - target) * 1000,
+                "deviation_mm": measured - target,
+                "position_mm": measured,
+            }[cells]
+            row.append(f"{value:.9f}".replace(".", ","))
+        lines.append(f"{target:.4f}".replace(".", ",") + ";" + ";".join(row))
+    same(wide_iso.load("\n".join(lines), WideIsoSettings(cells, decimal=",")), wanted)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint", "line"),
+    [
+        ("target,1+,1-\n0,1,\n", "1- is '', expected a number", 2),
+        ("target,1+,1+\n0,1,2\n", "twice", 1),
+        ("target,first\n0,1\n", "names no run and direction", 1),
+        ("target,1+\n0,1\n0,2\n", "a second time", 3),
+        ("target,1+\n0,1,2\n", "3 columns, expected 2", 2),
+        ("target\n0\n", "no column of a run", 1),
+        ("target,1+\n", "holds no table", None),
+    ],
+)
+def test_wide_refusals_name_the_line(text: str, complaint: str, line: int | None) -> None:
+    with pytest.raises(InputError, match=complaint) as caught:
+        wide_iso.load(text)
+    assert caught.value.line == line

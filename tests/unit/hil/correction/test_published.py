@@ -1,0 +1,96 @@
+"""Every branch of the published form, against values worked out by hand from tanh(0.5), tanh(1) and tanh(2)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputError
+from hil.correction.published_rise import TwoTanh, published_um
+
+FORM = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0, onset_2_mm=1.0)
+AT_ONCE = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0)
+# tanh 0.5 = 0.46211715726, tanh 1 = 0.76159415596, tanh 2 = 0.96402758008, tanh 4 = 0.99932929974
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(
+    ("form", "before", "expected_um"),  # before: travel since the reversal, stroke, mm, last correction, µm
+    [
+        # |Pbm| > Pc2, before the second term: (12 - 4)·tanh(0.5/0.5)
+        (FORM, (0.5, 5.0, 12.0), 6.09275324765),
+        # on its onset, x't = b2: it has not begun, 8·tanh(2)
+        (FORM, (1.0, 5.0, 12.0), 7.71222064062),
+        # beyond it: 8·tanh(4) + 4·tanh(1/2)
+        (FORM, (2.0, 5.0, 12.0), 9.84310302698),
+        # a last correction between Pc2 and Pc1 + Pc2: (10 - 4)·tanh(4) + 4·tanh(1/2)
+        (FORM, (2.0, 5.0, 10.0), 7.84444442750),
+        # stroke as long as b2: not scaled, 8·tanh(1)
+        (FORM, (0.5, 1.0, 12.0), 6.09275324765),
+        # stroke of half b2: x't = 2·0.5 = 1, 8·tanh(2)
+        (FORM, (0.5, 0.5, 12.0), 7.71222064062),
+        # the same, beyond the onset: x't = 2·1 = 2, 8·tanh(4) + 4·tanh(1/2)
+        (FORM, (1.0, 0.5, 12.0), 9.84310302698),
+        # |Pbm| < Pc2: (8 + 4 - 3) + 3·tanh(2/2)
+        (FORM, (2.0, 5.0, 3.0), 11.28478246788),
+        # the same, scaled: x't = 2·0.5 = 1, 9 + 3·tanh(1/2)
+        (FORM, (0.5, 0.5, 3.0), 10.38635147178),
+        # b2 = 0 never scales, whatever the stroke: 9 + 3·tanh(1), 8·tanh(1) + 4·tanh(0.5/2)
+        (AT_ONCE, (2.0, 0.01, 3.0), 11.28478246788),
+        (AT_ONCE, (1.0, 0.01, 12.0), 7.71222064062 + 1.84846862904),
+        # |Pbm| = Pc2 is of the second branch: 0 + 4·tanh(1/2)
+        (FORM, (2.0, 5.0, 4.0), 1.84846862904),
+        # nothing wound up before: all at once
+        (FORM, (0.0, 5.0, 0.0), 12.0),
+        (FORM, (0.0, 5.0, 12.0), 0.0),
+    ],
+)
+def test_literal_values(form: TwoTanh, direction: int, before: tuple[float, float, float], expected_um: float) -> None:
+    travel_mm, stroke_mm, last_um = before
+    found = published_um(form, direction, travel_mm, stroke_mm, last_um)
+    assert found == pytest.approx(direction * expected_um, abs=2e-10)
+    # of the last correction only the magnitude counts
+    assert published_um(form, direction, travel_mm, stroke_mm, -last_um) == found
+
+
+def test_the_ends_of_the_two_branches_differ_as_the_source_has_it() -> None:
+    assert published_um(FORM, 1, 1e3, 5.0, 3.999) == pytest.approx(12.0)
+    assert published_um(FORM, 1, 1e3, 5.0, 10.0) == pytest.approx(10.0)
+
+
+def test_after_a_full_stroke_it_is_the_whole_rise() -> None:
+    for travel_mm in np.linspace(0.0, 9.0, 31).tolist():
+        assert published_um(FORM, 1, travel_mm, 50.0, 12.0) == pytest.approx(FORM.risen_um(travel_mm), abs=1e-12)
+
+
+@pytest.mark.parametrize("form", [FORM, AT_ONCE, TwoTanh(1.0, 9.0, 3.0, 0.5, 2.0), TwoTanh(9.0, 0.0, 0.5, 1.0)])
+def test_the_steepest_slope_is_reached_and_not_exceeded(form: TwoTanh) -> None:
+    travels = np.arange(0.0, 6.0, 1e-4)
+    slopes = np.diff([form.risen_um(float(s)) for s in travels]) / 1e-4
+    assert 0.995 * form.steepest_um_per_mm < slopes.max() <= form.steepest_um_per_mm * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("direction", "travel_mm", "stroke_mm", "last_um", "message"),
+    [
+        (0, 1.0, 5.0, 12.0, "direction is 0"),
+        (1, -0.1, 5.0, 12.0, "travel -0.1 mm"),
+        (1, math.nan, 5.0, 12.0, "travel nan mm"),
+        (1, 1.0, -5.0, 12.0, "stroke -5.0 mm"),
+        (1, 1.0, 5.0, math.inf, "last correction inf"),
+        (1, 1.0, 0.0, 12.0, "no reversal"),
+    ],
+)
+def test_refusals(direction: int, travel_mm: float, stroke_mm: float, last_um: float, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        published_um(FORM, direction, travel_mm, stroke_mm, last_um)
+
+
+@pytest.mark.parametrize(
+    "values", [(-1.0, 4.0, 1.0, 1.0, 0.0), (8.0, 4.0, 0.0, 1.0, 0.0), (8.0, 4.0, 1.0, 1.0, math.nan)]
+)
+def test_parameters_that_mean_nothing_are_refused(values: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match="expected a finite number"):
+        TwoTanh(*values)

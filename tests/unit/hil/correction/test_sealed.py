@@ -1,0 +1,729 @@
+"""Sealed files: what opens, and every way of meddling that must not."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import shutil
+import stat
+import struct
+import subprocess
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
+from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, NoEncryption, PrivateFormat
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InputError
+from hil.correction.sealed import (
+    Cost,
+    CostError,
+    DamagedError,
+    ForeignSignatureError,
+    NotSealedError,
+    SealedError,
+    SwappedError,
+    TruncatedError,
+    UnknownVersionError,
+    UnsignedError,
+    WrongPasswordError,
+    check,
+    check_detached,
+    fingerprint,
+    is_sealed,
+    load_private_key,
+    load_public_key,
+    new_key,
+    open_sealed,
+    read_sealed,
+    reseal,
+    resign,
+    save_private_key,
+    save_public_key,
+    seal,
+    sign_detached,
+    write_sealed,
+)
+from hil.correction.sealed.keys import KEY_COST, _integer, _tagged
+from hil.correction.sealed.sealing import _DOMAIN
+from hil.records import files
+
+CHEAP = Cost(n=2, r=1, p=1)
+BUILDER = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+STRANGER = Ed25519PrivateKey.from_private_bytes(bytes(range(1, 33)))
+PUBLIC = BUILDER.public_key()
+ENTRIES = {"pitch.json": b'{"section_mm": [0.0, 10.0]}', "backlash.json": b'{"amount_um": 4.5}', "empty": b""}
+BOUND = {"axes": {"X": {"zero": "3f", "drive": {"serial": 7}}}}
+SEALED = seal(ENTRIES, "correct horse", BUILDER, cost=CHEAP, bound_to=BOUND)
+
+VERSION_1 = base64.b64decode(
+    "SElMU0VBTAEAAAHweyJidWlsZGVyIjoiMDNhMTA3YmZmM2NlMTBiZTFkNzBkZDE4ZTc0YmMwOTk2N2U0ZDYzMDliYTUwZDVmMWRkYzg2NjQxMjU1MzFi"
+    "OCIsImNpcGhlciI6ImNoYWNoYTIwLXBvbHkxMzA1IiwiZW50cmllcyI6W3sibmFtZSI6InBpdGNoLmpzb24iLCJub25jZSI6IjY4ZWE2NjU1MDViMjhm"
+    "MDdlNGYyNmQ4MCIsInNhbHQiOiI4YzA5NDliZTBkZDZiYWEzMTU2NDg4NmZmZjZhMzdiNSJ9LHsibmFtZSI6ImJhY2tsYXNoLmpzb24iLCJub25jZSI6"
+    "ImVkZjFjMDYzOGExM2QzMDVkZTY4Y2ZhZSIsInNhbHQiOiI4YzA5NDliZTBkZDZiYWEzMTU2NDg4NmZmZjZhMzdiNSJ9LHsibmFtZSI6ImVtcHR5Iiwi"
+    "bm9uY2UiOiIyNjYwMjQzZjY2NzgxMmU0NmU2NWY3NDAiLCJzYWx0IjoiOGMwOTQ5YmUwZGQ2YmFhMzE1NjQ4ODZmZmY2YTM3YjUifV0sImlkIjoiMDRh"
+    "YTIxZTIzNjkxNTJkMTFlYTY0ZmRiNWY0ZTg0NGQiLCJrZGYiOnsibiI6MiwibmFtZSI6InNjcnlwdCIsInAiOjEsInIiOjF9fQSqIeI2kVLRHqZP219O"
+    "hE0AAAAAACt5f4YxAuJ3Ad04HHK0uH3sWbbw2nQkyTyC9r3ad9CQLJrfV8oMsrP3LxdZBKoh4jaRUtEepk/bX06ETQABAAAAIime04zPUSO/DiTA9EhD"
+    "1wCtagdGVE5pIm6pIHInq7yAwTYEqiHiNpFS0R6mT9tfToRNAAIAAAAQDwFHmXEA1KN1tqY7Tvug8FcHwybGvgN4ghPiXhsc9k9oYqmA9132LB2qU7y2"
+    "Wp7P4G1eVJxZC7fydW7X+UBU9pmlRV2gW7G3zqjul1sZ5wQ="
+)
+"""The same entries as they were sealed before files had a binding."""
+
+
+def header_end(data: bytes) -> int:
+    return 12 + int(struct.unpack(">I", data[8:12])[0])
+
+
+def with_header(data: bytes, header: bytes, key: Ed25519PrivateKey | None = None) -> bytes:
+    """`data` with another header; signed with `key`, else with the old signature left on."""
+    body = data[:8] + struct.pack(">I", len(header)) + header + data[header_end(data) : -64]
+    return body + (data[-64:] if key is None else key.sign(_DOMAIN + body))
+
+
+def chunks(data: bytes) -> list[bytes]:
+    position, found = header_end(data), []
+    while position < len(data) - 64:
+        (length,) = struct.unpack(">I", data[position + 18 : position + 22])
+        found.append(data[position : position + 22 + length])
+        position += 22 + length
+    return found
+
+
+def flipped(data: bytes, position: int, bit: int) -> bytes:
+    return data[:position] + bytes([data[position] ^ 1 << bit]) + data[position + 1 :]
+
+
+# what works
+
+
+@given(
+    entries=st.dictionaries(
+        st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,20}", fullmatch=True),
+        st.binary(max_size=300),
+        min_size=1,
+        max_size=5,
+    ),
+    password=st.text(min_size=1, max_size=30).filter(lambda text: text.isprintable()),
+)
+@settings(max_examples=50, deadline=None)
+def test_what_is_sealed_opens_again(entries: dict[str, bytes], password: str) -> None:
+    data = seal(entries, password, BUILDER, cost=CHEAP)
+    assert open_sealed(data, password, PUBLIC) == entries
+    for content, chunk in zip(entries.values(), chunks(data), strict=True):
+        assert len(content) < 6 or content not in chunk[22:]
+
+
+def test_individual_passwords_open_their_own_entry_only() -> None:
+    own = {"pitch.json": "one", "backlash.json": "two", "empty": "three"}
+    data = seal(ENTRIES, own, BUILDER, cost=CHEAP)
+    assert open_sealed(data, own, PUBLIC) == ENTRIES
+    assert open_sealed(data, {"backlash.json": "two"}, PUBLIC) == {"backlash.json": ENTRIES["backlash.json"]}
+    assert open_sealed(data, "one", PUBLIC, names=["pitch.json"]) == {"pitch.json": ENTRIES["pitch.json"]}
+    with pytest.raises(WrongPasswordError, match=r"entry backlash\.json"):
+        open_sealed(data, "one", PUBLIC)
+
+
+def test_same_input_sealed_twice_shares_no_secret_material() -> None:
+    again = seal(ENTRIES, "correct horse", BUILDER, cost=CHEAP)
+    assert not {c[22:] for c in chunks(again)} & {c[22:] for c in chunks(SEALED)}
+
+
+def test_a_password_is_the_same_however_its_accents_are_typed() -> None:
+    data = seal({"a": b"x"}, "Ma\u00dfst\u00e4be", BUILDER, cost=CHEAP)
+    assert open_sealed(data, "Ma\u00dfsta\u0308be", PUBLIC) == {"a": b"x"}
+
+
+@pytest.mark.parametrize(("typed", "alike"), [("x\u00b2", "x2"), ("\ufb01n", "fin"), ("\u2460", "1"), ("\uff21", "A")])
+def test_characters_that_only_look_alike_are_other_passwords(typed: str, alike: str) -> None:
+    """Composed (NFC) and no further: compatibility (NFKC) would make the superscript a digit and the ligature two letters."""
+    data = seal({"a": b"x"}, typed, BUILDER, cost=CHEAP)
+    assert open_sealed(data, typed, PUBLIC) == {"a": b"x"}
+    with pytest.raises(WrongPasswordError):
+        open_sealed(data, alike, PUBLIC)
+
+
+def by_hand(name: str, plain: bytes, password: str) -> bytes:
+    """A sealed file with one entry, put together from the layout in the documentation: scrypt by OpenSSL, the rest by RFC."""
+    salt, nonce, file_id = bytes(range(16)), bytes(range(12)), b"0123456789abcdef"
+    entry = {"name": name, "nonce": nonce.hex(), "salt": salt.hex()}
+    form = {"cipher": "chacha20-poly1305", "id": file_id.hex(), "kdf": {"n": 16, "name": "scrypt", "p": 3, "r": 2}}
+
+    def canonical(value: object) -> bytes:
+        return json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
+
+    secret = hashlib.scrypt(password.encode(), salt=salt, n=16, r=2, p=3, dklen=32)
+    beside = b"HILSEAL\x01" + canonical({**form, "entries": [0, entry]})
+    ciphertext = ChaCha20Poly1305(secret).encrypt(nonce, plain, beside)
+    header = canonical({**form, "builder": PUBLIC.public_bytes_raw().hex(), "entries": [entry]})
+    body = b"HILSEAL\x01" + len(header).to_bytes(4, "big") + header
+    body += file_id + b"\0\0" + len(ciphertext).to_bytes(4, "big") + ciphertext
+    return body + BUILDER.sign(b"hil sealed file\0" + body)
+
+
+def test_a_file_put_together_by_hand_opens() -> None:
+    """So a file that was written before opens after."""
+    data = by_hand("pitch.json", b"3.5 um", "secret")
+    assert open_sealed(data, "secret", PUBLIC) == {"pitch.json": b"3.5 um"}
+    info = check(data, PUBLIC).as_json()
+    assert info == {
+        "version": 1,
+        "builder": fingerprint(PUBLIC),
+        "entries": {"pitch.json": 6},
+        "kdf": "scrypt n=16 r=2 p=3",
+        "cipher": "chacha20-poly1305",
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "binding": None,
+    }
+    with pytest.raises(WrongPasswordError):
+        open_sealed(data, "Secret", PUBLIC)
+    assert is_sealed(data)
+    assert not is_sealed(data[1:])
+
+
+def test_the_fingerprint_is_half_a_sha256_in_groups() -> None:
+    """FIPS 180: SHA-256 of "abc" begins ba7816bf 8f01cfea 414140de 5dae2223."""
+    assert fingerprint(b"abc") == "ba78 16bf 8f01 cfea 4141 40de 5dae 2223"
+
+
+def test_lengths_and_numbers_in_der() -> None:
+    """X.690, 8.1.3: up to 127 one byte, then 81 with one and 82 with two; 8.3: a whole number's first bit is its sign."""
+    assert [_tagged(4, bytes(n))[: -n or None].hex() for n in (0, 1, 127, 128, 255, 256, 65535)] == (
+        ["0400", "0401", "047f", "048180", "0481ff", "04820100", "0482ffff"]
+    )
+    assert [_integer(n).hex() for n in (0, 1, 127, 128, 255, 256, 16384, 32768)] == (
+        ["020100", "020101", "02017f", "02020080", "020200ff", "02020100", "02024000", "0203008000"]
+    )
+
+
+def test_salts_are_shared_by_a_password_and_never_by_two() -> None:
+    def salts(data: bytes) -> list[str]:
+        return [entry["salt"] for entry in json.loads(data[12 : header_end(data)])["entries"]]
+
+    assert len(set(salts(SEALED))) == 1
+    own = seal({"a": b"", "b": b"", "c": b""}, {"a": "1", "b": "2", "c": "1"}, BUILDER, cost=CHEAP)
+    assert salts(own)[0] == salts(own)[2] != salts(own)[1]
+
+
+def test_check_shows_entries_and_cost_without_a_password() -> None:
+    info = check(SEALED, PUBLIC)
+    assert dict(info.entries) == {name: len(content) for name, content in ENTRIES.items()}
+    assert info.kdf == "scrypt n=2 r=1 p=1"
+    assert info.builder == fingerprint(PUBLIC)
+    assert json.dumps(info.as_json())
+
+
+def test_default_cost_is_memory_hard() -> None:
+    cost = Cost()
+    assert 128 * cost.n * cost.r >= 32 << 20
+    assert cost.n * cost.r * cost.p >= 3 << 18
+    assert (cost.n, cost.r, cost.p) == (32768, 8, 3)
+    assert (KEY_COST.n, KEY_COST.r, KEY_COST.p) == (16384, 8, 5)
+
+
+@pytest.mark.parametrize(
+    ("n", "r", "p", "good"),
+    [
+        (2, 1, 1, True),
+        (1, 1, 1, False),
+        (3, 1, 1, False),
+        (2, 0, 1, False),
+        (2, 1, 0, False),
+        (1 << 18, 8, 1, True),  # 128·n·r = 256 MiB
+        (1 << 19, 8, 1, False),
+        (1 << 18, 9, 1, False),
+        (1 << 13, 256, 1, True),
+        (1 << 13, 257, 1, False),
+        (1 << 15, 8, 32, True),  # n·r·p = 2^23
+        (1 << 15, 8, 33, False),
+    ],
+)
+def test_which_costs_are_taken(n: int, r: int, p: int, good: bool) -> None:
+    if good:
+        assert Cost(n, r, p).n == n
+    else:
+        with pytest.raises(CostError):
+            Cost(n, r, p)
+
+
+def test_how_large_a_header_may_be_and_how_many_entries() -> None:
+    def stated(size: int) -> bytes:
+        return b"HILSEAL\x01" + size.to_bytes(4, "big")
+
+    with pytest.raises(TruncatedError, match="in its header"):
+        check(stated(1 << 20), PUBLIC)
+    with pytest.raises(DamagedError, match="expected at most 1048576"):
+        check(stated((1 << 20) + 1), PUBLIC)
+    many = {f"e{i}": b"" for i in range(1000)}
+    assert len(check(seal(many, "x", BUILDER, cost=CHEAP), PUBLIC).entries) == 1000
+    with pytest.raises(InputError, match="at most 1000"):
+        seal({**many, "one": b""}, "x", BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="at most 1000"):
+        reseal(seal(many, "x", BUILDER, cost=CHEAP), {"one": b""}, "x", BUILDER)
+    longest = "x" * 100
+    assert open_sealed(seal({longest: b""}, "p", BUILDER, cost=CHEAP), "p", PUBLIC) == {longest: b""}
+
+
+# the header's binding
+
+
+def test_a_file_says_what_it_is_bound_to_without_a_password() -> None:
+    binding = check(SEALED, PUBLIC).binding
+    assert binding is not None
+    assert (binding.counter, binding.of) == (1, BOUND)
+    assert datetime.fromisoformat(binding.date).tzinfo is not None
+
+
+def test_the_counter_rises_with_each_reseal_and_the_binding_stays_unless_told() -> None:
+    once = reseal(SEALED, {"more": b"1"}, "correct horse", BUILDER)
+    twice = reseal(once, {"more": b"2"}, "correct horse", BUILDER, bound_to={"axes": {}})
+    found = [check(data, PUBLIC).binding for data in (once, twice, resign(twice, PUBLIC, BUILDER))]
+    assert [each and (each.counter, each.of) for each in found] == [(2, BOUND), (3, {"axes": {}}), (3, {"axes": {}})]
+
+
+def test_a_binding_is_bounded_and_plain() -> None:
+    with pytest.raises(InputError, match="expected at most 32768"):
+        seal(ENTRIES, "x", BUILDER, cost=CHEAP, bound_to={"long": "x" * 40_000})
+    for value in (float("nan"), {1, 2}):
+        with pytest.raises(InputError, match="no JSON"):
+            seal(ENTRIES, "x", BUILDER, cost=CHEAP, bound_to={"value": value})
+
+
+@pytest.mark.parametrize(
+    "binding",
+    [
+        "7",
+        "null",
+        '{"counter":0,"date":"","of":{}}',
+        '{"counter":1.0,"date":"","of":{}}',
+        '{"counter":1,"date":"","of":[]}',
+    ],
+)
+def test_a_signed_header_with_a_wrong_binding_is_refused(binding: str) -> None:
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    header["binding"] = json.loads(binding)
+    text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, text, BUILDER), PUBLIC)
+
+
+def test_a_file_of_version_1_opens_and_states_no_binding() -> None:
+    assert open_sealed(VERSION_1, "correct horse", PUBLIC) == ENTRIES
+    info = check(VERSION_1, PUBLIC)
+    assert (info.version, info.binding) == (1, None)
+
+
+def test_a_file_of_version_1_is_bound_when_it_is_resealed() -> None:
+    """The entries whose passwords are not at hand are kept as they are, and open afterwards."""
+    bound = reseal(VERSION_1, {"empty": b"full"}, {"empty": "other"}, BUILDER, bound_to=BOUND)
+    info = check(bound, PUBLIC)
+    assert info.version == 2
+    assert info.binding is not None
+    assert (info.binding.counter, info.binding.of) == (1, BOUND)
+    passwords = dict.fromkeys(ENTRIES, "correct horse") | {"empty": "other"}
+    assert open_sealed(bound, passwords, PUBLIC) == {**ENTRIES, "empty": b"full"}
+
+
+def test_a_binding_is_not_taken_off_by_calling_the_file_version_1() -> None:
+    form = json.loads(SEALED[12 : header_end(SEALED)])
+    text = json.dumps(form, sort_keys=True, separators=(",", ":")).encode()
+    body = SEALED[:7] + b"\x01" + SEALED[8:12] + text + SEALED[header_end(SEALED) : -64]
+    with pytest.raises(DamagedError):
+        check(body + BUILDER.sign(_DOMAIN + body), PUBLIC)
+
+
+# every byte
+
+
+@pytest.mark.parametrize("data", [SEALED, VERSION_1], ids=["version 2", "version 1"])
+def test_every_flipped_bit_is_refused(data: bytes) -> None:
+    for position in range(len(data)):
+        for bit in range(8):
+            with pytest.raises(SealedError):
+                open_sealed(flipped(data, position, bit), "correct horse", PUBLIC)
+
+
+def test_every_shorter_file_is_refused_as_truncated() -> None:
+    for size in range(1, len(SEALED)):
+        expected = UnsignedError if size == len(SEALED) - 64 else TruncatedError
+        with pytest.raises(expected):
+            check(SEALED[:size], PUBLIC)
+    with pytest.raises(NotSealedError):
+        check(b"", PUBLIC)
+
+
+@given(data=st.binary(max_size=400))
+@settings(max_examples=200, deadline=None)
+def test_arbitrary_bytes_are_refused_cleanly(data: bytes) -> None:
+    for form in (data, b"HILSEAL\x01" + data, SEALED[:60] + data, SEALED + data + b"."):
+        with pytest.raises(SealedError):
+            check(form, PUBLIC)
+
+
+@given(
+    header=st.recursive(
+        st.none() | st.integers() | st.text(max_size=5),
+        lambda x: st.lists(x) | st.dictionaries(st.sampled_from(["builder", "cipher", "entries", "id", "kdf", "n"]), x),
+        max_leaves=8,
+    )
+)
+@settings(max_examples=100, deadline=None)
+def test_a_strange_header_is_damage_even_if_signed(header: object) -> None:
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, json.dumps(header).encode(), BUILDER), PUBLIC)
+
+
+@pytest.mark.parametrize("header", [b"[" * 200_000, b"\xff\xfe", b"", b"{}", b"NaN"])
+def test_a_header_that_is_no_header(header: bytes) -> None:
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, header, BUILDER), PUBLIC)
+
+
+# each kind of meddling by its own name
+
+
+def test_wrong_password() -> None:
+    with pytest.raises(WrongPasswordError, match=r"wrong password for entry pitch\.json"):
+        open_sealed(SEALED, "wrong horse", PUBLIC)
+
+
+def test_a_flipped_bit_in_the_contents_is_damage_not_a_wrong_password() -> None:
+    with pytest.raises(DamagedError, match="changed after the builder signed it"):
+        open_sealed(flipped(SEALED, header_end(SEALED) + 30, 0), "correct horse", PUBLIC)
+
+
+def test_header_of_another_valid_file() -> None:
+    other = seal(ENTRIES, "correct horse", BUILDER, cost=CHEAP)
+    with pytest.raises(SwappedError, match="belong to another sealed file"):
+        check(with_header(SEALED, other[12 : header_end(other)]), PUBLIC)
+    # and the cipher refuses it too, should the signature have been made anew
+    with pytest.raises(SealedError):
+        open_sealed(with_header(SEALED, other[12 : header_end(other)], BUILDER), "correct horse", PUBLIC)
+
+
+def test_header_of_another_file_is_refused_by_the_cipher_alone() -> None:
+    """The header is authenticated: same key, same nonce, same contents, one other header field, and a good signature."""
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    for change in ({"name": "other.json"}, {"nonce": "00" * 12}):
+        changed = {**header, "entries": [{**header["entries"][0], **change}, *header["entries"][1:]]}
+        text = json.dumps(changed, sort_keys=True, separators=(",", ":")).encode()
+        data = with_header(SEALED, text, BUILDER)
+        check(data, PUBLIC)
+        with pytest.raises(WrongPasswordError):
+            open_sealed(data, "correct horse", PUBLIC, names=[changed["entries"][0]["name"]])
+
+
+def test_swapped_entries() -> None:
+    first, second, third = chunks(SEALED)
+    front = SEALED[: header_end(SEALED)]
+    with pytest.raises(SwappedError, match="those of entry number 1, expected 0"):
+        check(front + second + first + third + SEALED[-64:], PUBLIC)
+    # renumbered, so that only the signature tells
+    forged = front + first[:16] + b"\0\0" + second[18:] + first[:16] + b"\0\1" + first[18:] + third
+    with pytest.raises(DamagedError):
+        check(forged + SEALED[-64:], PUBLIC)
+    # renumbered and signed by the builder: the cipher tells
+    with pytest.raises(WrongPasswordError):
+        open_sealed(forged + BUILDER.sign(_DOMAIN + forged), "correct horse", PUBLIC)
+
+
+def test_foreign_signature() -> None:
+    foreign = seal(ENTRIES, "correct horse", STRANGER, cost=CHEAP)
+    with pytest.raises(ForeignSignatureError, match=fingerprint(STRANGER.public_key())):
+        check(foreign, PUBLIC)
+    # a stranger's file that was changed after that is damage: nobody signed it
+    with pytest.raises(DamagedError, match="or not signed by this builder"):
+        check(flipped(foreign, -70, 1), PUBLIC)
+    # a stranger's signature under the builder's header is not even that
+    body = SEALED[:-64]
+    with pytest.raises(DamagedError):
+        check(body + STRANGER.sign(_DOMAIN + body), PUBLIC)
+
+
+def test_unknown_version_and_other_files() -> None:
+    with pytest.raises(UnknownVersionError, match="version 3, expected 1 or 2"):
+        check(SEALED[:7] + b"\x03" + SEALED[8:], PUBLIC)
+    with pytest.raises(NotSealedError):
+        check(b"run,direction,target_mm,measured_mm\n", PUBLIC)
+
+
+def test_bytes_behind_the_end() -> None:
+    with pytest.raises(DamagedError, match="3 bytes behind its end"):
+        check(SEALED + b"abc", PUBLIC)
+    with pytest.raises(DamagedError, match="1 bytes behind its end"):
+        check(SEALED + b"\0", PUBLIC)
+    with pytest.raises(TruncatedError, match="in its signature"):
+        check(SEALED[:-1], PUBLIC)
+
+
+def test_where_a_short_file_ends() -> None:
+    end = header_end(SEALED)
+    first = end + 22 + len(ENTRIES["pitch.json"]) + 16
+    for size, where in (
+        (11, "in its first line"),
+        (12, "in its header"),
+        (end - 1, "in its header"),
+        (end, "before entry pitch.json"),
+        (end + 21, "before entry pitch.json"),
+        (end + 22, "in entry pitch.json"),
+        (first - 1, "in entry pitch.json"),
+        (first, "before entry backlash.json"),
+    ):
+        with pytest.raises(TruncatedError, match=f"ends after {size} bytes, {where}"):
+            check(SEALED[:size], PUBLIC)
+
+
+def test_a_header_with_an_entry_twice_or_none_is_damage_even_if_signed() -> None:
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    entries = header["entries"]
+    for changed in (
+        {"entries": []},
+        {"entries": [entries[0], entries[0], entries[2]]},
+        {"entries": [{**entries[0], "name": "../up"}, *entries[1:]]},
+        {"entries": [{**entries[0], "salt": "00" * 15}, *entries[1:]]},
+        {"entries": [{**entries[0], "nonce": "00" * 13}, *entries[1:]]},
+        {"builder": "00" * 31},
+        {"id": "00" * 17},
+        {"id": None},
+        {"cipher": "aes"},
+        {"kdf": {**header["kdf"], "name": "pbkdf2"}},
+        {"more": 1},
+    ):
+        text = json.dumps({**header, **changed}, sort_keys=True, separators=(",", ":")).encode()
+        with pytest.raises(DamagedError, match="header"):
+            check(with_header(SEALED, text, BUILDER), PUBLIC)
+    with pytest.raises(DamagedError, match="canonical"):
+        check(with_header(SEALED, json.dumps(header, sort_keys=True).encode(), BUILDER), PUBLIC)
+
+
+@pytest.mark.parametrize(
+    "kdf",
+    [
+        {"n": 1 << 40, "r": 8, "p": 1},
+        {"n": 1 << 15, "r": 1 << 20, "p": 1},
+        {"n": 1 << 15, "r": 8, "p": 1 << 30},
+        {"n": 12345, "r": 8, "p": 1},
+        {"n": 0, "r": 8, "p": 1},
+        {"n": -4, "r": 8, "p": 1},
+        {"n": 1 << 15, "r": 0, "p": 1},
+    ],
+)
+def test_absurd_cost_is_refused_before_anything_is_computed(kdf: dict[str, int]) -> None:
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    header["kdf"] |= kdf
+    text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
+    with pytest.raises(CostError):
+        open_sealed(with_header(SEALED, text, BUILDER), "correct horse", PUBLIC)
+    with pytest.raises(CostError):
+        Cost(**kdf)
+
+
+@pytest.mark.parametrize("value", [True, 8.0, "8", None])
+def test_a_cost_that_is_no_whole_number_is_damage(value: object) -> None:
+    header = json.loads(SEALED[12 : header_end(SEALED)])
+    header["kdf"]["r"] = value
+    with pytest.raises(DamagedError):
+        check(with_header(SEALED, json.dumps(header, sort_keys=True, separators=(",", ":")).encode(), BUILDER), PUBLIC)
+
+
+# bad calls
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "../up", "a/b", "a b", "ü", "x" * 101])
+def test_names_that_are_no_plain_file_names_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="entry name"):
+        seal({name: b""}, "p", BUILDER, cost=CHEAP)
+
+
+def test_missing_and_surplus_passwords_are_refused() -> None:
+    with pytest.raises(InputError, match="no password is given for entry empty"):
+        seal(ENTRIES, {"pitch.json": "a", "backlash.json": "b"}, BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="not among those"):
+        seal({"a": b""}, {"a": "x", "b": "y"}, BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="password is empty"):
+        seal({"a": b""}, "", BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="at least one entry"):
+        seal({}, "x", BUILDER, cost=CHEAP)
+    with pytest.raises(InputError, match="holds no entry nowhere"):
+        open_sealed(SEALED, "correct horse", PUBLIC, names=["nowhere"])
+
+
+# changing
+
+
+def test_reseal_needs_only_the_changed_entrys_password() -> None:
+    own = {"pitch.json": "one", "backlash.json": "two", "empty": "three"}
+    data = seal(ENTRIES, own, BUILDER, cost=CHEAP)
+    changed = reseal(data, {"backlash.json": b"new", "added": b"more"}, {"backlash.json": "2", "added": "4"}, BUILDER)
+    assert open_sealed(changed, {**own, "backlash.json": "2", "added": "4"}, PUBLIC) == {
+        **ENTRIES,
+        "backlash.json": b"new",
+        "added": b"more",
+    }
+    with pytest.raises(WrongPasswordError):
+        open_sealed(changed, {"backlash.json": "two"}, PUBLIC)
+
+
+def test_only_the_builder_reseals_and_only_good_files() -> None:
+    with pytest.raises(ForeignSignatureError):
+        reseal(SEALED, {"a": b""}, "x", STRANGER)
+    with pytest.raises(DamagedError):
+        reseal(flipped(SEALED, -70, 1), {"a": b""}, "x", BUILDER)
+
+
+def test_resign_hands_on_a_good_file_without_passwords() -> None:
+    handed = resign(SEALED, PUBLIC, STRANGER)
+    assert open_sealed(handed, "correct horse", STRANGER.public_key()) == ENTRIES
+    with pytest.raises(ForeignSignatureError):
+        check(handed, PUBLIC)
+    assert resign(SEALED, PUBLIC, BUILDER) == SEALED
+    with pytest.raises(DamagedError):
+        resign(flipped(SEALED, header_end(SEALED) + 25, 3), PUBLIC, STRANGER)
+    with pytest.raises(ForeignSignatureError):
+        resign(SEALED, STRANGER.public_key(), STRANGER)
+    with pytest.raises(UnsignedError):
+        resign(SEALED[:-64], PUBLIC, BUILDER)
+
+
+# detached signatures
+
+
+def test_detached_signatures() -> None:
+    data = b"run,direction\n" * 3
+    signature = sign_detached(data, BUILDER)
+    check_detached(data, signature, PUBLIC)
+    value = BUILDER.sign(b"hil detached signature, version 1\0" + data).hex()
+    builder = PUBLIC.public_bytes_raw().hex()
+    text = f'{{\n  "format": "hil-signature-1",\n  "builder": "{builder}",\n  "signature": "{value}"\n}}\n'
+    assert signature.decode() == text  # as files have it that were signed before
+    for position in range(len(data)):
+        with pytest.raises(DamagedError):
+            check_detached(flipped(data, position, position % 8), signature, PUBLIC)
+    with pytest.raises(ForeignSignatureError):
+        check_detached(data, sign_detached(data, STRANGER), PUBLIC)
+    form = json.loads(signature)
+    with pytest.raises(DamagedError, match="public key in it was changed"):
+        check_detached(data, json.dumps({**form, "builder": "00" * 32}).encode(), PUBLIC)
+    for bad in (b"", b"[]", b"{}", signature[:-20], json.dumps({**form, "signature": "00"}).encode(), b"[" * 100_000):
+        with pytest.raises(InputError, match="not a detached signature"):
+            check_detached(data, bad, PUBLIC)
+
+
+def test_a_sealed_files_signature_is_no_detached_signature() -> None:
+    form = {"format": "hil-signature-1", "builder": PUBLIC.public_bytes_raw().hex(), "signature": SEALED[-64:].hex()}
+    with pytest.raises(DamagedError):
+        check_detached(SEALED[:-64], json.dumps(form).encode(), PUBLIC)
+
+
+# keys on disk
+
+
+def test_key_files(tmp_path: Path) -> None:
+    key = new_key()
+    save_private_key(tmp_path / "b.key", key, "pässword", cost=CHEAP)
+    save_public_key(tmp_path / "b.pub", key.public_key())
+    assert stat.S_IMODE((tmp_path / "b.key").stat().st_mode) == 0o600
+    assert load_private_key(tmp_path / "b.key", "pässword").private_bytes_raw() == key.private_bytes_raw()
+    assert load_public_key(tmp_path / "b.pub").public_bytes_raw() == key.public_key().public_bytes_raw()
+    with pytest.raises(WrongPasswordError):
+        load_private_key(tmp_path / "b.key", "password")
+    for save in (lambda p: save_private_key(p, key, "x"), lambda p: save_public_key(p, key.public_key())):
+        with pytest.raises(InputError, match="never overwritten"):
+            save(tmp_path / "b.key")
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl command to read the key with")
+def test_the_private_key_file_is_pkcs8_that_a_foreign_tool_reads(tmp_path: Path) -> None:
+    key = new_key()
+    save_private_key(tmp_path / "b.key", key, "secret")
+    command = ["openssl", "pkey", "-in", str(tmp_path / "b.key"), "-passin", "pass:secret", "-outform", "DER"]
+    der = subprocess.run(command, check=True, capture_output=True).stdout
+    assert der[-32:] == key.private_bytes_raw()
+
+
+def test_what_is_no_builders_key_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "k"
+    elliptic = ec.generate_private_key(ec.SECP256R1())
+    cases = {
+        "not a password-protected": [
+            b"hello",
+            BUILDER.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
+        ],
+        "of another kind": [elliptic.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"x"))],
+    }
+    for says, contents in cases.items():
+        for content in contents:
+            path.write_bytes(content)
+            with pytest.raises(InputError, match=says):
+                load_private_key(path, "x")
+    path.write_bytes(b"hello")
+    with pytest.raises(InputError, match="not a public key"):
+        load_public_key(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_public_key(tmp_path / "absent")
+
+
+# the disk
+
+
+def test_write_and_read_sealed_name_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "axis.sealed"
+    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    assert read_sealed(path, "pw", PUBLIC) == ENTRIES
+    with pytest.raises(WrongPasswordError, match=r"axis\.sealed: wrong password"):
+        read_sealed(path, "no", PUBLIC)
+
+
+def test_replacing_keeps_permissions_and_leaves_no_litter(tmp_path: Path) -> None:
+    path = tmp_path / "axis.sealed"
+    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    path.chmod(0o640)
+    (tmp_path / "link").symlink_to(path)
+    write_sealed(tmp_path / "link", {"a": b"1"}, "pw", BUILDER, cost=CHEAP)
+    assert read_sealed(path, "pw", PUBLIC) == {"a": b"1"}
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["axis.sealed", "link"]
+
+
+@pytest.mark.parametrize("fails", ["fsync", "replace", "fchmod"])
+def test_a_failure_while_replacing_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    path = tmp_path / "axis.sealed"
+    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    before = path.read_bytes()
+
+    def broken(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, fails, broken)
+    with pytest.raises(InputError, match=r"axis\.sealed: cannot be written: No space left"):
+        write_sealed(path, {"a": b"1"}, "pw", BUILDER, cost=CHEAP)
+    monkeypatch.undo()
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["axis.sealed"]
+
+
+def test_the_order_of_replacing_is_flush_rename_flush(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps: list[str] = []
+    fsync, replace = os.fsync, os.replace
+
+    def spy_fsync(handle: int) -> None:
+        steps.append("flush directory" if stat.S_ISDIR(os.fstat(handle).st_mode) else "flush file")
+        fsync(handle)
+
+    def spy_replace(source: str, target: str) -> None:
+        steps.append("rename")
+        assert Path(source).parent == Path(target).parent
+        replace(source, target)
+
+    monkeypatch.setattr(files.os, "fsync", spy_fsync)
+    monkeypatch.setattr(files.os, "replace", spy_replace)
+    files.replace_file(tmp_path / "x", b"1")
+    assert steps == ["flush file", "rename", "flush directory"]

@@ -1,0 +1,144 @@
+"""What a diagnosis says in every language: each effect and form of the catalogue, what separates rivals, and the next measurement."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from hil.app.panel.texts import LANGUAGES, Texts
+from hil.diagnosis.follow_up import ALONE_MIN
+from hil.diagnosis.next.feasible import feasible_runs
+from hil.diagnosis.next.planned_run import Means
+from hil.diagnosis.pages.sentences import parameter, sentence
+from hil.diagnosis.result import Finding, RivalFound
+from hil.diagnosis.screen import ShownFinding
+from hil.diagnosis.verdict.below_noise import faint_note
+from hil.effects import ALL, Effect, Form, Term, survey_of
+from hil.effects.history import complete
+from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
+
+FIGURE = re.compile(r"-?[\d.]+ ± [\d.]+")
+LATIN = re.compile(r"[A-Za-z]{4,}")
+RIVALS = (RivalFound("abbe", 0.21, ""), RivalFound("thermal_drift", 0.2, ""))
+OURS = {"setup", "abbe_offset_mm"}
+"""Names of columns that are to be typed."""
+
+
+def columns(*beside: str, rows: int = 40) -> dict[str, np.ndarray]:
+    """Everything that any effect reads, in every row."""
+    rng = np.random.default_rng(8)
+    names = ["temp_screw_c", "pitch_urad", "pos_y_mm", "load_kg", "torque_percent", *beside]
+    names += ["air_temp_c", "air_pressure_hpa", "air_humidity_percent", "abbe_offset_mm", "velocity_mm_s"]
+    base = {
+        "run": np.repeat([1.0, 2.0], rows // 2),
+        "direction": np.tile([1.0, -1.0], rows // 2),
+        "target_mm": rng.uniform(0.0, 300.0, rows),
+        "measured_mm": rng.normal(size=rows),
+        "time_s": np.cumsum(rng.uniform(2.0, 9.0, rows)),
+    }
+    return complete(base | {name: 20.0 + rng.normal(size=rows) for name in names})
+
+
+def forms(effect: Effect) -> Iterator[tuple[Form, dict[str, np.ndarray]]]:
+    """Every form there is, with rows it fits."""
+    plain = columns()
+    if isinstance(effect, NonParametric):
+        spread = spread_of("temp_screw_c", plain)
+        yield smooth_form(["temp_screw_c"], [spread], turned=True), plain
+        yield fine_form(0.0, 300.0, 12, plain, turned=False), plain
+        return
+    for given in (plain, columns("setup")):
+        yield from ((form, given) for form in effect.forms(survey_of(given)))
+
+
+def term(effect: Effect, form: Form, given: dict[str, np.ndarray]) -> Term:
+    theta = form.starts[len(form.starts) // 2]
+    k = effect.basis(form, theta, given).shape[1]
+    covariance = np.diag(np.linspace(0.01, 0.02, k + len(theta)))
+    return Term(effect, form, theta, tuple(np.linspace(1.2, 2.3, k)), tuple(map(tuple, covariance)))
+
+
+def found(effect: Effect, form: Form, given: dict[str, np.ndarray]) -> ShownFinding:
+    """As a screen gets it."""
+    fitted = term(effect, form, given)
+    parameters = tuple((name, one.value, one.std) for name, one in fitted.parameters.items())
+    said = effect.explain(fitted)
+    return ShownFinding(effect.id, 0.9, effect.action.value, said, parameters, (), None, form.name, fitted.needs, 1.5)
+
+
+@pytest.mark.parametrize("effect", [*ALL, NonParametric()], ids=lambda effect: effect.id)
+def test_every_form_of_the_catalogue_has_its_sentence_with_the_figures_of_the_terminals(effect: Effect) -> None:
+    seen = 0
+    for form, given in forms(effect):
+        seen += 1
+        finding = found(effect, form, given)
+        figures = set(FIGURE.findall(finding.explanation))
+        assert figures
+        for language in LANGUAGES:
+            t = Texts(language)
+            said = sentence(t, finding)
+            assert said != finding.explanation or language == "en", form.name
+            plain = said.replace("−", "-").replace(",", ".") if language == "de" else said.replace("−", "-")
+            assert figures <= set(FIGURE.findall(plain)), (language, form.name, said)
+            names = [parameter(t, name) for name, _, _ in finding.parameters]
+            assert not any("_" in name for name in names), names
+            if language == "zh":
+                assert LATIN.findall(said) == []
+    assert seen
+
+
+def test_a_users_own_effect_speaks_for_itself() -> None:
+    own = ShownFinding("sticky_gearbox", 0.9, "compensate", "It sticks.", (("stick_um", 1.0, 0.1),), (), None, "f", ())
+    for language in LANGUAGES:
+        assert sentence(Texts(language), own) == "It sticks."
+        assert parameter(Texts(language), "stick_um") == "stick_um"
+    older = ShownFinding("cosine", 0.9, "fix-setup", "It is short.", (), (), None)
+    assert sentence(Texts("de"), older) == "It is short."
+
+
+def runs() -> Iterator[str]:
+    levels = {"load_kg": (0.0, 60.0), "pos_y_mm": (0.0, 100.0)}
+    for assumed in (frozenset[str](), frozenset(levels)):
+        means = Means(0.0, 300.0, levels=levels, assumed=assumed, feeds_mm_s=(5.0, 20.5))
+        yield from (run.describe() for run in feasible_runs(means))
+    yield from (run.describe() for run in feasible_runs(Means(0.0, 300.0, levels=levels, by_itself=frozenset(levels))))
+
+
+def test_what_separates_rivals_and_the_next_measurement_are_said_in_every_language() -> None:
+    said = {rival.separate_by for effect in ALL for rival in effect.rivals} | {ALONE_MIN, *runs()}
+    for text in said:
+        assert Texts("en").said(text) == text
+        german = Texts("de").said(text)
+        assert german != text
+        assert not re.search(r"\d\.\d|somebody| rows| the ", german), german
+        assert set(LATIN.findall(Texts("zh").said(text).replace("abbe_offset_mm", ""))) <= OURS, text
+
+
+def test_parts_of_what_is_said_are_said_too() -> None:
+    de = Texts("de")
+    assert de.said("before-3 warming") == "Erkundung 3 Erwärmen"
+    assert de.said("12.345 mm") == "12,345 mm"
+    assert de.said("abbe fits these rows but does not help on runs left out: not taken").startswith("Abbe-Fehler passt")
+    assert de.said("since_reversal_mm is missing: made up from the row order").startswith("Weg seit der Umkehr fehlt")
+    assert de.said("temp_screw_c × target_mm; load_kg") == "Temperatur Spindel × Position; Last"
+    assert de.said("temp_screw_c") == "Temperatur Spindel"
+    assert de.said("Temp screw, °C") == "Temperatur Spindel, °C"
+    faint = faint_note(
+        Finding(term(ALL[0], next(iter(ALL[0].forms(survey_of(columns())))), columns()), 0.3, "", RIVALS, 0.2)
+    )
+    assert de.said(faint).startswith(
+        "Verdacht auf „zyklischer Fehler“ (0,2 µm effektiv, Sicherheit 0,30; Abbe-Fehler 0,21; "
+    )
+    assert Texts("zh").said("the drive said 0.5 things") == "the drive said 0.5 things"
+
+
+def test_figures_to_so_many_digits() -> None:
+    de, en = Texts("de"), Texts("en")
+    assert (de.significant(-1234.56), de.significant(12345.6), de.significant(1.2e-5)) == ("−1235", "12350", "0,000012")
+    assert de.estimate(0.5, 0.012, "µm") == "0,5 ± 0,012 µm"
+    assert en.estimate(0.5, None) == "0.5"
+    assert en.estimate(0.5, float("nan"), "mm") == "0.5 mm"
+    assert en.estimate(None, None) == "–"

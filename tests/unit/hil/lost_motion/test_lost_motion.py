@@ -1,0 +1,151 @@
+"""What the strokes of a measurement are, what is read from them, and what they put into force; the machine is arithmetic here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.drive import DriveLimits
+from drivers.errors import InputError
+from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
+from hil.correction.compensation import Compensation
+from hil.correction.rise import TWO_TANH, Rise
+from hil.correction.running_lost_motion import after_full_stroke, moved_to
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
+from hil.effects import ALL, term_from_json
+from hil.lost_motion.estimate import Estimate, Uncertain
+from hil.lost_motion.procedure import (
+    Proof,
+    proof_steps,
+    residual_um,
+    reversals_of,
+    stretch_of,
+    stroke_steps,
+    with_rise,
+)
+from hil.machine.measure import Step
+from hil.records.rows import Floats, Records
+
+LIMITS = DriveLimits(-2.0, 502.0, 100.0, 500.0)
+HOW = LostMotionConfig(
+    at_mm=100.0, stroke_mm=4.0, places=12, finest_um=2.0, runs=2, proof_moves=30, shortest_rise_um=0.25
+)
+TRUTH = Rise(TWO_TANH, (6.0, 2.0), (0.01, 0.2, 0.05))
+FOUND = Estimate(TRUTH, {"amount_um": Uncertain(8.0, 0.1)}, {}, (), (), 0.0)
+
+
+def place_um(x: Floats | float) -> Floats:
+    return np.asarray(3.0 * np.sin(np.asarray(x)) + 0.7 * (np.asarray(x) - 100.0))
+
+
+def driven(steps: list[Step], correction_um: Floats | None = None) -> Records:
+    """The machine: what belongs to the place, and a wind-up that follows the *targets* (it is asked about its bookkeeping only)."""
+    state, rows = after_full_stroke(HOW.high_mm, 1), []
+    state, _ = moved_to(TRUTH, state, steps[0].target_mm - 9.0 * steps[0].direction)
+    for number, step in enumerate(steps):
+        state, wound_um = moved_to(TRUTH, state, step.target_mm)
+        error_um = float(place_um(step.target_mm)) + TRUTH.amount_um / 2.0 - wound_um
+        error_um += 0.0 if correction_um is None else float(correction_um[number])
+        rows.append((step.run, step.direction, step.target_mm, step.target_mm + error_um / 1000.0))
+    columns = np.array(rows, dtype=np.float64).T
+    return Records.of(dict(zip(("run", "direction", "target_mm", "measured_mm"), columns, strict=True)))
+
+
+def test_strokes_go_to_and_fro_without_a_step_aside() -> None:
+    steps = stroke_steps(HOW)
+    assert len(steps) == 5 * 25  # 12 places at each end and the turning itself, five strokes
+    for before, after in pairwise(steps):
+        assert (after.target_mm - before.target_mm) * after.direction > 0.0
+        assert after.overrun_mm == 0.0
+    assert [step.run for step in steps] == sorted(step.run for step in steps)
+    assert {step.run for step in steps} == {1, 2, 3, 4, 5}
+
+
+def test_proof_moves_are_of_all_lengths_repeatable_and_inside() -> None:
+    steps = proof_steps(HOW, 1)
+    assert proof_steps(HOW, 1) == steps != proof_steps(HOW, 2)
+    travels = [abs(b.target_mm - a.target_mm) for a, b in pairwise(steps)]
+    assert len(travels) == HOW.proof_moves
+    assert min(travels) < 0.05
+    assert max(travels) > 1.0
+    assert all(HOW.low_mm <= step.target_mm <= HOW.high_mm for step in steps)
+    for before, after in pairwise(steps):
+        assert (after.target_mm - before.target_mm) * after.direction > 0.0
+
+
+def test_a_reversal_is_what_its_places_show_beyond_their_own_error() -> None:
+    records = driven(stroke_steps(HOW))
+    reversals = reversals_of(records, HOW)
+    assert [one.direction for one in reversals] == [1, -1, 1, -1]
+    for one in reversals:
+        travel, risen = one.rise
+        assert travel.tolist() == pytest.approx([0.0, *HOW.travels_mm])
+        assert risen == pytest.approx(TRUTH.along_um(travel), abs=1e-4)
+    stretch = stretch_of(records, HOW, TRUTH.amount_um)
+    assert stretch.noise_um < 1e-4
+    assert stretch.error_um == pytest.approx(place_um(stretch.position_mm), abs=1e-4)
+
+
+def test_what_is_left_is_told_apart_from_the_place_and_the_tables() -> None:
+    stretch = stretch_of(driven(stroke_steps(HOW)), HOW, TRUTH.amount_um)
+    steps = proof_steps(HOW, 1)
+    before = driven(steps)
+    left = residual_um(before, stretch, None)
+    assert np.ptp(left) == pytest.approx(TRUTH.amount_um, abs=0.5)
+    nodes = np.array([90.0, 110.0])
+    tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(nodes, np.array([5.0, 7.0]), np.array([-3.0, -1.0])))
+    by_tables = np.array([float(tables.correction_um([s.target_mm], s.direction)[0]) for s in steps])
+    with_tables = residual_um(driven(steps, by_tables), stretch, Compensation(tables))
+    direction = np.array([step.direction for step in steps])
+    assert with_tables == pytest.approx(left + 4.0 * direction, abs=1e-3)  # switched at once: half of 8 either way
+
+
+def test_without_tables_the_lost_motion_alone_is_put_into_force() -> None:
+    alone = with_rise(None, FOUND, HOW, (LIMITS.travel_min_mm, LIMITS.travel_max_mm))
+    at = np.array([100.0])
+    assert float(alone.tables.correction_um(at, 1)[0]) == 0.0
+    assert float(alone.tables.correction_um(at, -1)[0]) == pytest.approx(-8.0)
+    assert alone.rise is TRUTH
+    worn = replace(FOUND, rise=Rise(TWO_TANH, (9.0, 3.0), (0.01, 0.2, 0.05)))
+    anew = with_rise(alone, worn, HOW, (LIMITS.travel_min_mm, LIMITS.travel_max_mm))
+    assert float(anew.tables.correction_um(at, -1)[0]) == pytest.approx(-12.0)  # measured again, not held to what was
+
+
+def test_beside_tables_nothing_is_counted_twice() -> None:
+    nodes = np.array([0.0, 500.0])
+    tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(nodes, np.full(2, 6.0), np.full(2, -2.2)))
+    form = {"effect": "lost_motion", "form": "tanh", "inputs": ["since_reversal_mm", "direction"]}
+    zero = [[0.0, 0.0], [0.0, 0.0]]
+    term = term_from_json(
+        {**form, "constants": {}, "nonlinear": {"length_mm": 0.3}, "coefficients": [4.0], "covariance": zero}, ALL, "t"
+    )
+    extended = with_rise(Compensation(tables, (term,)), FOUND, HOW, (0.0, 500.0))
+    assert extended.tables is tables
+    assert extended.terms == ()
+    other = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(nodes, np.full(2, 20.0), np.full(2, -20.0)))
+    with pytest.raises(InputError, match=r"hold a reversal of 40\.0 µm at 100 mm, measured now are 8\.0 µm"):
+        with_rise(Compensation(other), FOUND, HOW, (0.0, 500.0))
+
+
+def test_a_proof_needs_little_left_and_little_too_much() -> None:
+    records = driven(proof_steps(HOW, 1))
+    small = np.full(len(records), 0.3)
+    assert Proof(records, records, small, small, 8.0, 0.01).good
+    too_far = np.where(records.direction > 0, 0.5, -0.5)
+    assert not Proof(records, records, small, too_far, 8.0, 0.01).good
+    assert Proof(records, records, small, -0.9 * too_far, 8.0, 0.01).over_um == 0.0
+    assert not Proof(records, records, small, -0.9 * too_far, 8.0, 0.01).good  # never too far, and still off
+    assert Proof(records, records, small, too_far, 8.0, 0.2).good  # no worse than noise
+
+
+def test_an_axis_file_that_says_nothing_has_strokes_in_the_middle() -> None:
+    how = default_lost_motion(Path("x.toml"), LIMITS, (20.0, 260.0))
+    assert (how.low_mm, how.high_mm) == (137.0, 143.0)
+    assert how.travels_mm[0] == 0.002
+    assert how.travels_mm[-1] < 3.0
+    with pytest.raises(InputError, match="leave the travel"):
+        default_lost_motion(Path("x.toml"), replace(LIMITS, travel_max_mm=140.0), (20.0, 260.0))

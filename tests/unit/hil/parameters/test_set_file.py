@@ -1,0 +1,115 @@
+"""A parameter set as a file: what is written is read again, what was changed is found out, what is wrong is named with its line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InputError
+from drivers.raw_parameters import DriveIdentity
+from hil.parameters.set_file import ParameterSet, SetEntry, object_address, object_key, read_set, render_set, write_set
+
+IDENTITY = DriveIdentity("canopen", {"vendor_id": 0x1234, "device": 'a "drive"'}, {"firmware": "1.2"}, {"serial": 7})
+ENTRIES = (
+    SetEntry("2210h:01", 1000, 1000, "U32", "", "Proportional gain"),
+    SetEntry("2210h:02", -0.5, "000000bf", "F32", "1/s", "Stiffness"),
+    SetEntry("2101h:00", 'µ, \\ and "quotes"\n', "b5", "STRING", "", "Comment", ("2210h:01",)),
+    SetEntry("2300h:00", None, "00ff", "OCTETS"),
+)
+SET = ParameterSet("as commissioned", IDENTITY, ENTRIES)
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "set.toml"
+    written = write_set(path, SET)
+    found = read_set(path)
+    assert found == written
+    assert found.entries == ENTRIES
+    assert found.identity == IDENTITY
+    assert [entry.line for entry in found.entries] == [6, 7, 8, 9]
+
+
+values = st.one_of(st.integers(-(2**63), 2**64 - 1), st.floats(allow_nan=False), st.text(max_size=20))
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 0xFFFF), st.integers(0, 0xFF), values),
+        min_size=1,
+        max_size=5,
+        unique_by=lambda e: e[:2],
+    )
+)
+def test_any_values_survive_the_file(
+    tmp_path_factory: pytest.TempPathFactory, members: list[tuple[int, int, object]]
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.toml"
+    entries = tuple(SetEntry(object_address(index, subindex), value) for index, subindex, value in members)  # type: ignore[arg-type]
+    write_set(path, ParameterSet("any", None, entries))
+    assert read_set(path).entries == entries
+
+
+def test_comments_and_blanks_are_free_but_values_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "set.toml"
+    write_set(path, SET)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f"# for the spare drive\n{text}", encoding="utf-8")
+    assert read_set(path).entries == ENTRIES
+    path.write_text(text.replace("value = 1000, raw = 1000", "value = 1001, raw = 1001"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"set.toml:3: was changed after it was written: its hash does not fit"):
+        read_set(path)
+    path.write_text(re.sub("hash.*\n", "", path.read_text(encoding="utf-8")), encoding="utf-8")
+    assert read_set(path).entries[0].value == 1001
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("{ index = 0x2210, subindex = 1 }", "2210h:01 has neither value nor raw"),
+        ("{ index = 0x12345, value = 1 }", "index is 74565, expected 0x0000 to 0xFFFF"),
+        ("{ index = 0x2210, value = true }", "value is True, expected a number or a text"),
+        ('{ index = 0x2210, raw = "0g" }', "raw is '0g', expected a whole number or hexadecimal digits"),
+        ("{ index = 0x2210, value = 1, vlaue = 2 }", "unknown key vlaue"),
+        ("{ value = 1 }", "lacks index"),
+        ('{ register = "2210h:01", value = 1 }', "which is an object: give index and subindex"),
+        ("{ index = 0x2000, value = 1 }", "2000h:00 is there twice"),
+        ("7", "is 7, expected a table"),
+    ],
+)
+def test_a_wrong_entry_is_named_with_its_line(tmp_path: Path, line: str, what: str) -> None:
+    path = tmp_path / "set.toml"
+    path.write_text(
+        f'format = "hil parameter set 1"\nname = "x"\nparameters = [\n  {{ index = 0x2000, value = 1 }},\n  {line},\n]\n'
+    )
+    with pytest.raises(InputError) as caught:
+        read_set(path)
+    assert what in str(caught.value)
+    assert line == "7" or f"{path}:5: " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "parameters = []", 'format = "hil parameter set 2"', "\0", "format = [", "name = 1"]
+)
+def test_another_file_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "set.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"set\.toml"):
+        read_set(path)
+
+
+def test_addresses() -> None:
+    assert object_key("2210h:0A") == (0x2210, 10)
+    assert object_key("stiffness") is None
+    assert object_address(0x607D, 2) == "607D:02".replace(":", "h:")
+
+
+def test_a_set_reads_well() -> None:
+    assert (
+        '  { index = 0x2210, subindex = 1, value = 1000, raw = 1000, type = "U32", name = "Proportional gain" },'
+        in render_set(SET)
+    )
