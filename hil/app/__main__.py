@@ -1,4 +1,4 @@
-"""`hil` and `python -m hil.app.terminal`: the way in, up to where `main` is loaded and takes over."""
+"""`hil` and `python -m hil.app`: the way in, up to where `main` is loaded and takes over."""
 
 import signal
 import sys

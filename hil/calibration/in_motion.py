@@ -33,8 +33,8 @@ class InMotion:
     """How passes are made.
 
     feeds_mm_s: at each, up and down in every run; stretch_mm: of constant velocity; rows: kept of each pass, evenly;
-    latency_s: of the instrument, see `hil.figures.latency`, None: unknown yet; dated_by: how it is known; lag_mm: how far the axis may be
-    behind its set-point; trigger_input: of the drive, captures at the edges that come there with the instrument's samples, None: on
+    latency_s: of the instrument, see `hil.figures.latency`, None: unknown yet; dated_by: how it is known; lag_mm: how far the axis may
+    be behind its set-point; trigger_input: of the drive, captures at the edges that come there with the instrument's samples, None: on
     the fly
     """
 

@@ -10,12 +10,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from drivers.errors import InputError, StateError
-from hil.axis.axis_file import AxisConfig
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Compensation
 from hil.correction.rise import rise_from_json
@@ -26,13 +25,45 @@ from hil.records.files import held, naming, read_bytes, replace_file
 from hil.records.zero import Zero, read_zero
 
 
+class _Keys(Protocol):
+    @property
+    def builder_public(self) -> Path: ...
+
+    @property
+    def builder_key(self) -> Path: ...
+
+
+class _Bounded(Protocol):
+    @property
+    def bound(self) -> CorrectionBound: ...
+
+
+class StatesStore(Protocol):
+    """What an axis file says of its store."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def tables_path(self) -> Path: ...
+
+    @property
+    def zero_path(self) -> Path: ...
+
+    @property
+    def store(self) -> _Keys: ...
+
+    @property
+    def correction(self) -> _Bounded: ...
+
+
 @dataclass(frozen=True)
 class SealedStore:
     """Where one axis's compensation is kept.
 
     password: opens this axis's entries; builder_public: whose signature is believed; builder_key: only where tables are made;
-    bound: of the axis; what exceeds it is neither saved nor loaded; zero_path: of the axis's zero (`hil.records.zero`), which what is stored
-    is bound to
+    bound: of the axis; what exceeds it is neither saved nor loaded; zero_path: of the axis's zero (`hil.records.zero`), which what is
+    stored is bound to
     """
 
     path: Path
@@ -44,7 +75,7 @@ class SealedStore:
     zero_path: Path | None = field(default=None, kw_only=True)
 
     @classmethod
-    def of(cls, axis: AxisConfig, password: str, key_password: str | None = None) -> SealedStore:
+    def of(cls, axis: StatesStore, password: str, key_password: str | None = None) -> SealedStore:
         """The store an axis file names; with `key_password`, the builder's, it can be written.
 
         Raises InputError when a key is missing or no half of a pair, WrongPasswordError for the key's password, and, where a store is

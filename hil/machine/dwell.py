@@ -1,6 +1,7 @@
 """Reading at a target: what the instrument says of an axis that arrived, stood for its dwell and, where asked for, came to rest.
 
-The rules for outliers, averages and rest are `hil.figures.reading`'s; here is what is watched meanwhile, and what is too old to be used.
+The rules for outliers, averages and rest are `hil.figures.reading`'s; here is what is watched meanwhile, and what is too old to
+be used.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@
     recover      resume and rollback                   audit      what is left after a restart
     predict      what it costs on the wire             defaults   the maker's values
 
-Everything but `formats` works against `drivers.raw_parameters` alone, so that it is the same on every wire; `hil.parameters.wiring` makes
-the concrete drives from axis files:
+Everything but `formats` works against `drivers.raw_parameters` alone, so that it is the same on every wire; `hil.parameters.wiring`
+makes the concrete drives from axis files:
 
     axes = [load_drive_axis("X.toml"), load_drive_axis("Y.toml")]
     with connected_parameters(axes) as drives:

@@ -1,10 +1,11 @@
 """The journal of a campaign: rows reach the disk as they are measured, and a restart finds every one of them.
 
-A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of `hil.records.rows`), written
-row by row and synced before the axis moves on; a half-written last line, left by a power cut, was never confirmed and is dropped.
-What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. Each line is chained
-to the one before it in `rows.chain` (`hil.records.row_chain`), and resuming refuses rows that are not as they were written. A pass says when
-it was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`.
+A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of `hil.records.rows`),
+written row by row and synced before the axis moves on; a half-written last line, left by a power cut, was never confirmed and is
+dropped. What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. Each line
+is chained to the one before it in `rows.chain` (`hil.records.row_chain`), and resuming refuses rows that are not as they were
+written. A pass says when it was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil
+records inspect`.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ def test_an_object_that_moves_the_axis_is_refused_before_anything_moves(
 def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until: Until) -> None:
     axis, folder = lay_out(tmp_path), tmp_path / "X-campaign"
     TableSetting(folder / "backlash.json").write(12.5)
-    command = [sys.executable, "-m", "hil.app.terminal", "backlash", str(axis), "--runs", "100"]
+    command = [sys.executable, "-m", "hil.app", "backlash", str(axis), "--runs", "100"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     kept = folder / "backlash-001.jsonl"
     until(lambda: kept.exists() and kept.read_text().count("\n") >= 2, "two reversals measured")

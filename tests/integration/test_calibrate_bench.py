@@ -142,7 +142,7 @@ def progress(directory: Path) -> tuple[int, int]:
 
 @contextlib.contextmanager
 def calibrating(axis: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "hil.app.terminal", "calibrate", str(axis), "--resume", *more]
+    command = [sys.executable, "-m", "hil.app", "calibrate", str(axis), "--resume", *more]
     environment = {**os.environ, **bench_axis.PASSWORDS}
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -179,7 +179,7 @@ def test_a_correction_that_does_not_prove_itself_is_not_stored(
 @pytest.mark.slow
 def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path, until: Until) -> None:
     x, _ = lay_out_axes(tmp_path, machine="geometric")
-    command = [sys.executable, "-m", "hil.app.terminal", "lost-motion", str(x)]
+    command = [sys.executable, "-m", "hil.app", "lost-motion", str(x)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     rows = tmp_path / "X-campaign" / "lost-motion-001" / "strokes.csv"
     until(lambda: rows.exists() and rows.read_text().count("\n") >= 20, "some places measured")

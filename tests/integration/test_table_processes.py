@@ -57,7 +57,7 @@ def test_one_process_writes_and_is_killed_and_others_find_what_was_there(
         command = [
             sys.executable,
             "-m",
-            "hil.app.terminal",
+            "hil.app",
             "params",
             "table",
             "download",

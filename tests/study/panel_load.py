@@ -56,7 +56,7 @@ def simulated(directory: Path, number: int) -> Iterator[tuple[Path, int]]:
     command = [
         sys.executable,
         "-m",
-        "hil.app.terminal",
+        "hil.app",
         "sim",
         "modbus",
         "--tcp",

@@ -26,7 +26,7 @@ _OPTIONS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disa
 @contextmanager
 def served(*arguments: str | Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Its address, and the process; ended as by Ctrl-C."""
-    command = [sys.executable, "-m", "hil.app.terminal", "panel", *map(str, arguments)]
+    command = [sys.executable, "-m", "hil.app", "panel", *map(str, arguments)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -154,7 +154,10 @@ class Desk:
         self.run(token, Job("reset fault", self._bare_plan(), lambda place: place.drive.reset_fault()))
 
     def compute(self, token: str | None, request: Mapping[str, Any]) -> None:
-        """Have something made of stored campaigns (`hil.app.jobs.worker_process.request`), whatever the axis does. Raises ComputingError."""
+        """Have something made of stored campaigns (`hil.app.jobs.worker_process.request`), whatever the axis does.
+
+        Raises ComputingError.
+        """
         self.control.require(token)
         self._aside.start(request)
 

@@ -1,4 +1,4 @@
-"""Tables as the file of manual mode (hil.correction.manual reads it): so that a controller's table can be looked at, edited and stored."""
+"""Tables as the file of manual mode, which `hil.correction.manual` reads: a controller's table to look at, edit and store."""
 
 from __future__ import annotations
 

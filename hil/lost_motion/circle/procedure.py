@@ -80,8 +80,8 @@ def drive_circle(
 ) -> CircleRun:
     """One circle with these corrections in force, on prepared sessions; none is in force afterwards, on every way out.
 
-    latency_s: of each axis's instrument (`hil.figures.latency`). One that both have only turns what is seen about its centre; where they
-    differ from what is stated, an ellipse is seen, its half-axes feed × difference apart.
+    latency_s: of each axis's instrument (`hil.figures.latency`). One that both have only turns what is seen about its centre;
+    where they differ from what is stated, an ellipse is seen, its half-axes feed × difference apart.
     Raises CapabilityError, LimitError before anything moves, and whatever stops an axis: all stop together.
     """
     check_axes(axes, circle, period_s)

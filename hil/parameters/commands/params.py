@@ -10,23 +10,23 @@ from typing import Any
 from hil.parameters.commands.options import EXAMPLE
 
 JOBS = {
-    "params_files": {
+    "parameters.commands.files": {
         "backup": "read every parameter that can be put back, into a file",
         "diff": "what the drive holds differently from a set",
         "verify": "whether the drive holds a set",
     },
-    "params_download": {
+    "parameters.commands.download": {
         "download": "write a set to the drive: all or nothing, read back",
         "store": "have the drive keep what it was last told",
         "restore": "as before the last download, or as a backup has it",
     },
-    "params_recover": {
+    "parameters.commands.recover": {
         "resume": "finish a download that was cut off",
         "rollback": "have everything as it was before a download that was cut off",
     },
-    "params_table": {"table": "the correction table that the drive holds itself"},
+    "drive_table.command": {"table": "the correction table that the drive holds itself"},
 }
-"""Modules of `hil.app.terminal` and the jobs that each brings by its `add_jobs(jobs)`. A module is loaded when a job of it is asked for: the
+"""Modules in `hil` and the jobs that each brings by its `add_jobs(jobs)`. A module is loaded when a job of it is asked for: the
 table's proof takes longer to load than a backup takes."""
 
 
@@ -39,7 +39,7 @@ class _Job(argparse.ArgumentParser):
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:  # type: ignore[override]
         parent, _, name = self.prog.rpartition(" ")
         jobs = self.like(prog=parent).add_subparsers(parser_class=self.like)
-        import_module(f"hil.app.terminal.{self.module}").add_jobs(jobs)
+        import_module(f"hil.{self.module}").add_jobs(jobs)
         return jobs.choices[name].parse_known_args(args, namespace)
 
 

@@ -69,7 +69,7 @@ def test_malformed_axis_files(
 )
 def test_as_a_process_of_its_own(arguments: list[str], tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "hil.app.terminal", *arguments],
+        [sys.executable, "-m", "hil.app", *arguments],
         cwd=tmp_path,
         capture_output=True,
         text=True,
