@@ -56,33 +56,37 @@ ROOMS = {
         ("hil/effects/*.py",),
         (f"{UNIT}/effects/test_reference_values.py", f"{UNIT}/effects", "tests/contract/test_effects.py"),
     ),
-    "iso230": Room(("hil/figures/iso230.py",), (f"{UNIT}/test_iso230.py",)),
-    "uncertainty": Room(("hil/figures/uncertainty.py",), (f"{UNIT}/test_uncertainty.py",)),
-    "alignment": Room(
-        ("hil/figures/alignment.py", "hil/figures/material.py"), (f"{UNIT}/test_alignment_and_material.py",)
+    "figures": Room(
+        tuple(
+            f"hil/figures/{name}.py"
+            for name in ("iso230", "uncertainty", "alignment", "material", "reading", "latency")
+        ),
+        (f"{UNIT}/figures",),
     ),
-    "reading": Room(("hil/figures/reading.py",), (f"{UNIT}/test_reading.py",)),
-    "latency": Room(("hil/figures/latency.py",), (f"{UNIT}/test_latency.py",)),
     "runout": Room(
-        ("hil/probe/runout.py", "hil/probe/store.py"), (f"{UNIT}/test_runout.py", f"{UNIT}/test_runout_store.py")
+        ("hil/probe/runout.py", "hil/probe/store.py"),
+        (f"{UNIT}/probe/test_runout.py", f"{UNIT}/probe/test_runout_store.py"),
     ),
     "backlash": Room(
-        ("hil/wind_up/*.py", "hil/axis/backlash.py"),
-        (f"{UNIT}/wind_up", f"{UNIT}/test_axis_backlash.py"),
+        (*(f"hil/backlash/{name}.py" for name in ("trace", "four_sample", "fitted", "result")), "hil/axis/backlash.py"),
+        (f"{UNIT}/backlash", f"{UNIT}/axis/test_axis_backlash.py"),
     ),
-    "lost_motion": Room(("hil/lost_motion/*.py",), (f"{UNIT}/lost_motion",)),
-    "sealed": Room(("hil/sealed/*.py",), (f"{UNIT}/test_sealed.py",)),
+    "lost_motion": Room(
+        (
+            *(f"hil/lost_motion/{name}.py" for name in ("at_load", "estimate", "fit", "circle/figures")),
+            *(f"hil/correction/{name}.py" for name in ("rise", "published_rise", "running_lost_motion")),
+        ),
+        (f"{UNIT}/lost_motion", f"{UNIT}/correction"),
+    ),
+    "sealed": Room(("hil/correction/sealed/*.py",), (f"{UNIT}/correction/test_sealed.py",)),
     "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
     "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
-    "parameters": Room(("hil/params/*.py",), (f"{UNIT}/params", "tests/integration/test_params_download.py")),
-    "tables": Room(
-        ("hil/correction/tables.py", "hil/correction/fold.py"), (f"{UNIT}/test_tables.py", f"{UNIT}/test_fold.py")
+    "parameters": Room(("hil/parameters/*.py",), (f"{UNIT}/parameters", "tests/integration/test_params_download.py")),
+    "correction": Room(
+        tuple(f"hil/correction/{name}.py" for name in ("tables", "fold", "compensation", "manual", "bound")),
+        (f"{UNIT}/correction",),
     ),
-    "compensation": Room(
-        ("hil/correction/compensation.py",), (f"{UNIT}/test_compensation.py", f"{UNIT}/lost_motion/test_engine.py")
-    ),
-    "manual": Room(("hil/correction/manual.py",), (f"{UNIT}/test_manual.py",)),
-    "drive_tables": Room(("hil/drive_tables/*.py",), (f"{UNIT}/drive_tables",)),
+    "drive_table": Room(("hil/drive_table/curve.py", "hil/drive_table/quantise.py"), (f"{UNIT}/drive_table",)),
 }
 
 SIGN, FACTOR, NUMBER = "sign", "factor or unit", "number"

@@ -2,14 +2,14 @@
 
 How a page is added
 
-1. What it starts goes to `hil/jobs/<job>.py`: functions of a connected axis that the command line's verb calls too, a plan (`Plan`:
+1. What it starts goes to `hil/<room>/job.py`: functions of a connected axis that the command line's verb calls too, a plan (`Plan`:
    what moves how far, what is written), and a `Job` made of both. A job runs in the axis's thread and gets a `Workplace`:
    `place.drive`, `place.session`, `place.machine()`, `place.opened_store()`, `place.listener` for events, `place.tell` for messages,
    `place.ask` for what somebody at the machine has to answer or do (a line in `[ask]`; it is asked on every page).
    A plan that is `locked` is refused to anybody but the builder.
-2. What it shows and is more than one figure of the desk goes to `hil/desk/<page>.py`: a function of the desk that returns a frozen
+2. What it shows and is more than one figure of the desk goes to `hil/<room>/screen.py`: a function of the desk that returns a frozen
    value (`backlash_screen`), tested without a browser.
-3. `hil/panel/pages/<page>.py` has `draw(view: View) -> None`. It puts elements on the screen and calls `view.every(refresh)`. It makes
+3. `hil/<room>/page.py` has `draw(view: View) -> None`. It puts elements on the screen and calls `view.every(refresh)`. It makes
    figures with `view.value(key, unit)`, buttons with `view.button(key, action)`, frames with `with view.card(key)`, names any other
    element with `view.named(element, name)`, and starts a job with `await view.ask_and_run(job)`, which asks first.
 4. The page is listed in `hil/app/panel/pages/__init__.py`.
