@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.places import SHARED_DATA as SHARED
 
 from hil.app.terminal.main import main
 from hil.records.rows import Records, read_csv, to_csv
-
-SHARED = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).parents[3] / "shared/data"))
 
 
 def stage(axis: str) -> Path:

@@ -113,12 +113,14 @@ def qemu_command(started: Image, job: Path) -> list[str]:
 
 def _watch(started: Image, job: Path, end: float) -> None:
     """Run qemu to its end, passing on what the command prints. Raises ImageError, OutOfTimeError."""
+    said = ""
     for limit_s in BOOT_LIMITS_S:
         try:
             return _watch_once(started, job, end, limit_s)
         except NotUpError as error:
-            print(f"vcan guest: {error}", file=sys.stderr, flush=True)
-    raise ImageError(f"the guest did not come up in {len(BOOT_LIMITS_S)} attempts")
+            said = str(error)
+            print(f"vcan guest: {said}", file=sys.stderr, flush=True)
+    raise ImageError(f"{said}; {len(BOOT_LIMITS_S)} attempts")
 
 
 def _watch_once(started: Image, job: Path, end: float, limit_s: float) -> None:

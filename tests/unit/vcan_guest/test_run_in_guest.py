@@ -99,6 +99,16 @@ def test_no_guest_is_no_success(run: Run, qemu: str | None, said: str) -> None:
     assert said in result.stderr.splitlines()[-1]
 
 
+def test_a_guest_that_does_not_boot_is_started_again(run: Run, tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    result = run(
+        f'[ -e {first} ] || {{ touch {first}; echo SeaBIOS; exit; }}; echo "HIL-GUEST READY"; echo 0 > $job/status',
+        *("--timeout", "20", "--", "true"),
+    )
+    assert result.returncode == 0, result.stderr
+    assert "did not come up: SeaBIOS" in result.stderr
+
+
 def test_a_build_that_fails_leaves_nothing_in_the_cache(
     guest_image: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,17 +1,16 @@
 """A recording that plays: its values at its times, its gaps, and the files that are none."""
 
 import gzip
-import os
 from pathlib import Path
 
 import pytest
+from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
 from drivers.instrument import ReadingStatus
 from drivers.instruments.replay import Recording, ReplayInstrument, ReplaySettings
 from sim_backends.clock import SimClock
 
-DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 TEXT = (
     "# one\ntime_s,laser_mm,air_temp_c,temp_screw_c\n10.0,1.0,20.0,22\n10.1,1.5,20.1,22\n10.5,,20.2,23\n11.0,2.0,,23\n"
 )

@@ -19,7 +19,7 @@ from hil.axis.axis_file import HomingConfig, iso_targets, load_axis
 from hil.axis.instrument import FixedAirConfig
 from hil.correction.tables import Band, TableMode
 
-CORPUS = Path(__file__).parent / "corpus" / "axis"
+CORPUS = Path(__file__).parents[1] / "corpus" / "axis"
 EXPECTED = expectations(CORPUS)
 EXAMPLE = Path(str(files("hil.examples") / "axis.toml"))
 

@@ -143,6 +143,6 @@ def test_an_axis_that_is_measured_may_have_the_section_too(tmp_path: Path) -> No
 
 
 def test_the_shipped_example_is_one() -> None:
-    axis = load_drive_axis(Path(__file__).parents[3] / "hil/examples/backlash_axis.toml")
+    axis = load_drive_axis(Path(__file__).parents[4] / "hil/examples/backlash_axis.toml")
     assert axis.backlash is not None
     assert axis.backlash.parameter == "2201h"

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
 from hil.correction.formats import keysight, measured_csv, wide_iso
@@ -18,7 +16,6 @@ from hil.correction.formats.wide_iso import WideIsoSettings
 from hil.figures.iso230 import iso230
 from hil.records.rows import Records, read_csv
 
-DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
 
 

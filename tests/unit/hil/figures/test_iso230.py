@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import random
-from pathlib import Path
 from statistics import fmean, stdev
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
 from hil.figures.iso230 import FIGURES, iso230
 from hil.records.rows import Records, read_csv
 
-DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[4] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
 
 PUBLISHED = {

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
@@ -25,7 +24,6 @@ from hil.correction.rise import (
 from hil.correction.running_lost_motion import after_full_stroke, moved_to
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
 
-DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
 
 TRAVEL_MM = np.linspace(0.0, 12.0, 200)

@@ -10,7 +10,7 @@ from support import probe_files
 from drivers.errors import InputError
 from hil.probe.machine_file import load_probe_machine
 
-EXAMPLE = Path(__file__).parents[3] / "hil/examples/probe_machine.toml"
+EXAMPLE = Path(__file__).parents[4] / "hil/examples/probe_machine.toml"
 
 
 def test_the_example_shows_every_default_as_it_is(tmp_path: Path) -> None:

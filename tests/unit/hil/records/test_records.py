@@ -16,7 +16,7 @@ from support.corpus import check_complete, check_refused, expectations
 from drivers.errors import InputError
 from hil.records.rows import LARGEST, OPTIONAL, REQUIRED, Records, concatenate, format_row, parse_csv, read_csv, to_csv
 
-CORPUS = Path(__file__).parent / "corpus" / "records"
+CORPUS = Path(__file__).parents[1] / "corpus" / "records"
 EXPECTED = expectations(CORPUS)
 HEADER = "run,direction,target_mm,measured_mm\n"
 

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
 from hil.app.report.data import NamedCampaign, ReportData, TableInForce, environment, history
@@ -33,7 +34,6 @@ def section(found: dict[str, Any], diagnosed: NamedCampaign | None) -> str:
     return as_html(diagnosis_part.section(found, diagnosed))
 
 
-DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).resolve().parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
@@ -169,7 +169,7 @@ def test_the_same_data_give_the_same_bytes_in_another_process() -> None:
         "d = m.data(diagnosis=m.FOUND, diagnosed=m.NamedCampaign('after', m.campaign_rows(2, 0.1)))\n"
         "print(hashlib.sha256(m.render_html(d).encode()).hexdigest())"
     )
-    environment = {**os.environ, "PYTHONPATH": str(here.parents[4])}
+    environment = {**os.environ, "PYTHONPATH": str(here.parents[5])}
     digests = {
         subprocess.run(
             [sys.executable, "-c", code], env={**environment, "PYTHONHASHSEED": seed}, capture_output=True, check=True
