@@ -10,10 +10,10 @@ from hil.backlash.procedure import TorqueBacklash, measure_backlash
 from hil.backlash.result import LostMotion, fitted_lost_motion
 from hil.backlash.settings import backlash_settings
 from hil.calibration.calibrate import Calibration, calibrate
+from hil.calibration.explore import warm_up
 from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
 from hil.calibration.latency import measure_latency
 from hil.calibration.verify import Verification, verify
-from hil.calibration.warm_up import warm_up
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_manual_tables, read_straightness
 from hil.correction.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from hil.app.panel.pieces import draw_where
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
-from hil.app.panel.where import draw_where
 from hil.backlash import job as backlash
 from hil.backlash.screen import backlash_screen
 

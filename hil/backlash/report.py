@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hil.app.report import markup
-from hil.app.report.page import header, page, tile
+from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
 from hil.backlash.result import NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
 

@@ -8,11 +8,9 @@ from functools import partial
 from nicegui import ui
 
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
+from hil.app.panel.pieces import Reading, Table, draw_where
 from hil.app.panel.plots import JobPlot
-from hil.app.panel.reading import Reading
-from hil.app.panel.tables import Table
 from hil.app.panel.view import View
-from hil.app.panel.where import draw_where
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY

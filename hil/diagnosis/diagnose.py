@@ -23,10 +23,9 @@ from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.search.fit import joint_fit
 from hil.diagnosis.search.judge import SURE
 from hil.diagnosis.search.select import structure_rms
-from hil.diagnosis.verdict.below_noise import faint_note, is_faint
 from hil.diagnosis.verdict.held_out import ONCE, HeldOut, earns_its_place, held_out
 from hil.diagnosis.verdict.offer import offered
-from hil.diagnosis.verdict.suspected import leaning
+from hil.diagnosis.verdict.suspected import faint_note, is_faint, leaning
 from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model

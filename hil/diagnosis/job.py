@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.errors import InputError
 from hil.app.report.data import NamedCampaign
 from hil.app.report.views import View, finding_view, position_view
 from hil.axis.axis_file import AxisConfig
@@ -16,6 +17,8 @@ from hil.diagnosis import Diagnosis, diagnose
 from hil.diagnosis.follow_up import FollowUp, follow_up, means_of_records
 from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.stored import sources
+from hil.effects import Effect
+from hil.effects.model import Model
 from hil.effects.user_effects import blaming, catalogue_with, check_on
 from hil.records.files import read_text, replace_file
 from hil.records.rows import Floats, Records, concatenate, parse_csv
@@ -32,12 +35,32 @@ def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
     effects = catalogue_with()
     with blaming(effects):
         records = concatenate([parse_csv(read_text(path), path) for path in paths])
-        check_on(effects, records.columns)
-        diagnosis = diagnose(records, effects=effects)
-        means = means_of_records(records, (axis.scaling.feed_mm_per_shaft_rev,))
-        follow = follow_up(diagnosis, records, None, means, effects=effects)
+        follow = diagnosed(records, None, effects, pitches_mm=(axis.scaling.feed_mm_per_shaft_rev,))
     form = {**shown_diagnosis(follow, records), "sources": sources(paths)}
     replace_file(out, (json.dumps(form) + "\n").encode())
+
+
+def diagnosed(
+    records: Records,
+    declared: Model | None,
+    effects: Sequence[Effect],
+    *,
+    pitches_mm: tuple[float, ...] = (),
+    non_parametric: bool = False,
+) -> FollowUp:
+    """Diagnose records, and find the measurement to make next.
+
+    declared: the model in force, None: a table fitted from the records; pitches_mm: lengths at which the mechanics of the axis repeat;
+    non_parametric: correct what is unexplained too, its cause unknown. Raises InputError for records that cannot be diagnosed, and where
+    a correction without a cause cannot be had.
+    """
+    check_on(effects, records.columns)
+    diagnosis = diagnose(records, declared, effects=effects)
+    if non_parametric:
+        if isinstance(diagnosis.non_parametric, str):
+            raise InputError(f"--non-parametric is refused: {diagnosis.non_parametric}")
+        diagnosis = diagnosis.non_parametric
+    return follow_up(diagnosis, records, declared, means_of_records(records, pitches_mm), effects=effects)
 
 
 def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:

@@ -10,8 +10,7 @@ from nicegui import ui
 from hil.app.desk.campaigns import Measurement
 from hil.app.jobs import worker_process as aside
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.reading import Reading
-from hil.app.panel.tables import Table
+from hil.app.panel.pieces import Reading, Table
 from hil.app.panel.view import View
 from hil.app.report.job import Wanted
 from hil.axis.axis_file import AxisConfig

@@ -15,9 +15,9 @@ from hil.app.terminal.axis_options import (
     seed,
     tell_zero,
 )
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
+from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation

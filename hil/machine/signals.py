@@ -14,11 +14,47 @@ import os
 import select
 import signal
 import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from types import FrameType
+from typing import TypeVar
 
-from hil.machine.drives_to_stop import DRIVES_TO_STOP, DrivesToStop
+from drivers.drive import ServoDrive
+
+Drive = TypeVar("Drive", bound=ServoDrive)
+
+
+class DrivesToStop:
+    """Drives as long as anybody else keeps them."""
+
+    def __init__(self) -> None:
+        self._drives: list[weakref.ref[ServoDrive]] = []
+
+    def add(self, drive: ServoDrive) -> None:
+        """A drive that is not open has nothing to stop: `send_stop` then does nothing."""
+        self._drives.append(weakref.ref(drive, self._drives.remove))
+
+    def send_stop(self) -> None:
+        """Tell all of them. For any thread; never raises and waits for nothing, as `ServoDrive.send_stop`."""
+        for reference in tuple(self._drives):
+            drive = reference()
+            if drive is not None:
+                drive.send_stop()
+
+
+DRIVES_TO_STOP: ContextVar[DrivesToStop | None] = ContextVar("drives to stop", default=None)
+"""Of this process, where it has any."""
+
+
+def stopped_by_signals(drive: Drive) -> Drive:
+    """The drive; from now on it is among those of this process."""
+    drives = DRIVES_TO_STOP.get()
+    if drives is not None:
+        drives.add(drive)
+    return drive
+
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 WAY_OUT_S = 2.0

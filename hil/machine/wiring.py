@@ -30,10 +30,9 @@ from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
-from hil.machine.drives_to_stop import stopped_by_signals
 from hil.machine.instruments import instrument, with_instrument
 from hil.machine.session import AxisSession
-from hil.machine.signals import ending_by_signals
+from hil.machine.signals import ending_by_signals, stopped_by_signals
 from hil.records.files import held_by_name
 from hil.records.zero import ZeroKeeper
 from sim_backends.bench import Bench, BenchParameters, known_bench

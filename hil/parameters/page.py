@@ -9,8 +9,7 @@ from pathlib import Path
 from nicegui import events, ui
 
 from hil.app.jobs.job import Job
-from hil.app.panel.reading import Reading
-from hil.app.panel.tables import Table
+from hil.app.panel.pieces import Reading, Table
 from hil.app.panel.view import View
 from hil.parameters import job as parameters
 from hil.parameters.jobs.files import LARGEST_BYTES, keep_set, require_size, set_files

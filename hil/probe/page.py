@@ -8,11 +8,8 @@ from functools import partial
 from nicegui import ui
 
 from hil.app.panel.drawings import Drawing
-from hil.app.panel.latest import Latest
-from hil.app.panel.reading import Reading
-from hil.app.panel.tables import Table
+from hil.app.panel.pieces import Latest, Reading, Table, draw_where
 from hil.app.panel.view import View
-from hil.app.panel.where import draw_where
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import MODES

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from hil.app.report import markup
-from hil.app.report.page import header, page, tile
+from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.probe.runout import ANGLES_DEG, Centring, FourFeeds, RunOut, mean_feeds
 

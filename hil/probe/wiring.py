@@ -19,8 +19,7 @@ from drivers.errors import AbortError, CapabilityError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.axis.axis_file import DriveAxis
-from hil.machine.drives_to_stop import stopped_by_signals
-from hil.machine.signals import ending_by_signals
+from hil.machine.signals import ending_by_signals, stopped_by_signals
 from hil.machine.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
 from hil.probe.machine_file import ProbeConfig, ProbeMachineConfig
 from hil.probe.runout import UM_PER_MM

@@ -17,7 +17,7 @@ from hil.axis.axis_file import load_axis
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.store import SealedStore
 from hil.correction.tables import TableSet
-from hil.diagnosis.loop.extend import compensation_of
+from hil.diagnosis.loop.procedure import compensation_of
 from hil.effects import Term
 from hil.effects.model import Model
 from hil.effects.non_parametric import NonParametric, smooth_form

@@ -3,26 +3,61 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import copy_context
 from dataclasses import dataclass, replace
 
-from drivers.clock import NS_PER_S, WallClock
+from drivers.clock import NS_PER_S, Waiting, WallClock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import BridgeError, LinkLostError, StateError
 from drivers.instrument import Reading
 from hil.app.desk.asking import Asking
-from hil.app.desk.connection import Connect, Connection
 from hil.app.desk.live import RATE_HZ, Board, Live, of_sample
 from hil.app.desk.progress import JobLog, Phase
 from hil.app.desk.standstill import Standstill
 from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
 from hil.app.error_log import ERRORS, ErrorLog
 from hil.app.jobs.job import Job, Question, Workplace
-from hil.axis.axis_file import DriveAxis
+from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.correction.store import SealedStore
 from hil.machine.session import AxisSession
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
+from hil.machine.wiring import connected, connected_drive
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A connected axis; session: None for an axis without an instrument."""
+
+    drive: ServoDrive
+    session: AxisSession | None
+
+    def one_job(self) -> AbstractContextManager[object]:
+        """Around a job: whatever goes wrong stops the axis, and afterwards it is as it was found."""
+        if self.session is None:
+            return Supervisor([WatchedAxis(self.drive)])
+        return self.session.one_job()
+
+
+Connect = Callable[[Waiting], AbstractContextManager[Connection]]
+
+
+def to_axis(axis: DriveAxis) -> Connect:
+    """The axis of an axis file, with its instrument where it has one."""
+
+    @contextmanager
+    def connect(waiting: Waiting) -> Iterator[Connection]:
+        if isinstance(axis, AxisConfig):
+            with connected(axis, waiting=waiting) as machine:
+                yield Connection(machine.session.drive, machine.session)
+        else:
+            with connected_drive(axis, waiting=waiting) as drive:
+                yield Connection(drive, None)
+
+    return connect
+
 
 RETRY_S = 2.0
 """Between two attempts to connect an axis that does not answer."""

@@ -14,8 +14,7 @@ from typing import Any
 
 from drivers.errors import LocalError, StateError
 from hil.app.desk.asking import Pending
-from hil.app.desk.axis_thread import Asked, AxisThread
-from hil.app.desk.connection import Connect, to_axis
+from hil.app.desk.axis_thread import Asked, AxisThread, Connect, to_axis
 from hil.app.desk.control import Control
 from hil.app.desk.live import Live, TracePoint
 from hil.app.desk.progress import Graph, JobLog, Phase, Progress

@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
-from hil.app.panel.latest import Latest
+from hil.app.panel.pieces import Latest
 from hil.app.panel.plots import COLOURS, chart_options
 from hil.app.panel.view import View
 from hil.lost_motion.screen import CircleCurves

@@ -5,20 +5,44 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from drivers.errors import InputError
 from hil.app.jobs.identity import identity, uncertainty_of
 from hil.app.report.job import now, write_report
 from hil.app.terminal.output import add_json_option, write_json
-from hil.app.terminal.signatures import NOT_GOOD, signatures
 from hil.axis.axis_file import AxisConfig, load_axis
-from hil.correction.sealed import load_public_key
+from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.figures.uncertainty import Budget
 from hil.records.files import read_bytes, replace_file
 from hil.records.rows import parse_csv
+
+NOT_GOOD = "NOT GOOD: "
+
+
+def signatures(paths: Sequence[str], public: Ed25519PublicKey) -> dict[str, str]:
+    """Each file's name -> what its signature, its own or the FILE.sig beside it, is worth."""
+    return {Path(path).name: _signature(Path(path), public) for path in paths}
+
+
+def _signature(path: Path, public: Ed25519PublicKey) -> str:
+    data = read_bytes(path)
+    beside = path.with_name(f"{path.name}.sig")
+    try:
+        if is_sealed(data):
+            check(data, public)
+        elif beside.exists():
+            check_detached(data, read_bytes(beside), public)
+        else:
+            return "not signed"
+    except SealedError as error:
+        return NOT_GOOD + error.what
+    return f"signed by {fingerprint(public)}"
+
 
 EXAMPLE = """\
 example:

@@ -6,7 +6,7 @@ loads matplotlib, which takes a moment: a command imports it when it needs it.)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from matplotlib.figure import FigureBase
@@ -19,7 +19,9 @@ from hil.app.report.blocks import (
     DataTable,
     Drawing,
     Facts,
+    Finding,
     Heading,
+    Paragraph,
     Table,
     Tile,
     Tiles,
@@ -27,13 +29,73 @@ from hil.app.report.blocks import (
     walk,
 )
 from hil.app.report.data import NamedCampaign, ReportData, environment, history
-from hil.app.report.html import html
-from hil.app.report.page import header, page
-from hil.app.report.svg import LIGHT, Ground, Theme, file_bytes
+from hil.app.report.markup import header, page
+from hil.app.report.svg import LIGHT, PAGE, Ground, Theme, file_bytes, inline_svg
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.figures.iso230 import FIGURES, Iso230
 from hil.figures.uncertainty import Budget
 from hil.records.rows import Floats, Records
+
+
+def html(blocks: Iterable[Block]) -> str:
+    """All of them, a line each."""
+    return "\n".join(part for part in map(_block, blocks) if part)
+
+
+def _block(block: Block) -> str:  # noqa: PLR0911  (one for each kind)
+    match block:
+        case Heading():
+            tag = f'<span class="tag">{markup.text(block.tag)}</span>' if block.tag else ""
+            return f"<h{block.level}>{markup.text(block.text)}{tag}</h{block.level}>"
+        case Paragraph():
+            return _paragraph(block)
+        case Bullets():
+            return markup.paragraph_list(block.items, block.style)
+        case Tiles():
+            return '<div class="tiles">' + "".join(map(_tile_markup, block.tiles)) + "</div>"
+        case Facts():
+            return markup.definitions(block.facts)
+        case Table():
+            css = {"meaning": "numbers meaning"}.get(block.style, block.style)
+            return markup.table(block.head, block.rows, css=css, caption=block.caption)
+        case DataTable():
+            return markup.data_table(
+                block.identifier, block.title, block.columns, heads=block.heads, unfolded=block.unfolded
+            )
+        case Drawing():
+            svg = inline_svg(block.figure(PAGE), block.key, block.description)
+            return markup.figure(svg, block.caption)
+        case Finding():
+            return f'<section class="finding">{html(block.blocks)}</section>'
+
+
+def _paragraph(block: Paragraph) -> str:
+    css = f' class="{block.style}"' if block.style else ""
+    words = []
+    for span in block.spans:
+        said = markup.text(span.text)
+        match span.style:
+            case "strong":
+                said = f"<strong>{said}</strong>"
+            case "muted":
+                said = f'<span class="muted">{said}</span>'
+        words.append(said)
+    return f"<p{css}>{''.join(words)}</p>"
+
+
+def _tile_markup(tile: Tile) -> str:
+    css = {True: "better", False: "worse", None: ""}[tile.good]
+    unit = f" <small>{markup.text(tile.unit)}</small>" if tile.unit else ""
+    below = markup.text(tile.below)
+    if tile.verdict:
+        below += f' <span class="{css}">{markup.text(tile.verdict)}</span>'
+    under = f'<div class="from">{below}</div>' if below else ""
+    on_value = f" {css}" if css and not tile.verdict else ""
+    return (
+        f'<div class="tile"><div class="name">{markup.text(tile.name)}</div>'
+        f'<div class="value{on_value}">{markup.text(tile.value)}{unit}</div>{under}</div>'
+    )
+
 
 MAX_UNFOLDED_TARGETS = 60
 """The table per target stands open up to this length."""

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from hil.app.report import markup
 from hil.app.report.document import symbol
-from hil.app.report.page import header, page
+from hil.app.report.markup import header, page
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
 from hil.figures.history import Moment, trend
 

@@ -14,8 +14,25 @@ import numpy as np
 from drivers.errors import InputError
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
+from hil.effects.user_effects import catalogue_with
 from hil.records.files import read_bytes
 from hil.records.rows import Records, concatenate, read_csv
+
+
+def add_effects_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--effects",
+        metavar="FILE.py",
+        action="append",
+        default=[],
+        help="Python code of yours with EFFECTS = (MyEffect(), …), run and used beside the catalogue; may be repeated",
+    )
+
+
+def read_effects(paths: Sequence[str]) -> tuple[Effect, ...]:
+    """The catalogue and the effects of installed packages and of the files. Raises InputError naming the file."""
+    return catalogue_with(paths)
+
 
 RUNS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*")
 

@@ -17,7 +17,6 @@ from typing import Any
 
 from drivers.clock import WallClock
 from drivers.errors import InputError
-from hil.app.terminal.sim_axis_file import axis_text, instrument_text
 from hil.axis.connections import BENCH_MACHINES, BENCH_TABLES
 from hil.records.files import replace_file
 from sim_backends.bench import Bench, BenchParameters, known_bench
@@ -26,12 +25,59 @@ from sim_backends.fault_text import Faults, fault_names, parse_faults
 from sim_backends.faults import FaultKind
 from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
 from sim_backends.homing import HOMING_METHODS
+from sim_backends.laser import LaserParameters
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
 from sim_backends.modbus_faults import WireFaultKind
 from sim_backends.own_table import known_table
 from sim_backends.reach import check_can, parse_tcp
 from sim_backends.serve import Pace, run_in_real_time
 from sim_backends.shuttle import Shuttle
+
+
+def instrument_text(kind: str, port: str) -> str:
+    """The [instrument] section for one of `INSTRUMENT_KINDS`."""
+    where = f"port = {json.dumps(port)}"
+    if kind == "umd":
+        return f'kind = "umd"\n{where}\nplace_temps = {{ {LaserParameters().material_place} = 4 }}'
+    if kind == "nd2xx":
+        return f'kind = "nd2xx"\n{where}'
+    pattern = "mitutoyo" if kind == "mitutoyo" else "number"
+    return f'kind = "ascii"\n{where}\npattern = "{pattern}"\ndecimals = 4\nfault = "ERROR"'
+
+
+def axis_text(parameters: BenchParameters, drive: dict[str, Any], instrument: str) -> str:
+    """An axis file for the machine, with targets over its whole travel."""
+    limits, scaling = parameters.limits, parameters.scaling
+    keys = "\n".join(f"{name} = {json.dumps(value)}" for name, value in drive.items())
+    first, last = 0.01 * parameters.plant.length_mm, 0.99 * parameters.plant.length_mm
+    return f"""\
+# The machine of a running `hil sim`.
+
+[axis]
+name = "X"
+travel_min_mm = {limits.travel_min_mm!r}
+travel_max_mm = {limits.travel_max_mm!r}
+max_velocity_mm_s = {limits.max_velocity_mm_s!r}
+max_acceleration_mm_s2 = {limits.max_acceleration_mm_s2!r}
+
+[scaling]
+encoder_counts_per_motor_rev = {scaling.encoder_counts_per_motor_rev}
+feed_mm_per_shaft_rev = {scaling.feed_mm_per_shaft_rev!r}
+
+[drive]
+{keys}
+
+[instrument]
+{instrument}
+
+[measurement]
+first_mm = {first!r}
+last_mm = {last!r}
+sections = 11
+runs = 2
+velocity_mm_s = {min(100.0, limits.max_velocity_mm_s)!r}
+"""
+
 
 EXAMPLE = """\
 example: a machine in one terminal, its commissioning in another

@@ -9,17 +9,19 @@ from hil.app.jobs.figures import error_figures
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
+    add_recording_options,
     add_zero_options,
     load_stored,
+    machine_of,
     open_store,
     print_plan,
+    recording_name,
     seed,
     tell_zero,
 )
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.recording_options import add_recording_options, machine_of, recording_name
+from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.app.terminal.summary import print_stages
 from hil.axis.axis_file import load_axis
 from hil.calibration.job import run_verification, verification_plan

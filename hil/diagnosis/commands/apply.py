@@ -7,9 +7,14 @@ import argparse
 import numpy as np
 
 from drivers.errors import InputError
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import add_json_option, print_facts, write_json
-from hil.app.terminal.records_input import add_records_argument, read_model, read_records
+from hil.app.terminal.records_input import (
+    add_effects_option,
+    add_records_argument,
+    read_effects,
+    read_model,
+    read_records,
+)
 from hil.effects.non_parametric import without_cause
 from hil.effects.user_effects import blaming
 from hil.records.files import replace_file

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import seed
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
-from hil.app.terminal.records_input import add_records_argument, read_records
+from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.diagnosis.loop.next_run import means_of_measurement
 from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign

@@ -5,14 +5,19 @@ from __future__ import annotations
 import argparse
 
 from drivers.errors import InputError
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
-from hil.app.terminal.records_input import add_records_argument, read_model, read_records
+from hil.app.terminal.records_input import (
+    add_effects_option,
+    add_records_argument,
+    read_effects,
+    read_model,
+    read_records,
+)
 from hil.axis.axis_file import load_axis
-from hil.diagnosis import Diagnosis, diagnose
-from hil.diagnosis.follow_up import follow_up, means_of_records
+from hil.diagnosis import Diagnosis
+from hil.diagnosis.job import diagnosed
 from hil.diagnosis.pictures import with_plots
-from hil.effects.user_effects import blaming, check_on
+from hil.effects.user_effects import blaming
 from hil.records.files import replace_file
 
 EXAMPLE = """\
@@ -62,29 +67,20 @@ def run(args: argparse.Namespace) -> int:
         declared = read_model(args.model, effects) if args.model else None
         records = read_records(args.records, args.runs)
         try:
-            check_on(effects, records.columns)
-            diagnosis = diagnose(records, declared, effects=effects)
+            follow = diagnosed(
+                records, declared, effects, pitches_mm=_pitches(args.axis), non_parametric=args.non_parametric
+            )
         except InputError as error:
             raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
-        if args.non_parametric:
-            diagnosis = _without_a_cause(diagnosis)
-        means = means_of_records(records, _pitches(args.axis))
-        follow = follow_up(diagnosis, records, declared, means, effects=effects)
+    diagnosis = follow.diagnosis
     if args.out:
         replace_file(args.out, diagnosis.extended.to_json().encode("utf-8"))
     if args.json:
-        write_json(args.json, with_plots(follow.to_json(), follow.diagnosis, records))
-    print_diagnosis(follow.diagnosis)
+        write_json(args.json, with_plots(follow.to_json(), diagnosis, records))
+    print_diagnosis(diagnosis)
     if follow.run is not None:
         print(f"next measurement: {follow.run.describe()}; then diagnose both files together")
     return 1 if diagnosis.unexplained else 0
-
-
-def _without_a_cause(diagnosis: Diagnosis) -> Diagnosis:
-    """The diagnosis with what is unexplained corrected. Raises InputError where that cannot be had."""
-    if isinstance(diagnosis.non_parametric, str):
-        raise InputError(f"--non-parametric is refused: {diagnosis.non_parametric}")
-    return diagnosis.non_parametric
 
 
 def _pitches(axis: str | None) -> tuple[float, ...]:

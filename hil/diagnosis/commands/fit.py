@@ -7,9 +7,8 @@ import argparse
 import numpy as np
 
 from drivers.errors import InputError
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import add_json_option, print_facts, write_json
-from hil.app.terminal.records_input import add_records_argument, read_records
+from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
 from hil.diagnosis.search.declare import fit_with
 from hil.effects.user_effects import blaming, check_on
 from hil.records.files import replace_file

@@ -9,17 +9,21 @@ from typing import Any
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
+    add_in_motion_options,
     add_password_options,
+    add_recording_options,
     add_zero_options,
+    feeds,
+    machine_of,
     open_store,
+    passes_of,
     print_dry_run,
+    recording_name,
     tell_zero,
 )
-from hil.app.terminal.effects_input import add_effects_option, read_effects
-from hil.app.terminal.motion_options import add_in_motion_options, feeds, passes_of
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.recording_options import add_recording_options, machine_of, recording_name
+from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.app.terminal.summary import print_findings, print_stages
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration

@@ -6,22 +6,67 @@ import json
 from dataclasses import replace
 from typing import Any
 
+from drivers.errors import StateError
 from hil.app.jobs.figures import error_figures
-from hil.app.jobs.job import Job, Workplace, tell_unchecked
+from hil.app.jobs.job import Job, Question, Workplace, tell_unchecked
+from hil.app.report.views import label_of
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import SealedStore
 from hil.diagnosis.follow_up import FollowUp
 from hil.diagnosis.job import shown_diagnosis
-from hil.diagnosis.loop.jobs.person import Person
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, Looped, loop_plan
 from hil.diagnosis.loop.jobs.stored import turn_is_good
 from hil.diagnosis.loop.procedure import Loop, Turn, Turning, close_loop
+from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.stored import STORED
 from hil.figures.history import purpose_of_replay
 from hil.machine.computing import watched
+from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.events import Listener, silent
 from hil.machine.wiring import Machine
 from hil.records.journal import Campaign
+
+CONSENT_S, BRING_S = 600.0, 3600.0
+"""How long an answer is waited for: whether a run shall be made, and until a load, an optic … is as it was asked for."""
+RUN, CONDITION = "run", "condition"
+"""Kinds of question."""
+
+
+class Person:
+    """Who is at the machine of one job. After a question about a run that nobody answered nobody is asked for another."""
+
+    def __init__(self, place: Workplace) -> None:
+        self._place = place
+        self._gone = False
+
+    def consents(self, run: PlannedRun) -> bool:
+        """Whether a run that needs a person is to be made; no answer in time is a no, and is told."""
+        said = run.describe()
+        if not self._gone:
+            answer = self._place.ask(Question(RUN, {"run": said}, CONSENT_S))
+            if answer:
+                return True
+            if answer is False:
+                self._place.tell(f"not made, as was answered: {said}")
+                return False
+            self._gone = True
+        self._place.tell(f"not made, nobody answered within {CONSENT_S / 60:g} min: {said}")
+        return False
+
+    def brings(self, name: str, value: float) -> None:
+        """Returns once the condition is as asked for. Raises StateError where it is not, or nobody answers in time."""
+        unit = label_of(name).partition(", ")[2]
+        figures = {"condition": name, "value": f"{value:g} {unit}".rstrip()}
+        answer = self._place.ask(Question(CONDITION, figures, BRING_S))
+        if not answer:
+            why = "somebody answered that it cannot be" if answer is False else f"no answer within {BRING_S / 60:g} min"
+            raise StateError(f"{name} was not brought to {value:g}: {why}; what was measured is kept")
+
+    def conditions(self, axis: AxisConfig, there: Conditions) -> Conditions:
+        """Who brings about loads and the like: the bench does so itself, on a machine this person does."""
+        if axis.drive.backend == "bench":
+            return there
+        return AskedConditions(axis.conditions.levels, self.brings)
 
 
 def loop_purpose(axis: AxisConfig, turning: Turning) -> dict[str, Any]:

@@ -6,10 +6,8 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.latest import Latest
+from hil.app.panel.pieces import Latest, Reading, Table
 from hil.app.panel.plots import JobPlot
-from hil.app.panel.reading import Reading
-from hil.app.panel.tables import Table
 from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration

@@ -18,8 +18,8 @@ from hil.diagnosis.search.judge import FoldScout, Hit, Scout, hit_of
 from hil.diagnosis.search.rank import rank
 from hil.diagnosis.search.search import Judge, Stage, search
 from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.search.serial import Memory, memory
 from hil.diagnosis.search.structure import Catalogue
-from hil.diagnosis.verdict.serial import Memory, memory
 
 Floats = NDArray[np.float64]
 

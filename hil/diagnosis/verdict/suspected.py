@@ -10,10 +10,33 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.diagnosis.result import Finding
 from hil.diagnosis.search.choose import Chosen, Problem
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.verdict.held_out import ONCE, earns_its_place, folds, gains_without
 from hil.effects import Action
+
+SURE_NAME = 0.5
+"""Confidence from which a name stands for itself, however small the effect: it is likelier than all its rivals together."""
+WANDER = 0.5
+"""RMS over the noise's own up to which noise may wander."""
+
+
+def is_faint(finding: Finding, noise_um: float) -> bool:
+    """Whether noise of this standard deviation may have wandered so; what depends on place and direction alone does not wander."""
+    effect = finding.term.effect
+    return not effect.static and finding.confidence < SURE_NAME and finding.rms_um < WANDER * noise_um
+
+
+def faint_note(finding: Finding) -> str:
+    """What is said instead of a finding."""
+    rivals = ", ".join(f"{rival.effect} {rival.confidence:.2f}" for rival in finding.rivals)
+    return (
+        f"{finding.effect} is suspected ({finding.rms_um:.2g} µm RMS, confidence {finding.confidence:.2f}"
+        f"{'; ' + rivals if rivals else ''}): noise that wanders may make as much, so it is no finding and is not corrected; more runs"
+        " would tell"
+    )
+
 
 LIKELY = 2.0
 """Log odds against nothing from which it is considered."""

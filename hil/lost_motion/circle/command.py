@@ -6,9 +6,9 @@ import argparse
 import math
 
 from hil.app.terminal.axis_options import add_password_options, add_zero_options, load_stored, open_store, tell_zero
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import add_json_option, number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
+from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.compensation import Compensation
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle

@@ -8,8 +8,7 @@ from nicegui import ui
 
 from hil.app.desk.desk import Desk
 from hil.app.panel.drawings import Drawing, around_a_circle
-from hil.app.panel.latest import Latest
-from hil.app.panel.tables import Table
+from hil.app.panel.pieces import Latest, Table
 from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
 from hil.lost_motion.circle import job as circle

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.app.report import markup
-from hil.app.report.page import header, page, tile
+from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
 from hil.lost_motion.circle.figures import AFTER_DEG, BEFORE_DEG, QUADRANTS_DEG, Trace, ring_of
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.reading import Reading
+from hil.app.panel.pieces import Reading
 from hil.probe import job as probe
 from hil.probe.pages.at_probe import AtProbe
 from hil.probe.procedure import Correction

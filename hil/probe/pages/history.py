@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.latest import Latest
-from hil.app.panel.reading import Reading
-from hil.app.panel.tables import Table
+from hil.app.panel.pieces import Latest, Reading, Table
 from hil.app.panel.view import View
 from hil.probe.screen import STORED, HistoryCurves, PastMeasurement, ProbeRecord, history_curves
 

@@ -9,8 +9,8 @@ from nicegui import ui
 from hil.app.desk.desk import Desk
 from hil.app.desk.left_over import LeftOver, left_over
 from hil.app.desk.live import Live
+from hil.app.panel.pieces import Reading
 from hil.app.panel.plots import LivePlot
-from hil.app.panel.reading import Reading
 from hil.app.panel.view import View
 
 

@@ -11,7 +11,7 @@ from nicegui import ui
 from hil.app.desk.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
 from hil.app.jobs import worker_process as aside
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.reading import Reading
+from hil.app.panel.pieces import Reading
 from hil.app.panel.report_files import address
 from hil.app.panel.view import View
 from hil.app.report.job import HISTORY_FIGURES, Wanted

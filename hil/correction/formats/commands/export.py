@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import add_password_options, open_store, positive
-from hil.app.terminal.effects_input import add_effects_option, read_effects
 from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import load_axis
 from hil.correction.bound import MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM, CorrectionBound
 from hil.correction.compensation import Compensation

@@ -15,7 +15,7 @@ from drivers.instruments.replay import ReplayInstrument
 from drivers.instruments.umd_laser import Beside, UmdLaser
 from hil.app.jobs.identity import instrument_identity
 from hil.app.terminal.main import main
-from hil.app.terminal.sim_axis_file import instrument_text
+from hil.app.terminal.sim import instrument_text
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.instrument import KINDS
 from hil.machine.instruments import instrument

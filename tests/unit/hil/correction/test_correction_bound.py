@@ -24,7 +24,7 @@ from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.compensation import Columns, Compensation, MotionHistory
 from hil.correction.store import SealedStore
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
-from hil.diagnosis.loop.extend import bounded
+from hil.diagnosis.loop.procedure import bounded
 from hil.effects.model import Model, PitchTable
 from hil.lost_motion.procedure import measure_lost_motion
 from hil.machine.measure import BASE_COLUMNS, bidirectional_steps

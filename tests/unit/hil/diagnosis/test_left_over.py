@@ -7,7 +7,7 @@ import pytest
 from support.campaigns import campaign
 
 from hil.diagnosis.campaign import columns_of
-from hil.diagnosis.left_over import MOST_ROWS, left_over
+from hil.diagnosis.pictures import MOST_ROWS, left_over
 from hil.diagnosis.result import Carrier, Diagnosis
 from hil.effects import Estimate
 from hil.effects.model import Model, PitchTable

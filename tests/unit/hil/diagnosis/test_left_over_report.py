@@ -11,8 +11,7 @@ import pytest
 from hil.app.report.blocks import Block, DataTable, Drawing, Paragraph, walk
 from hil.app.report.svg import LIGHT, fresh
 from hil.diagnosis.report.diagnosis import section
-from hil.diagnosis.report.left_over import panels, read
-from hil.diagnosis.report.left_over_plots import panels_plot, spectrum_plot
+from hil.diagnosis.report.left_over import panels, panels_plot, read, spectrum_plot
 from hil.diagnosis.report.mean_curves import mean_curve
 from hil.diagnosis.report.spectrum import spectrum
 

@@ -15,7 +15,7 @@ from hil.diagnosis.next.planned_run import Means
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.result import Finding, RivalFound
 from hil.diagnosis.screen import ShownFinding
-from hil.diagnosis.verdict.below_noise import faint_note
+from hil.diagnosis.verdict.suspected import faint_note
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of

@@ -15,7 +15,7 @@ PROGRAM = """
 import ctypes, os, signal, sys, threading, time
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests were started by nohup
 from hil.machine.signals import ending_by_signals
-from hil.machine.drives_to_stop import stopped_by_signals
+from hil.machine.signals import stopped_by_signals
 
 class Drive:
     def send_stop(self):

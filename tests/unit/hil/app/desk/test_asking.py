@@ -19,8 +19,8 @@ from hil.app.jobs.plan import Plan
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.store import SealedStore
 from hil.diagnosis.loop import job as close_loop
-from hil.diagnosis.loop.jobs import person
-from hil.diagnosis.loop.jobs.person import Person
+from hil.diagnosis.loop import job as loop_job
+from hil.diagnosis.loop.job import Person
 from hil.diagnosis.loop.procedure import Loop, Turning
 from hil.diagnosis.next.planned_run import PlannedRun, Point
 from hil.machine.conditions import AskedConditions, NoConditions
@@ -81,7 +81,7 @@ def test_the_answer_of_whoever_holds_control(yes: bool, told: tuple[str, ...], d
     number = asked.question()
     pending = desk.question
     assert pending is not None
-    assert pending.question == Question("run", {"run": SAID}, person.CONSENT_S)
+    assert pending.question == Question("run", {"run": SAID}, loop_job.CONSENT_S)
     with pytest.raises(NotInControlError):
         desk.answer("somebody else's token", number, yes=not yes)
     desk.answer(asked.token, number - 1, yes=not yes)  # of a question that is over
@@ -94,7 +94,7 @@ def test_the_answer_of_whoever_holds_control(yes: bool, told: tuple[str, ...], d
 def test_without_an_answer_in_time_it_is_not_made_and_nobody_is_asked_again(
     desk: Desk, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(person, "CONSENT_S", 0.3)
+    monkeypatch.setattr(loop_job, "CONSENT_S", 0.3)
     passed_s = []
 
     def work(place: Workplace) -> list[bool]:
@@ -121,7 +121,7 @@ def test_a_stop_ends_the_question(desk: Desk, until: Until) -> None:
 def test_a_condition_is_brought_about_or_the_job_fails(
     desk: Desk, axis: AxisConfig, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(person, "BRING_S", 0.1)
+    monkeypatch.setattr(loop_job, "BRING_S", 0.1)
     asked = Asked(desk, until, lambda place: Person(place).brings("load_kg", 60.0))
     job = asked.ended()
     assert (job.phase, "load_kg was not brought to 60: no answer within" in job.error) == (Phase.FAILED, True)

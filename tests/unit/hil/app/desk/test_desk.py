@@ -13,7 +13,7 @@ from drivers.clock import NS_PER_S, Waiting
 from drivers.drive import DriveState
 from drivers.errors import LinkLostError, StateError
 from hil.app.desk import axis_thread
-from hil.app.desk.connection import Connection, to_axis
+from hil.app.desk.axis_thread import Connection, to_axis
 from hil.app.desk.control import NotInControlError
 from hil.app.desk.desk import BusyError, Desk
 from hil.app.desk.progress import Phase, Progress

@@ -17,7 +17,7 @@ from hil.app.desk.control import SILENT_S, Control
 from hil.app.desk.desk import Desk
 from hil.app.panel.browsers import Browser
 from hil.app.panel.frame import Page, draw_page
-from hil.app.panel.reading import Reading
+from hil.app.panel.pieces import Reading
 from hil.app.panel.texts import Texts
 from hil.app.panel.view import View
 from hil.axis.axis_file import load_axis

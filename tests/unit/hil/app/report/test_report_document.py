@@ -22,7 +22,7 @@ from support.places import SHARED_DATA as DATA
 from drivers.errors import InputError
 from hil.app.report.data import NamedCampaign, ReportData, TableInForce, environment, history
 from hil.app.report.document import before_after_image, render_files, render_html
-from hil.app.report.html import html as as_html
+from hil.app.report.document import html as as_html
 from hil.app.report.views import label_of
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.figures.iso230 import FIGURES, iso230
