@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from drivers.air import HELIUM_NEON_VACUUM_NM, refractive_index
 from drivers.clock import Clock
 from drivers.errors import InputError, LinkLostError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
-from drivers.instruments.air import HELIUM_NEON_VACUUM_NM, refractive_index
 from drivers.instruments.lines import BadLine
 from drivers.instruments.link import ByteLink
 from drivers.instruments.umd import SLOW_SCALE, SampleState, SlowCode, UmdDecoder, UmdSample, lost_between

@@ -51,8 +51,8 @@ def diagnosed(
     """Diagnose records, and find the measurement to make next.
 
     declared: the model in force, None: a table fitted from the records; pitches_mm: lengths at which the mechanics of the axis repeat;
-    non_parametric: correct what is unexplained too, its cause unknown. Raises InputError for records that cannot be diagnosed, and where
-    a correction without a cause cannot be had.
+    non_parametric: correct what is unexplained too, its cause unknown. Raises InputError for records that cannot be diagnosed, and
+    where a correction without a cause cannot be had.
     """
     check_on(effects, records.columns)
     diagnosis = diagnose(records, declared, effects=effects)

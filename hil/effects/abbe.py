@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
 from hil.effects.survey import Survey
 
 ANGLES = ("pitch_urad", "yaw_urad")
@@ -16,7 +16,6 @@ TILT, CHANGING = "tilt", "arm changing along the travel"
 SECOND_OFFSET = {"straight tilt, two offsets": 1, "tilt, two offsets": 3, "wavy tilt, two offsets": 5}
 """Forms without a level, for a measuring line moved by `abbe_offset_mm` from where it was (0): orders of the tilt's course."""
 ARMS_MM = (-400.0, -150.0, -60.0, 60.0, 150.0, 400.0)
-UM_PER_URAD_MM = 1e-3
 
 
 class Abbe(Effect):
@@ -46,8 +45,8 @@ class Abbe(Effect):
         if form.name in SECOND_OFFSET:
             u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
             course = legendre.legvander(np.clip(u, -1.1, 1.1), SECOND_OFFSET[form.name])
-            return np.asarray((theta[0] + columns["abbe_offset_mm"])[:, None] * course * UM_PER_URAD_MM)
-        tilt = columns[form.inputs[0]] * UM_PER_URAD_MM
+            return np.asarray((theta[0] + columns["abbe_offset_mm"])[:, None] * course * UM_PER_MM_PPM)
+        tilt = columns[form.inputs[0]] * UM_PER_MM_PPM
         if form.name == TILT:
             return np.asarray(tilt)[:, None]
         if form.name == CHANGING:

@@ -8,11 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from hil.effects.air import air_inputs, excess_ppm
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
 
 INDEX = "air index"
-UM_PER_PPM_MM = 1e-3
 
 
 class AirIndex(Effect):
@@ -32,7 +31,7 @@ class AirIndex(Effect):
         if form.name != INDEX:
             raise KeyError(form.name)
         excess = excess_ppm(form.inputs[:-1], form.constants, columns)
-        return np.asarray(columns["target_mm"] * excess * UM_PER_PPM_MM)[:, None]
+        return np.asarray(columns["target_mm"] * excess * UM_PER_MM_PPM)[:, None]
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         return {"uncompensated_share": term.coefficient(0)}

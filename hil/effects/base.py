@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from drivers.errors import InputError
 from hil.effects.survey import Survey
 
+UM_PER_MM_PPM = 1e-3
+"""µm in a mm times a ppm, or a mm times a µrad."""
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 

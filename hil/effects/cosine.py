@@ -11,14 +11,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
 
 SCALE = "scale"
 AS_FOUND = "scale, gone since the realignment"
 FIRST_SETUP = 1.0
 """Value of the column `setup` before the beam was realigned for the first time; it counts up with every realignment."""
-UM_PER_MM_PPM = 1e-3
 
 
 class Cosine(Effect):

@@ -7,11 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
 
 OFFSET, ALONG, BOTH, CURVED = "shift", "growing along the travel", "shift and growth", "curved"
-UM_PER_MM = 1e-3
 
 
 class CrossAxis(Effect):
@@ -37,9 +36,9 @@ class CrossAxis(Effect):
         return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-        y = columns[form.inputs[0]] * UM_PER_MM
+        y = columns[form.inputs[0]] * UM_PER_MM_PPM
         u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-        bend = (columns[form.inputs[0]] - form.constants["mean_mm"]) ** 2 * UM_PER_MM**2
+        bend = (columns[form.inputs[0]] - form.constants["mean_mm"]) ** 2 * UM_PER_MM_PPM**2
         columns_of = {OFFSET: [y], ALONG: [u * y], BOTH: [y, u * y], CURVED: [y, bend]}
         return np.column_stack(columns_of[form.name])
 

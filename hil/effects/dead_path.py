@@ -11,11 +11,10 @@ from typing import ClassVar
 import numpy as np
 
 from hil.effects.air import air_inputs, excess_ppm
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
 
 INDEX = "air index"
-UM_PER_PPM_MM = 1e-3
 
 
 class DeadPath(Effect):
@@ -35,7 +34,7 @@ class DeadPath(Effect):
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         if form.name != INDEX:
             raise KeyError(form.name)
-        return np.asarray(excess_ppm(form.inputs, form.constants, columns) * UM_PER_PPM_MM)[:, None]
+        return np.asarray(excess_ppm(form.inputs, form.constants, columns) * UM_PER_MM_PPM)[:, None]
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         return {"dead_path_mm": term.coefficient(0)}

@@ -11,11 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
 from hil.effects.warming import REFERENCE_C, SINCE_START, rise, temperature_forms, time_unit
 
-UM_PER_MM_PPM = 1e-3
 STEEL_TO_ALUMINIUM_PPM_K = (2.0, 35.0)
 """Invar-like rods to aluminium; a screw is 11 to 12."""
 

@@ -22,10 +22,11 @@ from hil.probe.procedure import (
     correct,
     measure_and_store,
 )
-from hil.probe.runout import ANGLES_DEG, UM_PER_MM, CorrectionCode, RunOut
+from hil.probe.runout import ANGLES_DEG, CorrectionCode, RunOut
 from hil.probe.session import ProbeSession
 from hil.probe.store import RunOutStore, Seal
 from hil.probe.wiring import probe_bench, probe_drives, probe_session
+from hil.records.rows import UM_PER_MM
 from sim_backends.probe_bench import ProbeBench
 
 MEASURE, CORRECT, CENTRE = "probe measure", "probe correct", "probe centre"

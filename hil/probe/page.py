@@ -17,7 +17,7 @@ from hil.probe.pages.at_probe import AtProbe
 from hil.probe.pages.correct import draw_corrections
 from hil.probe.pages.history import draw_history
 from hil.probe.pages.spindle_drawing import around_the_spindle
-from hil.probe.runout import UM_PER_MM, RunOut
+from hil.probe.runout import RunOut
 from hil.probe.screen import (
     ProbeRecord,
     angle_deg,
@@ -30,6 +30,7 @@ from hil.probe.screen import (
     worst_closure_um,
     writable,
 )
+from hil.records.rows import UM_PER_MM
 
 Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]

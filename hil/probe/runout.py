@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.errors import BridgeError, InputError
+from hil.records.rows import UM_PER_MM
 
-UM_PER_MM = 1000.0
 ANGLES_DEG = (0, 90, 180, 270)
 
 

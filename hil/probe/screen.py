@@ -15,8 +15,9 @@ from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.procedure import BoreCentre, Correction, RunOutMeasurement, contact_name
-from hil.probe.runout import ANGLES_DEG, UM_PER_MM, FourFeeds, RunOut, run_out_std_um
+from hil.probe.runout import ANGLES_DEG, FourFeeds, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
+from hil.records.rows import UM_PER_MM
 
 Points = list[tuple[float, float]]
 KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE)

@@ -22,9 +22,9 @@ from hil.axis.axis_file import DriveAxis
 from hil.machine.signals import ending_by_signals, stopped_by_signals
 from hil.machine.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
 from hil.probe.machine_file import ProbeConfig, ProbeMachineConfig
-from hil.probe.runout import UM_PER_MM
 from hil.probe.session import ProbeSession, ProbeSignal
 from hil.records.files import held_by_name
+from hil.records.rows import UM_PER_MM
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

@@ -10,8 +10,9 @@ from hil.app.panel.pieces import Reading
 from hil.probe import job as probe
 from hil.probe.pages.at_probe import AtProbe
 from hil.probe.procedure import Correction
-from hil.probe.runout import UM_PER_MM, CorrectionCode
+from hil.probe.runout import CorrectionCode
 from hil.probe.screen import ProbeRecord, centred_at, corrected_at
+from hil.records.rows import UM_PER_MM
 
 Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]

@@ -2,9 +2,9 @@
 
 import pytest
 
+from drivers.air import refractive_index, saturation_vapour_pressure_pa
 from drivers.errors import InputError
 from drivers.instruments import ciddor
-from drivers.instruments.air import refractive_index, saturation_vapour_pressure_pa
 from sim_backends.plant import air as truth
 
 

@@ -65,7 +65,7 @@ def values(found: Mapping[str, Estimate]) -> dict[str, tuple[float, float]]:
         (20.0, 1200.0, 0.0, 321.918, 0.002),
         (50.0, 1000.0, 0.0, 243.270, 0.002),
         (5.0, 1000.0, 0.0, 282.750, 0.002),
-        (20.0, 1000.0, 100.0, 267.394, 0.005),  # Magnus' vapour pressure is 0.3 % below the calculator's
+        (20.0, 1000.0, 100.0, 267.394, 0.002),
     ],
 )
 def test_air_as_nist_prints_it(temp_c: float, pressure_hpa: float, humidity: float, ppm: float, within: float) -> None:
@@ -75,14 +75,17 @@ def test_air_as_nist_prints_it(temp_c: float, pressure_hpa: float, humidity: flo
 
 @pytest.mark.parametrize(
     ("temp_c", "pascal"),
-    # WMO-No. 8, annex 4.B: 611.2 Pa · exp(17.62 t / (243.12 + t)), there printed as 6.112 hPa; 20 °C: exp(352.4 / 263.12)
-    [(0.0, 611.2), (20.0, 2332.6), (35.0, 5613.2)],
+    # saturation pressure of water in the steam tables (IAPWS): 0.6112, 2.3392, 5.629 kPa
+    [(0.0, 611.2), (20.0, 2339.2), (35.0, 5629.0)],
 )
 def test_vapour_term_of_birch_and_downs(temp_c: float, pascal: float) -> None:
-    """Δn = -p_v · (3.7345 - 0.0401 / λ²) · 1e-10: 1 / 0.6329912² = 2.49577, so 3.63442e-10 per Pa, 3.63442e-4 ppm."""
+    """Δn = -p_v · (3.7345 - 0.0401 / λ²) · 1e-10: 1 / 0.6329912² = 2.49577, so 3.63442e-10 per Pa, 3.63442e-4 ppm.
+
+    NIST's form scales it from 292.75 K, where Birch and Downs measured, to the temperature of the air.
+    """
     t, p = np.array([temp_c]), np.array([1013.25])
     wet, dry = refractivity_ppm(t, p, np.array([60.0])), refractivity_ppm(t, p, np.array([0.0]))
-    assert wet[0] - dry[0] == pytest.approx(-0.60 * pascal * 3.63442e-4, rel=2e-4)
+    assert wet[0] - dry[0] == pytest.approx(-0.60 * pascal * 3.63442e-4 * 292.75 / (temp_c + 273.15), rel=2e-4)
 
 
 def test_the_temperature_coefficient_of_the_density() -> None:
