@@ -25,7 +25,8 @@ def saturation_vapour_pressure_pa(temperature_c: Quantity) -> Quantity:
     b = -1.70738469401e01 * omega * omega + 1.20208247025e04 * omega - 3.23255503223e06
     c = 1.49151086135e01 * omega * omega - 4.82326573616e03 * omega + 4.05113405421e05
     x = -b + (b * b - 4.0 * a * c) ** 0.5
-    return 1e6 * (2.0 * c / x) ** 4
+    pressure_pa: Quantity = 1e6 * (2.0 * c / x) ** 4
+    return pressure_pa
 
 
 def check_air(temperature_c: float, pressure_hpa: float, humidity_percent: float) -> None:
@@ -63,4 +64,5 @@ def refractivity(
     density = (1.0 + 1e-8 * (0.601 - 0.00972 * temperature_c) * pressure_pa) / (1.0 + 0.003661 * temperature_c)
     dry = pressure_pa * standard * density / 96095.43
     vapour_pa = humidity_percent / 100.0 * saturation_vapour_pressure_pa(temperature_c)
-    return dry - 1e-10 * 292.75 / (temperature_c + 273.15) * (3.7345 - 0.0401 * s) * vapour_pa
+    wet: Quantity = dry - 1e-10 * 292.75 / (temperature_c + 273.15) * (3.7345 - 0.0401 * s) * vapour_pa
+    return wet
