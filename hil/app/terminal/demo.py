@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         machine.session.prepare(campaign.directory)
         loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=TURNING)
         machine_s = machine.clock.now_ns() / NS_PER_S
-    from hil.app.report.documents import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
+    from hil.diagnosis.loop.report import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
 
     replace_file(directory / "report.html", loop_report(axis, loop).encode())
     replace_file(directory / "before-after.png", loop_image(loop))

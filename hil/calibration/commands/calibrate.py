@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"outside the band: {section}")
     print("nothing is stored: this was a recording" if store is None else f"stored {store.path}")
     if args.report:
-        from hil.app.report.documents import calibration_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.calibration.report import calibration_report  # noqa: PLC0415  (plots are slow to import)
 
         replace_file(args.report, calibration_report(axis, result).encode())
     if args.json:

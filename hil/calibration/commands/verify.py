@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     for section in result.outside:
         print(f"outside the band: {section}")
     if args.report:
-        from hil.app.report.documents import verification_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.calibration.report import verification_report  # noqa: PLC0415  (plots are slow to import)
 
         replace_file(args.report, verification_report(axis, compensation.tables, result).encode())
     if args.json:

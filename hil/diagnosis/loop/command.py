@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
             print(loop.in_motion.latency.describe())
         print_findings(loop.in_motion.diagnosis)
     if args.report:
-        from hil.app.report.documents import loop_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.diagnosis.loop.report import loop_report  # noqa: PLC0415  (plots are slow to import)
 
         replace_file(args.report, loop_report(axis, loop).encode())
     good = loop_is_good(loop)

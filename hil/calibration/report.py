@@ -1,0 +1,53 @@
+"""The reports of a calibration and of a verification. Imported only when one is wanted: drawing is slow to load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.app.jobs.identity import identity, uncertainty_of
+from hil.app.report.data import NamedCampaign, ReportData, TableInForce
+from hil.app.report.document import render_html
+from hil.axis.axis_file import AxisConfig
+from hil.calibration.calibrate import Calibration
+from hil.calibration.verify import Verification
+from hil.correction.tables import Band, TableSet
+
+
+def calibration_report(axis: AxisConfig, result: Calibration) -> str:
+    """Before, and each proof."""
+    campaigns = [NamedCampaign("before", result.before)]
+    campaigns += [
+        NamedCampaign(f"round {number}", one.records, _outside_note(len(one.outside), axis.correction.band))
+        for number, one in enumerate(result.rounds, start=1)
+    ]
+    return render_html(of_axis(axis, "Calibration of", campaigns, result.tables))
+
+
+def verification_report(axis: AxisConfig, tables: TableSet, result: Verification) -> str:
+    """One campaign with the correction in force."""
+    verified = NamedCampaign("verified", result.records, _outside_note(len(result.outside), axis.correction.band))
+    return render_html(of_axis(axis, "Verification of", [verified], tables))
+
+
+def of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tables: TableSet) -> ReportData:
+    """What was measured, on which axis and how it stood, the band it is held against, the tables in force, how well it is known."""
+    band = axis.correction.band
+    return ReportData(
+        f"{what} axis {axis.name}",
+        tuple(campaigns),
+        identity(axis),
+        None if band is None else (band.low_um, band.high_um),
+        in_force(tables),
+        uncertainty=uncertainty_of(axis),
+    )
+
+
+def in_force(tables: TableSet) -> tuple[TableInForce, ...]:
+    what = f"{tables.mode.value}, {len(tables.pitch.position_mm)} positions"
+    return (TableInForce("correction tables", tables.digest(), what),)
+
+
+def _outside_note(outside: int, band: Band | None) -> str:
+    if band is None:
+        return ""
+    return "all sections inside the band" if not outside else f"{outside} sections outside the band"
