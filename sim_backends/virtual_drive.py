@@ -7,8 +7,9 @@ For procedures' tests and for demonstrations of everything but the wire. It keep
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from fractions import Fraction
+from typing import Final
 
 from drivers.clock import Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
@@ -29,22 +30,10 @@ from sim_backends.clock import SimClock
 from sim_backends.own_table import TableForm
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
-from sim_backends.virtual_faces import VirtualParameters, VirtualStream, VirtualTouchProbe
+from sim_backends.virtual_faces import VirtualDriveSettings, VirtualParameters, VirtualStream, VirtualTouchProbe
 from sim_backends.virtual_table import VirtualCorrectionTable
 
-
-@dataclass(frozen=True)
-class VirtualDriveSettings:
-    """What a drive on a wire would keep in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
-
-    acceleration_mm_s2: float = 400.0
-    quick_stop_mm_s2: float = 2000.0
-    homing_method: int = 21
-    homing_speed_switch_mm_s: float = 20.0
-    homing_speed_zero_mm_s: float = 1.0
-    home_position_mm: float = -2.0
-    stop_timeout_s: float = 5.0
-    missing: frozenset[Capability] = field(default_factory=frozenset)  # capabilities this one lacks, for tests
+__all__ = ["VirtualDrive", "VirtualDriveSettings"]
 
 
 _PATIENT_NS = 60_000_000_000  # the probe's inputs are as patient as the servo
@@ -67,7 +56,7 @@ class VirtualDrive(ServoDrive):
     ) -> None:
         super().__init__(name, scaling, limits, clock)
         self._servo = servo
-        self.settings = settings or VirtualDriveSettings()
+        self.settings: Final = replace(settings or VirtualDriveSettings())  # its own, which its parameters change
         if scaling.motor_revs_per_shaft_rev != Fraction(1):
             raise InputError(
                 f"drive {name}: gear ratio is {scaling.motor_revs_per_shaft_rev}, the virtual drive expects 1 (direct)"
@@ -78,7 +67,7 @@ class VirtualDrive(ServoDrive):
         self.probe = ProbeLatch(servo)
         if isinstance(clock, SimClock):  # after the servo, which is attached before
             clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _PATIENT_NS)
-        self._parameters = VirtualParameters(self)
+        self._parameters = VirtualParameters(name, scaling, self.settings)
         self._table = None if table is None else VirtualCorrectionTable(name, table, lambda: servo.powered)
         if self._table is not None:
             servo.table.follow(self._table.own)

@@ -6,11 +6,10 @@ What may go in: the drivers' faces over servo, probe inputs and the drive's sett
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
 
 from drivers.clock import Clock
-from drivers.drive import DriveSample, DriveState
+from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
 from drivers.errors import CapabilityError, InputError, StateError
 from drivers.paced_stream import PacedStream
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
@@ -19,9 +18,6 @@ from drivers.set_points import SetPointSettings
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
 from sim_backends.probe_latch import Caught, ProbeLatch
 from sim_backends.servo import Servo
-
-if TYPE_CHECKING:
-    from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
 
 class VirtualTouchProbe(TouchProbe):
@@ -56,7 +52,7 @@ class VirtualTouchProbe(TouchProbe):
 class VirtualStream(PacedStream):
     """Set-points straight into the servo."""
 
-    def __init__(self, drive: VirtualDrive, servo: Servo, settings: SetPointSettings) -> None:
+    def __init__(self, drive: ServoDrive, servo: Servo, settings: SetPointSettings) -> None:
         super().__init__(drive, settings)
         self._servo = servo
 
@@ -72,6 +68,20 @@ class VirtualStream(PacedStream):
 
     def _end(self) -> None:
         """The servo holds its last set-point by itself."""
+
+
+@dataclass
+class VirtualDriveSettings:
+    """What a drive on a wire would keep in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
+
+    acceleration_mm_s2: float = 400.0
+    quick_stop_mm_s2: float = 2000.0
+    homing_method: int = 21
+    homing_speed_switch_mm_s: float = 20.0
+    homing_speed_zero_mm_s: float = 1.0
+    home_position_mm: float = -2.0
+    stop_timeout_s: float = 5.0
+    missing: frozenset[Capability] = field(default_factory=frozenset)  # capabilities this one lacks, for tests
 
 
 @dataclass(frozen=True)
@@ -136,10 +146,12 @@ _DEVICE_NAME = ParameterInfo("manufacturer_device_name", ParameterKind.TEXT, wri
 
 
 class VirtualParameters(DriveParameters):
-    """Ramps and homing of one in-process drive."""
+    """Ramps and homing of one in-process drive: its settings, which writing changes."""
 
-    def __init__(self, drive: VirtualDrive) -> None:
-        self._drive = drive
+    def __init__(self, drive_name: str, scaling: AxisScaling, settings: VirtualDriveSettings) -> None:
+        self._name = drive_name
+        self._scaling = scaling
+        self._settings = settings
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -152,25 +164,22 @@ class VirtualParameters(DriveParameters):
         if name == _DEVICE_NAME.name:
             return "in-process drive"
         setting = self._setting(name)
-        settings: VirtualDriveSettings = self._drive.settings
-        return setting.to_counts(self._drive.scaling, getattr(settings, setting.field))
+        return setting.to_counts(self._scaling, getattr(self._settings, setting.field))
 
     def write(self, name: str, value: ParameterValue) -> bool:
         info = self.describe(name)
         if not info.writable:
-            raise CapabilityError(f"drive {self._drive.name}: {name} cannot be written")
+            raise CapabilityError(f"drive {self._name}: {name} cannot be written")
         low, high = info.low, info.high
         if not isinstance(value, int) or not (low is None or low <= value) or not (high is None or value <= high):
             raise InputError(f"{name} cannot be {value!r}, expected a whole number {low:.0f} to {high:.0f}")
         if self.read(name) == value:
             return False
         setting = self._setting(name)
-        drive = self._drive
-        changed: dict[str, Any] = {setting.field: setting.from_counts(drive.scaling, value)}
-        drive.settings = replace(drive.settings, **changed)
+        setattr(self._settings, setting.field, setting.from_counts(self._scaling, value))
         return True
 
     def _setting(self, name: str) -> _Setting:
         if name not in _SETTINGS:
-            raise InputError(f"drive {self._drive.name} has no parameter {name!r}")
+            raise InputError(f"drive {self._name} has no parameter {name!r}")
         return _SETTINGS[name]

@@ -10,13 +10,11 @@ from dataclasses import replace
 from functools import partial
 
 from drivers.canopen import objects
-from drivers.canopen.bus import CanLink
-from drivers.canopen.node import HEARTBEAT, NmtCommand, NmtState, NodeMonitor
+from drivers.canopen.node import HEARTBEAT, NmtCommand, NmtState, Node
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import EVENT, MAKERS_EVENT, OBJECT_MISSING, PdoSpec
-from drivers.canopen.pdo_lint import Dictionary, Finding
+from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.pdo_setup import PdoSetup
-from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.sync import SYNC
 from drivers.errors import AbortError, BridgeError, CapabilityError, ProtocolError
@@ -29,20 +27,11 @@ MOST_CONSUMERS = 127  # of 1016h
 class Connection:
     """One node's communication while a drive is open. notes: what the engineer should know of it."""
 
-    def __init__(
-        self,
-        link: CanLink,
-        sdo: SdoClient,
-        monitor: NodeMonitor,
-        settings: CanOpenSettings,
-        dictionary: Dictionary | None,
-    ) -> None:
-        self._link = link
-        self._sdo = sdo
-        self._monitor = monitor
+    def __init__(self, node: Node, settings: CanOpenSettings) -> None:
+        self._link, self._sdo, self._monitor = node.link, node.sdo, node.monitor
         self._settings = settings
         self._pdos: PdoSetup | None = None
-        self._dictionary = dictionary
+        self._dictionary = None if node.eds is None else node.eds.mappable_objects()
         self._before: list[tuple[Entry, int]] = []  # what was changed, as it stood
         self.pdo_findings: list[Finding] = []
         self.notes: list[str] = []

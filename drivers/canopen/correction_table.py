@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 
+from drivers.canopen.node import Node
 from drivers.canopen.objects import Entry
-from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sdo_transfer import ABORT_COMMAND
 from drivers.canopen.table_map import TableMap
 from drivers.correction_table import CorrectionTable, RawTable
@@ -17,13 +16,13 @@ _COMMIT_S = 2.0
 
 
 class CanOpenCorrectionTable(CorrectionTable):
-    """sdo: the present channel of the drive, another one after a restart."""
+    """Of one open drive, by its map."""
 
-    def __init__(self, drive: str, sdo: Callable[[], SdoClient], table_map: TableMap) -> None:
-        self.drive = drive
+    def __init__(self, node: Node, table_map: TableMap) -> None:
+        self.drive = node.name
         self.description = table_map.description
         self.map = table_map
-        self._sdo = sdo
+        self._node = node
         self._record = struct.Struct("<" + "".join(kind.format[1:] for _, kind in table_map.record))
 
     # -- contents ------------------------------------------------------------------------------------------------------
@@ -35,10 +34,10 @@ class CanOpenCorrectionTable(CorrectionTable):
         return [name for name in ("origin", "step", "backlash") if name in self.map.scalars]
 
     def _number(self, name: str) -> int:
-        return self._sdo().read(self.map.scalars[name])
+        return self._node.sdo.read(self.map.scalars[name])
 
     def _read_arrays(self) -> dict[str, tuple[int, ...]]:
-        sdo, count = self._sdo(), self._number("count")
+        sdo, count = self._node.sdo, self._number("count")
         if count > self.description.points:
             raise ProtocolError(
                 f"drive {self.drive}: {self.description.name} says it holds {count} points, its map {self.description.points}"
@@ -57,7 +56,7 @@ class CanOpenCorrectionTable(CorrectionTable):
         return {column: tuple(int(row[place]) for row in rows) for place, (column, _) in enumerate(self.map.record)}
 
     def _write(self, table: RawTable, present: RawTable | None) -> None:
-        sdo = self._sdo()
+        sdo = self._node.sdo
         for name in self._places():
             if present is None or getattr(present, name) != getattr(table, name):
                 sdo.write(self.map.scalars[name], getattr(table, name))
@@ -83,24 +82,24 @@ class CanOpenCorrectionTable(CorrectionTable):
     def _read_domain(self, domain: Entry) -> bytes:
         """By block; segmented from a drive without block transfer."""
         try:
-            return self._sdo().read_bytes(domain.index, domain.subindex, block=True)
+            return self._node.sdo.read_bytes(domain.index, domain.subindex, block=True)
         except AbortError as error:
             if error.code != ABORT_COMMAND:
                 raise
-            return self._sdo().read_bytes(domain.index, domain.subindex)
+            return self._node.sdo.read_bytes(domain.index, domain.subindex)
 
     def _write_domain(self, domain: Entry, data: bytes) -> None:
         place = domain.index, domain.subindex
         try:
-            self._sdo().write_bytes(*place, data, block=True, timeout_s=max(_COMMIT_S, self._sdo().timeout_s))
+            self._node.sdo.write_bytes(*place, data, block=True, timeout_s=max(_COMMIT_S, self._node.sdo.timeout_s))
         except AbortError as error:
             if error.code != ABORT_COMMAND:
                 raise
-            self._sdo().write_bytes(*place, data, timeout_s=max(_COMMIT_S, self._sdo().timeout_s))
+            self._node.sdo.write_bytes(*place, data, timeout_s=max(_COMMIT_S, self._node.sdo.timeout_s))
 
     # -- the switch ------------------------------------------------------------------------------------------------------
     def enabled(self) -> bool:
-        found = self._sdo().read(self.map.enable)
+        found = self._node.sdo.read(self.map.enable)
         if found not in (self.map.on, self.map.off):
             raise ProtocolError(
                 f"drive {self.drive}: the switch of {self.description.name} is {found},"
@@ -109,7 +108,7 @@ class CanOpenCorrectionTable(CorrectionTable):
         return found == self.map.on
 
     def _switch(self, on: bool) -> None:
-        self._sdo().write(self.map.enable, self.map.on if on else self.map.off)
+        self._node.sdo.write(self.map.enable, self.map.on if on else self.map.off)
 
     def applied(self) -> int | None:
         return self._number("applied") if "applied" in self.map.scalars else None

@@ -6,18 +6,15 @@ What may go in: which name means which object, and in which unit. Checks, proof 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from drivers.canopen import objects
 from drivers.canopen.eds import EdsEntry, EdsFile
+from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import CanOpenParameters
 from drivers.canopen.pdo import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
-
-if TYPE_CHECKING:
-    from drivers.canopen.drive import CanOpenDrive
 
 _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
     # object, unit, whether it is there to be written
@@ -79,11 +76,11 @@ def known_objects(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], di
 class NamedParameters(DriveParameters):
     """Parameters of one open drive. Without an EDS only the standard's, as far as the drive answers for them, without limits."""
 
-    def __init__(self, drive: CanOpenDrive, eds: EdsFile | None) -> None:
-        self._drive = drive
-        file, self._entries, self._units = known_objects(eds)
-        self._access = CanOpenParameters(drive, file)
-        self._present: tuple[str, ...] | None = tuple(self._entries) if eds is not None else None
+    def __init__(self, node: Node) -> None:
+        self._name = node.name
+        file, self._entries, self._units = known_objects(node.eds)
+        self._access = CanOpenParameters(node, file)
+        self._present: tuple[str, ...] | None = tuple(self._entries) if node.eds is not None else None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -130,7 +127,7 @@ class NamedParameters(DriveParameters):
     def _find(self, name: str) -> EdsEntry:
         found = self._entries.get(name)
         if found is None:
-            raise InputError(f"drive {self._drive.name} has no parameter {name!r}")
+            raise InputError(f"drive {self._name} has no parameter {name!r}")
         return found
 
 

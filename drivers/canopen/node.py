@@ -1,7 +1,6 @@
-"""What is known of one node without asking it: heartbeat, boot-ups, emergencies; and the NMT commands to it.
+"""One node of a bus: its SDO channel, what is known of it without asking (heartbeat, boot-ups, emergencies), and NMT commands to it.
 
-What may go in: the supervision side of CiA-301. The node is judged when somebody looks (`check`), with the frames that have come
-in by then; nothing here runs by itself.
+The node is judged when somebody looks (`NodeMonitor.check`), with the frames that have come in by then; nothing here runs by itself.
 """
 
 from __future__ import annotations
@@ -11,6 +10,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from drivers.canopen.bus import CanLink
+from drivers.canopen.eds import EdsFile
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.table_map import TableMap
 from drivers.clock import NS_PER_S
 from drivers.errors import LinkLostError
 
@@ -167,3 +169,35 @@ class NodeMonitor:
             return
         self.emergencies_seen += 1
         self.log.append(Emergency(time_ns, int.from_bytes(data[:2], "little"), data[2], data[3:]))
+
+
+class Node:
+    """A drive's node, as its parameters, streams and touch probe are given it. name: the drive's.
+
+    eds: its maker's dictionary. table: of the correction table that the drive holds itself. sdo and monitor are those of the present
+    opening: each `open` makes new ones.
+    """
+
+    sdo: SdoClient
+    monitor: NodeMonitor
+
+    def __init__(
+        self, name: str, link: CanLink, node_id: int, eds: EdsFile | None = None, table: TableMap | None = None
+    ) -> None:
+        self.name = name
+        self.link = link
+        self.node_id = node_id
+        self.clock = link.clock
+        self.eds = eds
+        self.table = table
+
+    def open(self, sdo_timeout_s: float = 0.5) -> None:
+        """Listen to the node; nothing is asked. sdo_timeout_s: for one answer."""
+        where = f"drive {self.name}"
+        self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=sdo_timeout_s)
+        self.monitor = NodeMonitor(self.link, self.node_id, where)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.monitor.close()
+        self.sdo.close()

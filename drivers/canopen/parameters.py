@@ -1,26 +1,20 @@
-"""A drive's parameters by their dictionary: checked before they are written, proven after, stored only when that is safe.
+"""A drive's parameters by their dictionary: checked before they are written, read back after.
 
-What may go in: access to single parameters with what an EDS says of them, and 1010h/1011h. Whole sets (snapshot, all or nothing,
-audit) are built on top of it. What moves the axis is no parameter: targets, modes and the controlword are refused here, because some
-drives keep them through a store and a restore.
+Access to single parameters with what an EDS says of them; whole sets (all or nothing, audit) are built on
+`raw_parameters`. What moves the axis is no parameter: targets, modes and the controlword are refused here, because some drives keep
+them through a store and a restore.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from drivers.canopen import objects
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
+from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType
-from drivers.canopen.sdo import SdoClient
 from drivers.canopen.table_map import TableMap
-from drivers.canopen.wire_time import expedited_sdo, frame
 from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError
-
-if TYPE_CHECKING:
-    from drivers.canopen.drive import CanOpenDrive  # which offers these parameters under their names
 
 Value = int | float | str | bytes | bool
 SAVE, LOAD = b"save", b"load"
@@ -81,13 +75,9 @@ class Access:
 class CanOpenParameters:
     """Parameter access of one open drive, by an EDS or DCF."""
 
-    def __init__(self, drive: CanOpenDrive, eds: EdsFile) -> None:
-        self._drive = drive
+    def __init__(self, node: Node, eds: EdsFile) -> None:
+        self._node = node
         self.eds = eds
-
-    @property
-    def _sdo(self) -> SdoClient:
-        return self._drive.sdo  # another one after a restart
 
     # -- which --------------------------------------------------------------------------------------------------------
     def readable(self) -> tuple[EdsEntry, ...]:
@@ -104,7 +94,7 @@ class CanOpenParameters:
 
     def refusal(self, found: EdsEntry) -> str | None:
         """Why an entry is not written as a parameter; None for one that may be."""
-        return why_not_written(found, self._drive.table_map)
+        return why_not_written(found, self._node.table)
 
     def find(self, index: int, subindex: int = 0) -> EdsEntry:
         """The entry. Raises InputError for one that the file does not have."""
@@ -116,16 +106,16 @@ class CanOpenParameters:
     # -- one --------------------------------------------------------------------------------------------------------
     def read(self, found: EdsEntry) -> Access:
         """The present value. Raises AbortError, NoAnswerError, ProtocolError."""
-        entry, clock = found.entry, self._drive.clock
+        entry, clock = found.entry, self._node.clock
         start_ns = clock.now_ns()
-        value = entry.unpack(self._sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
+        value = entry.unpack(self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
         return Access(value, (clock.now_ns() - start_ns) * 1e-9)
 
     def check(self, found: EdsEntry, value: Value) -> None:
         """Raise CapabilityError for what may not be written, InputError for what does not fit its type and limits."""
         refusal = self.refusal(found)
         if refusal is not None:
-            raise CapabilityError(f"drive {self._drive.name}: {refusal}")
+            raise CapabilityError(f"drive {self._node.name}: {refusal}")
         entry = found.entry
         entry.pack(value)
         if isinstance(value, (int, float)):
@@ -139,11 +129,11 @@ class CanOpenParameters:
         self.check(found, value)
         entry = found.entry
         data = entry.pack(value)
-        self._sdo.write_bytes(entry.index, entry.subindex, data, same=entry.same)
-        kept = self._sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)
+        self._node.sdo.write_bytes(entry.index, entry.subindex, data, same=entry.same)
+        kept = self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)
         if not entry.same(kept, data):
             raise ProtocolError(
-                f"drive {self._drive.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"
+                f"drive {self._node.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"
             )
 
     # -- many ---------------------------------------------------------------------------------------------------------
@@ -164,39 +154,3 @@ class CanOpenParameters:
             finally:
                 progress(number, len(wanted))
         return found
-
-    # -- kept without power ---------------------------------------------------------------------------------------------
-    def store(self, *, timeout_s: float = 10.0) -> None:
-        """1010h:1 := "save". Targets are made harmless before, as a drive may store them too; what was set up for this connection
-        alone (PDOs, heartbeats, speeds of moves) is put back for the moment, so that it is not kept.
-
-        Raises StateError unless the axis is disabled, CapabilityError when the drive does not store on command.
-        """
-        self._drive.require_disabled("store parameters")
-        self._require_command(objects.STORE_ALL)
-        self._drive.motion.stay()
-        with self._drive.as_found():
-            self._sdo.write_bytes(0x1010, 1, SAVE, timeout_s=timeout_s, reads_back=False)
-
-    def restore_defaults(self, *, timeout_s: float = 10.0) -> None:
-        """1011h:1 := "load": factory defaults, in force after the drive's next start (`CanOpenDrive.restart`)."""
-        self._drive.require_disabled("restore defaults")
-        self._require_command(objects.RESTORE_ALL)
-        self._sdo.write_bytes(0x1011, 1, LOAD, timeout_s=timeout_s, reads_back=False)
-
-    def _require_command(self, entry: objects.Entry) -> None:
-        if not self._sdo.read_or(entry, 0) & ON_COMMAND:
-            raise CapabilityError(f"drive {self._drive.name}: {entry} is not done on command")
-
-
-def predicted_seconds(writes: Mapping[Key, Value], eds: EdsFile, bitrate: int, answer_s: float = 0.0) -> float:
-    """How long a download with read-back takes at least on a free bus; answer_s: what the drive adds to each answer."""
-    total_ns = 0.0
-    answers = 0
-    for key, value in writes.items():
-        size = len(eds.entries[key].entry.pack(value))
-        segments = 0 if 0 < size <= 4 else max(1, -(-size // 7))
-        transfer = expedited_sdo().time_ns(bitrate)[0] + 2 * segments * frame(8).time_ns(bitrate)[0]
-        total_ns += 2 * transfer
-        answers += 2 * (1 + segments)
-    return total_ns * 1e-9 + answers * answer_s

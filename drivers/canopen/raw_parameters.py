@@ -12,11 +12,10 @@ from drivers.canopen import objects
 from drivers.canopen.cia402 import decode_state
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of
-from drivers.canopen.node import NmtCommand, NodeMonitor
+from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import ON_COMMAND, SAVE, why_not_written
 from drivers.canopen.pdo import OBJECT_MISSING
-from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
@@ -87,13 +86,12 @@ class CanOpenRawParameters(RawParameters):
             for address, found in sorted(self._keys.items())
             if found.readable and found.entry.type is not DataType.DOMAIN
         }
-        self._sdo = SdoClient(line.link, node_id, f"drive {name}", timeout_s=timeout_s)
-        self._monitor = NodeMonitor(line.link, node_id, f"drive {name}")
+        self._node = Node(name, line.link, node_id)
+        self._node.open(timeout_s)
 
     def close(self) -> None:
         """Stop listening."""
-        self._sdo.close()
-        self._monitor.close()
+        self._node.close()
 
     # -- what there is -------------------------------------------------------------------------------------------------
     @property
@@ -166,12 +164,12 @@ class CanOpenRawParameters(RawParameters):
 
     # -- transfers -------------------------------------------------------------------------------------------------------
     def _upload(self, entry: Entry) -> Steps[bytes]:
-        return self._sdo.reading(entry.index, entry.subindex, entry.most_bytes)
+        return self._node.sdo.reading(entry.index, entry.subindex, entry.most_bytes)
 
     def _download(
         self, entry: Entry, data: bytes, *, timeout_s: float | None = None, reads_back: bool = True
     ) -> Steps[None]:
-        return self._sdo.writing(
+        return self._node.sdo.writing(
             entry.index, entry.subindex, data, timeout_s=timeout_s, reads_back=reads_back, same=entry.same
         )
 
@@ -278,17 +276,17 @@ class CanOpenRawParameters(RawParameters):
 
     def restart(self) -> Steps[None]:
         """NMT reset node; returns when its boot-up was heard."""
-        before = self._monitor.boot_ups
-        self._monitor.command(NmtCommand.RESET_NODE)
-        yield Pause(START_S, lambda: self._monitor.boot_ups > before)
-        if self._monitor.boot_ups == before:
+        before = self._node.monitor.boot_ups
+        self._node.monitor.command(NmtCommand.RESET_NODE)
+        yield Pause(START_S, lambda: self._node.monitor.boot_ups > before)
+        if self._node.monitor.boot_ups == before:
             raise NoAnswerError(
                 f"drive {self.name}: no boot-up of node {self.node_id} within {START_S:g} s of its reset"
             )
 
     @property
     def restarts(self) -> int:
-        return self._monitor.boot_ups
+        return self._node.monitor.boot_ups
 
     @property
     def hears_restarts(self) -> bool:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from drivers.canopen import objects
-from drivers.canopen.bus import CanLink, FrameHandler
-from drivers.canopen.node import NodeMonitor
+from drivers.canopen.bus import FrameHandler
+from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import EXISTS_NOT, OBJECT_MISSING, SYNC_EVERY, PdoSpec, wanted_image
 from drivers.canopen.sdo import SdoClient
@@ -44,19 +44,15 @@ def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
 class Sampler:
     """The latest values of a drive, and the moment they came in."""
 
-    def __init__(
-        self, link: CanLink, sdo: SdoClient, monitor: NodeMonitor, specs: tuple[PdoSpec, ...], *, timeout_s: float
-    ) -> None:
-        self._link = link
-        self._sdo = sdo
-        self._monitor = monitor
-        self.specs: Sequence[PdoSpec] = specs
+    def __init__(self, node: Node, timeout_s: float) -> None:
+        self._link, self._sdo, self._monitor = node.link, node.sdo, node.monitor
+        self.specs: Sequence[PdoSpec] = ()  # see `sampled_pdos`
         self._timeout_s = timeout_s
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
         self.missed = 0  # SYNCs that were not answered in time
         self.by_sdo = False  # a stream has replaced the TPDOs
-        self.node_id = sdo.node_id
+        self.node_id = node.node_id
         self._in_sync = True  # the TPDOs answer SYNC
         self._awaited: set[int] = set()
         self._spoilt: ProtocolError | None = None  # a TPDO that came with too few bytes since it was asked for

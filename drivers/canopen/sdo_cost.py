@@ -9,12 +9,15 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 
-from drivers.canopen.sdo_transfer import SEGMENT, multiplexer
-from drivers.canopen.wire_time import frame
+from drivers.canopen.sdo_transfer import MAX_BLOCK, SEGMENT, multiplexer
+from drivers.canopen.table_map import TableMap
+from drivers.canopen.wire_time import BitRange, expedited_sdo, frame, frames
+from drivers.correction_table import RawTable
 from drivers.raw_parameters import WireTime
 
 Frame = tuple[bool, bytes]
 """(whether it is the server's, its data)"""
+_PLACES = ("origin", "step", "backlash")
 
 _CRC_POLYNOMIAL = 0b1100010110011001  # x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1
 _UNSTUFFED = 10 + 3  # from the CRC delimiter to the end of frame, and the interframe space
@@ -63,6 +66,29 @@ def wire_time(node_id: int, frames: Iterable[Frame], bitrate: int) -> WireTime:
             1, least, likely, most, least / bitrate, likely / bitrate, most / bitrate, answers=int(server)
         )
     return total
+
+
+def table_bits(table_map: TableMap, table: RawTable) -> BitRange:
+    """Writing a drive's own correction table and reading it back; without the switch, and as if nothing stood there yet.
+
+    What the drive takes to answer comes on top.
+    """
+    singles = sum(name in table_map.scalars for name in _PLACES)
+    if table_map.domain is None:
+        singles += 1 + len(table_map.columns) * len(table.plus)  # 1: the count
+        return frames((8, 8) * (2 * singles))
+    size = len(table.plus) * sum(kind.size for _, kind in table_map.record)
+    total = frames((8, 8) * (2 * singles))
+    for _ in range(2):
+        total = total + _block_transfer(size)
+    return total
+
+
+def _block_transfer(size: int) -> BitRange:
+    """Either way: the beginning, segments with one acknowledgement for each block, the end, and what starts or closes an upload."""
+    segments = max(1, -(-size // SEGMENT))
+    blocks = -(-segments // MAX_BLOCK)
+    return expedited_sdo() + frames((8,) * (segments + blocks)) + expedited_sdo()
 
 
 def exact_bits(cob_id: int, data: bytes) -> int:

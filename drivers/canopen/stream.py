@@ -1,6 +1,6 @@
 """Streaming set-points to several drives, paced by SYNC: cyclic synchronous position, velocity or torque.
 
-What may go in: the cycle. Set-points go out right away, take effect at the next SYNC (synchronous RPDOs), and the feedback that this
+Set-points go out right away, take effect at the next SYNC (synchronous RPDOs), and the feedback that this
 SYNC asked for comes back before the call returns. What goes wrong is counted, and acted on: once a limit is passed all axes are
 quick-stopped and an error names what happened. SYNC comes from this process or from the kernel's broadcast manager (SocketCAN),
 which keeps its time when Python does not.
@@ -8,17 +8,19 @@ which keeps its time when Python does not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import can
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Mode, decode_state
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
+from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream_axis import (
     RUNNING,
     RUNNING_MASK,
@@ -42,12 +44,10 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
+from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 
-if TYPE_CHECKING:
-    from drivers.canopen.drive import CanOpenDrive  # which offers streams of its own
-
-__all__ = ["CyclicStream", "Feedback", "StreamCounters", "StreamSettings", "SyncSource"]
+__all__ = ["AxesInStep", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings", "SyncSource"]
 
 HEARTBEATS_WATCHED_S = 0.05
 """How often a stream looks whether every drive's heartbeat comes, while its feedback does."""
@@ -66,7 +66,7 @@ class CyclicStream:
     answers SYNC.
     """
 
-    def __init__(self, drives: Sequence[CanOpenDrive], settings: StreamSettings) -> None:
+    def __init__(self, drives: Sequence[StoppableDrive], settings: StreamSettings) -> None:
         if not drives or len({id(drive.link) for drive in drives}) != 1:
             raise InputError("a stream needs drives, all on one link")
         if settings.mode not in TARGETS:
@@ -77,7 +77,11 @@ class CyclicStream:
         self.counters = StreamCounters()
         self.link = drives[0].link
         self.clock = self.link.clock
-        self._axes = [Axis(drive, settings) for drive in drives]
+        self._drives = tuple(drives)
+        self._axes = [
+            Axis(drive.node, drive.power, drive.scaling, drive.limits, settings, stop=drive.connection.stop_rpdo)
+            for drive in drives
+        ]
         self._last_first = sorted(self._axes, key=lambda axis: -axis.tpdo.cob_id)
         by_host = settings.sync is SyncSource.HOST
         self._exchange = self._exchange_with_host_sync if by_host else self._exchange_with_foreign_sync
@@ -94,7 +98,7 @@ class CyclicStream:
         self._stopped = False  # the axes were told to stop
         self._foreign: list[int] = []  # when SYNCs came that are not the owner's, lately
         self._first_ns = self._heard = (
-            0  # SYNCs of the bus: when the first came, and how many, to tell others' from its own
+            0  # of the bus's SYNCs: when the first came, how many; to tell others' from its own
         )
 
     # -- coming and going ------------------------------------------------------------------------------------------------
@@ -103,8 +107,8 @@ class CyclicStream:
         try:
             self.link.claim_sync(self)
             self._silence_neighbours()
-            for axis in self._axes:
-                self._prepare(axis)
+            for drive, axis in zip(self._drives, self._axes, strict=True):
+                self._prepare(drive, axis)
             self._start()
         except BaseException as error:  # nothing was moved: the axes are put back, and stay as they were
             self._end(error)
@@ -123,20 +127,19 @@ class CyclicStream:
         if self.settings.bitrate is None:
             return
         cycle = Cycle(self.settings.period_s * 1e6, self.settings.bitrate, self.settings.budget)
-        pdos = {axis.drive.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}
+        pdos = {axis.node.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}
         refuse_errors(lint(pdos | {follower.node_id: tuple(follower.specs) for follower in staying}, cycle=cycle))
 
     def _silence_neighbours(self) -> None:
         """Drives on this bus that do not stream keep off its SYNC; one that cannot counts in the load."""
-        streaming = [axis.drive.sampler for axis in self._axes]
+        streaming = [drive.sampler for drive in self._drives]
         others = [follower for follower in self.link.sync.followers if follower not in streaming]
         staying = [follower for follower in others if not follower.leave_sync()]
         if staying:
             self._check_fit(*staying)
 
-    def _prepare(self, axis: Axis) -> None:
+    def _prepare(self, drive: StoppableDrive, axis: Axis) -> None:
         """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes hold."""
-        drive = axis.drive
         sample = drive.sample()
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {drive.name} cannot stream: it is {sample.state.value}")
@@ -159,10 +162,8 @@ class CyclicStream:
 
     def _start(self) -> None:
         for axis in self._axes:
-            with suppress(
-                AbortError
-            ):  # 1006h, where there is one, lets the drive notice by itself that SYNC has stopped
-                sdo = axis.drive.sdo
+            with suppress(AbortError):  # 1006h is optional; by it a drive notices by itself that SYNC has stopped
+                sdo = axis.node.sdo
                 axis.sync_period_before = sdo.read(objects.SYNC_PERIOD)
                 sdo.write(objects.SYNC_PERIOD, round(self.settings.period_s * 1e6))
         self._running = True
@@ -175,22 +176,25 @@ class CyclicStream:
     def _stop_all(self, error: BaseException) -> None:
         """Every axis is told at once to stop; then each stop is seen confirmed, and an axis that does not confirm it is disabled."""
         self._running, self._stopped = False, True
-        for axis in self._axes:
-            axis.drive.send_stop()
-        undo_all([("", partial(_stop, axis.drive)) for axis in self._axes], during=error)
+        for drive in self._drives:
+            drive.send_stop()
+        undo_all([("", partial(_stop, drive)) for drive in self._drives], during=error)
 
     def _end(self, error: BaseException | None) -> None:
         """The drives stop watching SYNC, SYNC stops, every axis is given back; every step is tried, see `undo_all`."""
         self._running = False
-        taken = [axis for axis in self._axes if axis.taken]
+        taken = [(drive, axis) for drive, axis in zip(self._drives, self._axes, strict=True) if axis.taken]
         with ExitStack() as stack:
-            for axis in taken:
-                stack.enter_context(axis.drive.sdo.way_out)
+            for drive, _ in taken:
+                stack.enter_context(drive.sdo.way_out)
             undo_all(
                 [
-                    *((f"drive {axis.drive.name}: 1006h not put back", partial(_unwatch_sync, axis)) for axis in taken),
+                    *(
+                        (f"drive {drive.name}: 1006h not put back", partial(_unwatch_sync, axis))
+                        for drive, axis in taken
+                    ),
                     ("stream: SYNC not stopped", self._stop_sync),
-                    *(("", partial(self._give_back, axis)) for axis in taken),
+                    *(("", partial(self._give_back, drive, axis)) for drive, axis in taken),
                     ("", partial(self.link.sync.release, self)),
                 ],
                 during=error,
@@ -205,11 +209,10 @@ class CyclicStream:
         finally:
             self.link.unsubscribe(SYNC, self._on_sync)
 
-    def _give_back(self, axis: Axis) -> None:
+    def _give_back(self, drive: StoppableDrive, axis: Axis) -> None:
         """PDOs as before, and into profile position unless it was stopped; an axis that cannot be put back is disabled."""
         self.link.unsubscribe(axis.tpdo.cob_id, axis.receive)
         axis.taken = False
-        drive = axis.drive
         try:
             try:
                 axis.setup.restore()
@@ -249,7 +252,7 @@ class CyclicStream:
                 self._account_for_late()
             if self.counters.cycles % self._watch_every == 0:
                 for axis in axes:
-                    axis.drive.monitor.check()
+                    axis.node.monitor.check()
             feedback = []
             for axis in axes:
                 counts, status, late = axis.position_counts, axis.status, not axis.fresh
@@ -369,10 +372,10 @@ class CyclicStream:
                 continue
             self.counters.late_feedback += 1
             axis.late_in_a_row += 1
-            axis.drive.monitor.check()
+            axis.node.monitor.check()
             if axis.late_in_a_row > self.settings.late_limit:
                 raise NoAnswerError(
-                    f"drive {axis.drive.name}: no feedback for {axis.late_in_a_row} cycles of"
+                    f"drive {axis.node.name}: no feedback for {axis.late_in_a_row} cycles of"
                     f" {1e3 * self.settings.period_s:g} ms"
                 )
 
@@ -382,7 +385,7 @@ class CyclicStream:
             raise axis.explain_status()
 
 
-def _stop(drive: CanOpenDrive) -> None:
+def _stop(drive: StoppableDrive) -> None:
     """A quick stop that is seen confirmed; the axis is disabled where it is not."""
     try:
         drive.quick_stop()
@@ -393,7 +396,7 @@ def _stop(drive: CanOpenDrive) -> None:
 
 def _unwatch_sync(axis: Axis) -> None:
     if axis.sync_period_before is not None:
-        axis.drive.sdo.write(objects.SYNC_PERIOD, axis.sync_period_before)
+        axis.node.sdo.write(objects.SYNC_PERIOD, axis.sync_period_before)
         axis.sync_period_before = None
 
 
@@ -404,3 +407,56 @@ def _interpolation(period_s: float) -> tuple[int, int]:
         if value <= 255 and abs(value - round(value)) < 1e-6 * value:
             return round(value), exponent
     raise InputError(f"a period of {period_s} s cannot be written into 60C2h")
+
+
+# -- behind the faces that all wires have --------------------------------------------------------------------------------------
+class _BySync(SetPoints):
+    """SYNC comes from this process. On entering, the axes must be enabled and the bus be able to carry the cycle."""
+
+    def __init__(self, drives: Sequence[StoppableDrive], settings: SetPointSettings) -> None:
+        error_mm, missed = settings.following_error_mm, settings.missed_limit
+        by_sync = StreamSettings(settings.period_s, following_error_mm=error_mm, missed_limit=missed)
+        self._stream = CyclicStream(drives, by_sync)
+
+    def __enter__(self) -> Self:
+        self._stream.__enter__()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stream.__exit__(exc_type, exc, traceback)
+
+    @property
+    def missed_cycles(self) -> int:
+        return self._stream.counters.missed_cycles
+
+
+class OneAxisStream(_BySync, SetPointStream):
+    """One axis by SYNC."""
+
+    def __init__(self, drive: StoppableDrive, settings: SetPointSettings) -> None:
+        super().__init__([drive], settings)
+        self._period_ns = round(settings.period_s * NS_PER_S)
+        self._found = 0, math.nan
+
+    def cycle(self, position_load_mm: float) -> float:
+        (feedback,) = self._stream.cycle([position_load_mm])
+        if not feedback.late:  # it is of the SYNC that this cycle was for
+            self._found = self._stream.next_sync_ns - self._period_ns, feedback.position_load_mm
+        return feedback.position_load_mm
+
+    @property
+    def found(self) -> tuple[int, float]:
+        return self._found
+
+    @property
+    def reached_ns(self) -> int:
+        return self._stream.next_sync_ns
+
+
+class AxesInStep(_BySync, SetPointGroup):
+    """Several axes on one bus, all by one SYNC."""
+
+    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        return [feedback.position_load_mm for feedback in self._stream.cycle(positions_load_mm)]

@@ -8,20 +8,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import can
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Mode, Status, decode_state
+from drivers.canopen.node import Node
 from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup
-from drivers.drive import DriveState
+from drivers.canopen.power import PowerStage
+from drivers.drive import DriveLimits, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
-
-if TYPE_CHECKING:
-    from drivers.canopen.drive import CanOpenDrive  # which offers streams of its own
+from drivers.scaling import AxisScaling
 
 
 class SyncSource(Enum):
@@ -87,21 +87,31 @@ RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
 
 
 class Axis:
-    """One drive in the stream: its frames, its latest feedback, its limits in counts. Everything that a cycle needs is at hand.
+    """One axis in the stream: its frames, its latest feedback, its limits in counts. Everything that a cycle needs is at hand.
 
+    stop: the RPDO that stops the drive at once, which the stream leaves in place; None where it has none.
     counts_of(value): a set-point (load mm, mm/s, percent of rated torque) in the drive's units; raises LimitError.
     """
 
-    def __init__(self, drive: CanOpenDrive, settings: StreamSettings) -> None:
-        node_id, scaling, limits = drive.node_id, drive.scaling, drive.limits
-        self.drive = drive
-        self.power = drive.power
+    def __init__(
+        self,
+        node: Node,
+        power: PowerStage,
+        scaling: AxisScaling,
+        limits: DriveLimits,
+        settings: StreamSettings,
+        *,
+        stop: PdoSpec | None,
+    ) -> None:
+        node_id = node.node_id
+        self.node = node
+        self.power = power
+        self.limits = limits
         self.settings = settings
         self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, TARGETS[settings.mode]))
         self.tpdo = PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
-        stop = drive.connection.stop_rpdo
         kept = () if stop is None else (stop,)
-        self.setup = PdoSetup(drive.sdo, node_id, (self.rpdo, self.tpdo, *kept), alone=True)
+        self.setup = PdoSetup(node.sdo, node_id, (self.rpdo, self.tpdo, *kept), alone=True)
         self.sync_by_host = settings.sync is SyncSource.HOST
         self._pack_into = self.rpdo.codec.pack_into
         self._unpack_from = self.tpdo.codec.unpack_from
@@ -123,6 +133,7 @@ class Axis:
             Mode.CYCLIC_VELOCITY: self._velocity_counts,
             Mode.CYCLIC_TORQUE: self._torque_permille,
         }[settings.mode]
+        self.direction = scaling.direction
         self.mm_per_count = scaling.direction * scaling.resolution_load_mm
         self.counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         # one count of rounding at either end is not a matter of speed
@@ -161,53 +172,53 @@ class Axis:
     def _position_counts(self, position_load_mm: float) -> int:
         """Raises LimitError for a place outside the travel, or too far from the last one."""
         if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
-            self.drive.limits.check_target(position_load_mm)
+            self.limits.check_target(position_load_mm)
         counts = round(position_load_mm * self.counts_per_mm)
         if abs(counts - self.next_counts) > self.max_step_counts:
             step_mm = abs(counts - self.next_counts) * abs(self.mm_per_count)
             raise LimitError(
-                f"drive {self.drive.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / self.settings.period_s:g} mm/s,"
-                f" allowed are {self.drive.limits.max_velocity_mm_s:g} mm/s"
+                f"drive {self.node.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / self.settings.period_s:g} mm/s,"
+                f" allowed are {self.limits.max_velocity_mm_s:g} mm/s"
             )
         return counts
 
     def _velocity_counts(self, velocity_mm_s: float) -> int:
         self._check_inside(velocity_mm_s)
-        if abs(velocity_mm_s) > self.drive.limits.max_velocity_mm_s:
-            self.drive.limits.check_velocity(abs(velocity_mm_s))
+        if abs(velocity_mm_s) > self.limits.max_velocity_mm_s:
+            self.limits.check_velocity(abs(velocity_mm_s))
         return round(velocity_mm_s * self.counts_per_mm)
 
     def _torque_permille(self, torque_percent: float) -> int:
         self._check_inside(torque_percent)
         allowed = self.settings.torque_limit_percent
         if abs(torque_percent) > allowed:
-            raise LimitError(f"drive {self.drive.name}: torque {torque_percent:g} %, allowed are ±{allowed:g} %")
-        return self.drive.scaling.direction * round(10 * torque_percent)
+            raise LimitError(f"drive {self.node.name}: torque {torque_percent:g} %, allowed are ±{allowed:g} %")
+        return self.direction * round(10 * torque_percent)
 
     def _check_inside(self, value: float) -> None:
         """Velocity and torque streams must not push an axis further out of its travel."""
         if not math.isfinite(value):
-            raise LimitError(f"drive {self.drive.name}: {value} is no set-point")
+            raise LimitError(f"drive {self.node.name}: {value} is no set-point")
         place_mm = self.position_counts * self.mm_per_count
         if (place_mm >= self.travel_max_mm and value > 0) or (place_mm <= self.travel_min_mm and value < 0):
-            raise LimitError(f"drive {self.drive.name}: at {place_mm:.3f} mm, the end of its travel")
+            raise LimitError(f"drive {self.node.name}: at {place_mm:.3f} mm, the end of its travel")
 
     # -- feedback --------------------------------------------------------------------------------------------------------
     def explain_error(self) -> FollowingErrorError:
         """The axis is too far from the set-point that was in force."""
         error_mm = abs(self.position_counts - self.demand_counts) * abs(self.mm_per_count)
         return FollowingErrorError(
-            f"drive {self.drive.name}: {error_mm:.3f} mm from its set-point,"
+            f"drive {self.node.name}: {error_mm:.3f} mm from its set-point,"
             f" allowed are {self.settings.following_error_mm:g} mm"
         )
 
     def explain_status(self) -> BridgeError:
         """What a statusword other than "enabled and following" means."""
-        state, name = decode_state(self.status), self.drive.name
+        state, name = decode_state(self.status), self.node.name
         if self.power.stopped:
             return StateError(f"drive {name} was told to stop while streaming")
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            code = self.drive.monitor.last_error_code() or None
+            code = self.node.monitor.last_error_code() or None
             return DriveFaultError(f"drive {name} went into {state.value} while streaming", code)
         if state is not DriveState.ENABLED:
             return StateError(f"drive {name} left operation enabled while streaming: {state.value}")

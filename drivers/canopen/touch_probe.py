@@ -5,12 +5,11 @@ What may go in: the bits of these objects. What counts as a new latch is `driver
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from drivers.canopen import objects
+from drivers.canopen.node import Node
 from drivers.canopen.pdo import OBJECT_MISSING
-from drivers.canopen.sdo import SdoClient
-from drivers.clock import Clock
 from drivers.errors import AbortError
 from drivers.scaling import AxisScaling
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
@@ -21,16 +20,13 @@ STORED_BIT = {Edge.POSITIVE: 0x02, Edge.NEGATIVE: 0x04}  # of 60B9h
 
 
 class CanOpenTouchProbe(TouchProbe):
-    """Both probes of one open drive. device_stamp is 60D1h to 60D4h, edges 60D5h to 60D8h.
+    """Both probes of one open drive. device_stamp is 60D1h to 60D4h, edges 60D5h to 60D8h."""
 
-    sdo(): the drive's present client; it has another one after a restart.
-    """
-
-    def __init__(self, drive_name: str, clock: Clock, scaling: AxisScaling, sdo: Callable[[], SdoClient]) -> None:
-        super().__init__(drive_name, clock)
+    def __init__(self, node: Node, scaling: AxisScaling) -> None:
+        super().__init__(node.name, node.clock)
         self._scaling = scaling
-        self._sdo = sdo
-        self._function = sdo().read(objects.PROBE_FUNCTION)
+        self._node = node
+        self._function = node.sdo.read(objects.PROBE_FUNCTION)
 
     def _switch_on(self, probe: int, edges: frozenset[Edge], continuous: bool) -> bool:
         bits = ENABLE | (CONTINUOUS if continuous else 0)
@@ -43,31 +39,31 @@ class CanOpenTouchProbe(TouchProbe):
         self._write(probe, 0)
 
     def _latched(self, wanted: Sequence[tuple[int, Edge]]) -> list[tuple[int, Edge]]:
-        status = self._sdo().read(objects.PROBE_STATUS)
+        status = self._node.sdo.read(objects.PROBE_STATUS)
         return [(probe, edge) for probe, edge in wanted if _byte(status, probe) & STORED_BIT[edge]]
 
     def _read(self, probe: int, edge: Edge) -> LatchReading:
         place = 2 * (probe - 1) + edge
-        counts = self._sdo().read(objects.PROBE_POSITION[place])
+        counts = self._node.sdo.read(objects.PROBE_POSITION[place])
         edges = self._optional(objects.PROBE_COUNTER[place])
         stamp = self._optional(objects.PROBE_STAMP[place])
         return LatchReading(self._scaling.load_mm(counts), stamp, edges)
 
     def _optional(self, entry: objects.Entry) -> int | None:
         try:
-            return self._sdo().read(entry)
+            return self._node.sdo.read(entry)
         except AbortError as error:
             if error.code in OBJECT_MISSING:
                 return None
             raise
 
     def _status(self, probe: int) -> int:
-        return _byte(self._sdo().read(objects.PROBE_STATUS), probe)
+        return _byte(self._node.sdo.read(objects.PROBE_STATUS), probe)
 
     def _write(self, probe: int, bits: int) -> None:
         shift = 8 * (probe - 1)
         self._function = self._function & ~(0xFF << shift) & 0xFFFF | bits << shift
-        self._sdo().write(objects.PROBE_FUNCTION, self._function)
+        self._node.sdo.write(objects.PROBE_FUNCTION, self._function)
 
 
 def _byte(word: int, probe: int) -> int:

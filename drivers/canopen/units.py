@@ -1,11 +1,12 @@
-"""What a CiA-402 drive says of its own position units: 608Fh, 6091h, 6092h and 60A8h.
+"""What a CiA-402 drive says of its own position units (608Fh, 6091h, 6092h and 60A8h), and every way in which it may mean it.
 
-What may go in: reading these objects and what follows from them. They are a claim; whether the axis moves by what they say only an
-instrument can tell.
+They are a claim; whether the axis moves by what they say only an instrument can tell.
 
-Feed constant (6092h) and position unit (60A8h) belong together: the feed is what the wire counts per revolution of the driving shaft,
-and where the unit is a length that is the screw's lead too. A drive without 60A8h leaves the unit of its feed to its manufacturer;
-micrometres are taken then, the usual choice.
+By the standard the position on the wire (6064h) is internal increments · feed / (encoder resolution · gear ratio), in the unit that
+60A8h names, and the feed (6092h) is in the same unit (IEC 61800-7-201, factor group): what the wire counts per revolution of the
+driving shaft. Where 60A8h names a length, that is the screw's lead too, and nothing is left open. Where it names increments, or is
+missing, drives differ: some keep to that; others show the encoder's increments and keep the lead in the feed, in the unit that their
+manufacturer chose. Micrometres are taken then, the usual choice.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from fractions import Fraction
 
 from drivers.canopen import objects
 from drivers.canopen.objects import Entry
+from drivers.canopen.pdo import OBJECT_MISSING
 from drivers.canopen.sdo import SdoClient
 from drivers.errors import AbortError
 from drivers.scaling import ReportedScaling
@@ -21,7 +23,6 @@ from drivers.scaling import ReportedScaling
 METRE = 0x01  # the unit in bits 16 to 23 of 60A8h (CiA-303-2); bits 24 to 31 are its power of ten
 MM_PER_M = 1000
 UM_PER_MM = 1000
-OBJECT_MISSING = (0x06020000, 0x06090011)
 
 
 def read_units(sdo: SdoClient) -> ReportedScaling:
@@ -60,3 +61,22 @@ def _ratio(sdo: SdoClient, above: Entry, below: Entry) -> Fraction | None:
     if not numerator or denominator == 0:
         return None
     return Fraction(numerator, 1 if denominator is None else denominator)
+
+
+def readings(reported: ReportedScaling) -> tuple[ReportedScaling, ...]:
+    """What `read_units` made of a drive's objects, and how else they may be meant, the likeliest first.
+
+    A feed of 1 per revolution is a factory value and no feed.
+    """
+    encoder, gear = reported.encoder_counts_per_motor_rev, reported.motor_revs_per_shaft_rev
+    units, feed_mm = reported.position_units_per_shaft_rev, reported.feed_mm_per_shaft_rev
+    if units is not None and feed_mm is not None:
+        return (reported,)
+    feed = units if units is not None else None if feed_mm is None else feed_mm * UM_PER_MM
+    if feed is None or feed == 1:
+        return (ReportedScaling(encoder, gear),)
+    wire = ReportedScaling(encoder, gear, None, feed)
+    lead = ReportedScaling(encoder, gear or Fraction(1), feed / UM_PER_MM)
+    if encoder is None or encoder * (gear or 1) == feed:
+        return (wire,)
+    return (wire, lead) if units is not None else (lead, wire)

@@ -19,6 +19,7 @@ from drivers.errors import (
     CapabilityError,
     DriveFaultError,
     HeldUnderPowerError,
+    InputError,
     MotionTimeoutError,
     StateError,
     TransportError,
@@ -26,7 +27,7 @@ from drivers.errors import (
 )
 from drivers.modbus.codec import Raw
 from drivers.modbus.correction_table import ModbusCorrectionTable
-from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, all_hold
+from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, StreamMap, all_hold
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.orders import POLL_S, Orders, Standstill, hold
@@ -34,11 +35,10 @@ from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
 from drivers.modbus.register_access import RegisterAccess
-from drivers.modbus.stream import ModbusStream
 from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.way_out import POWER_OFF_S, WayOut
 from drivers.modbus.wear import WearLedger
-from drivers.paced_stream import PacedGroup
+from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 from drivers.undo import undo_all
@@ -568,6 +568,32 @@ class ModbusDrive(ServoDrive):
     def parameters(self) -> ModbusParameters:
         """By the names of the register map."""
         return self._parameters
+
+
+class ModbusStream(PacedStream):
+    """Each cycle writes one set-point and reads one sample. Entering raises InputError for a period that map or wire cannot keep."""
+
+    def __init__(self, drive: ModbusDrive, stream: StreamMap, settings: SetPointSettings) -> None:
+        super().__init__(drive, settings)
+        self._modbus = drive
+        self._stream = stream
+
+    def _begin(self) -> DriveSample:
+        drive, period_s = self._modbus, self.settings.period_s
+        target = drive.registers[self._stream.target]
+        wire_s = drive.sample_wire_s + drive.link.cost.write_s(target.table, target.span.count)
+        for least_s, whose in ((self._stream.least_period_s, "the drive by its register map"), (wire_s, "the wire")):
+            if period_s < least_s:
+                raise InputError(
+                    f"drive {drive.name}: stream period is {1e3 * period_s:g} ms, {whose} needs {1e3 * least_s:.3g} ms"
+                )
+        return drive.begin_stream()
+
+    def _send(self, position_load_mm: float) -> None:
+        self._modbus.send_set_point(position_load_mm)
+
+    def _end(self) -> None:
+        self._modbus.end_stream()
 
 
 def _is_silence(error: BridgeError) -> bool:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
-from drivers.canopen.table_cost import table_bits
+from drivers.canopen.sdo_cost import table_bits
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import Clock, Waiting, WallClock
 from drivers.correction_table import RawTable, TableDescription

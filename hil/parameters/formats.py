@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.canopen.concise_dcf import pack_concise, unpack_concise
-from drivers.canopen.dcf import render_dcf
+from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import load_eds
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity, RawParameters

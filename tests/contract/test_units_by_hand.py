@@ -226,9 +226,8 @@ def test_homing_speeds_and_the_home_position(rig: Rig, monkeypatch: pytest.Monke
         drive.settings = replace(drive.settings, homing=HomingSettings(37, 16.0, 0.8, 4.0))
     else:
         assert isinstance(drive, VirtualDrive)
-        drive.settings = replace(
-            drive.settings, homing_speed_switch_mm_s=16.0, homing_speed_zero_mm_s=0.8, home_position_mm=4.0
-        )
+        settings = drive.settings
+        settings.homing_speed_switch_mm_s, settings.homing_speed_zero_mm_s, settings.home_position_mm = 16.0, 0.8, 4.0
     with drive:
         drive.enable()
         homings = _orders(rig, "start_homing", monkeypatch)

@@ -20,7 +20,7 @@ from hil.machine.axes_wiring import connected_axes
 from hil.machine.events import Event, Listener
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import ideal_axis
-from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+from sim_backends.virtual_drive import VirtualDrive
 
 IDEAL = (BenchParameters(plant=ideal_axis()), BenchParameters(plant=ideal_axis()))
 
@@ -90,7 +90,7 @@ def test_what_a_drive_cannot_do_is_said_before_anything_moves(tmp_path: Path) ->
             check_axes(sessions, Circle((120.0, 5.0)), 0.004)
         with pytest.raises(InputError, match="no period for this circle"):
             check_axes(sessions, Circle((120.0, 120.0)), 2.0)
-        drive.settings = replace(VirtualDriveSettings(), missing=frozenset({Capability.STREAMING}))
+        drive.settings.missing = frozenset({Capability.STREAMING})
         with pytest.raises(CapabilityError, match="drive Y cannot do: cyclic synchronous position"):
             drive_circle(sessions, Circle((120.0, 120.0)), (None, None))
         assert all(session.drive.sample().state is not DriveState.ENABLED for session in sessions)

@@ -302,7 +302,7 @@ def test_a_drive_that_takes_another_value_than_it_was_given(rig: Rig) -> None:
 # -- said before moving --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("missing", [Capability.TORQUE_ACTUAL, Capability.PROFILE_POSITION, Capability.HOMING])
 def test_what_the_drive_cannot_do_is_said_before_anything_is_written(rig: Rig, missing: Capability) -> None:
-    rig.drive.settings = replace(rig.drive.settings, missing=frozenset({missing}))
+    rig.drive.settings.missing = frozenset({missing})
     with pytest.raises(CapabilityError, match=missing.value):
         rig.measure()
     assert rig.amount.writes == []

@@ -11,7 +11,8 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.objects import DataType
-from drivers.canopen.parameters import CanOpenParameters, predicted_seconds
+from drivers.canopen.parameters import CanOpenParameters
+from drivers.canopen.sdo_cost import download_frames, upload_frames, wire_time
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import (
     AbortError,
@@ -57,7 +58,7 @@ class Rig:
             settings=CanOpenSettings(sdo_timeout_s=0.1),
         )
         self.stack.enter_context(self.drive)
-        self.parameters = CanOpenParameters(self.drive, eds)
+        self.parameters = CanOpenParameters(self.drive.node, eds)
 
     def number(self, index: int, subindex: int = 0) -> int:
         return self.bench.slave.dictionary.number(index, subindex)
@@ -153,7 +154,7 @@ def test_what_was_stored_is_there_after_the_next_start(eds: EdsFile) -> None:
     first = Rig(eds, flash=flash)
     with first.stack:
         first.parameters.write(first.parameters.find(*GAIN), 777)
-        first.parameters.store()
+        first.drive.store_parameters()
         first.parameters.write(first.parameters.find(0x605A), 6)  # not stored
     assert flash.intact
     assert flash.writes == 1
@@ -166,8 +167,8 @@ def test_what_was_stored_is_there_after_the_next_start(eds: EdsFile) -> None:
 def test_a_restart_brings_defaults_back(rig: Rig) -> None:
     gain = rig.parameters.find(*GAIN)
     rig.parameters.write(gain, 777)
-    rig.parameters.store()
-    rig.parameters.restore_defaults()
+    rig.drive.store_parameters()
+    rig.drive.restore_defaults()
     assert rig.parameters.read(gain).value == 777  # until the next start
     rig.drive.restart()
     assert rig.parameters.read(gain).value == 1000
@@ -184,7 +185,7 @@ def test_targets_are_harmless_before_a_store(rig: Rig) -> None:
     rig.bench.clock.sleep_s(0.3)
     rig.drive.disable()
     rig.bench.clock.sleep_s(0.5)
-    rig.parameters.store()
+    rig.drive.store_parameters()
     stored = int.from_bytes(rig.flash.image[0x607A, 0], "little", signed=True)
     assert stored == rig.bench.servo.position_actual_counts
     assert stored != 1_500_000
@@ -192,7 +193,7 @@ def test_targets_are_harmless_before_a_store(rig: Rig) -> None:
 
 def test_an_enabled_axis_is_not_stored_from(rig: Rig) -> None:
     rig.drive.enable()
-    for refused in (rig.parameters.store, rig.parameters.restore_defaults):
+    for refused in (rig.drive.store_parameters, rig.drive.restore_defaults):
         with pytest.raises(StateError, match="disable it first"):
             refused()
     with pytest.raises(AbortError, match="present device state"):
@@ -210,7 +211,7 @@ def test_a_wrong_signature_stores_nothing(rig: Rig) -> None:
 def test_a_drive_that_does_not_store_on_command_says_so(rig: Rig) -> None:
     rig.bench.slave.dictionary.on_read(0x1010, 1, lambda: 2)
     with pytest.raises(CapabilityError, match="not done on command"):
-        rig.parameters.store()
+        rig.drive.store_parameters()
 
 
 @pytest.mark.parametrize("cut_s", [0.01, 0.05, 0.1, 0.149])
@@ -225,7 +226,7 @@ def test_a_power_cut_during_the_store_is_noticed_on_both_sides(eds: EdsFile, cut
     with rig.stack:
         rig.parameters.write(rig.parameters.find(*GAIN), 777)
         with pytest.raises((NoAnswerError, LinkLostError)):
-            rig.parameters.store(timeout_s=1.0)
+            rig.drive.store_parameters(timeout_s=1.0)
     assert not flash.intact
     second = Rig(eds, flash=flash)
     with second.stack:
@@ -237,7 +238,9 @@ def test_the_prediction_is_a_lower_bound_that_comes_close(eds: EdsFile) -> None:
     rig = Rig(eds, bitrate=1_000_000)
     with rig.stack:
         writes = dict.fromkeys([(0x2210, 1), (0x2210, 2), (0x6067, 0), (0x6068, 0), (0x605D, 0)], 2)
-        predicted_s = predicted_seconds(writes, eds, 1_000_000)
+        data = [(*key, eds.entries[key].entry.pack(value)) for key, value in writes.items()]
+        frames = [frame for each in data for frame in (*download_frames(*each), *upload_frames(*each))]
+        predicted_s = wire_time(NODE, frames, 1_000_000).seconds_least
         start_ns = rig.bench.clock.now_ns()
         for key, value in writes.items():
             rig.parameters.write(rig.parameters.find(*key), value)

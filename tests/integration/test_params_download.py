@@ -145,7 +145,7 @@ def test_limits_are_written_so_that_they_never_cross(make: Make) -> None:
         entries = (SetEntry("607Dh:01", low), SetEntry("607Dh:02", high))
         assert run(rig, ParameterSet("limits", None, entries))[0].ending is Ending.WRITTEN
         assert rig.values([(0x607D, 1), (0x607D, 2)]) == [low, high]
-        assert rig.drives[0]._sdo.counters.aborts == 0
+        assert rig.drives[0]._node.sdo.counters.aborts == 0
 
 
 def test_what_depends_on_another_is_tried_again_after_it(make: Make) -> None:

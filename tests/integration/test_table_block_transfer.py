@@ -14,9 +14,9 @@ from support import their_canopen
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.correction_table import CanOpenCorrectionTable
+from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.sdo import SdoClient
-from drivers.canopen.table_cost import table_bits
+from drivers.canopen.sdo_cost import table_bits
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable
@@ -41,8 +41,9 @@ def table(points: int = POINTS) -> RawTable:
 def test_a_table_of_8_kb_by_block_transfer_at_1_mbit_s(record_property: pytest.RecordProperty) -> None:
     bench = CanBench(node_ids=(NODE,), bitrate=1_000_000, table=error_domain(10.0))
     with CanLink(bench.port(), bench.clock) as link:
-        sdo = SdoClient(link, NODE, "drive X")
-        held = CanOpenCorrectionTable("X", lambda: sdo, load_table_map("simulated_domain"))
+        node = Node("X", link, NODE)
+        node.open()
+        held = CanOpenCorrectionTable(node, load_table_map("simulated_domain"))
         wanted = table()
         start_ns = bench.clock.now_ns()
         held.write(wanted)
@@ -65,8 +66,9 @@ def test_a_table_of_8_kb_by_block_transfer_at_1_mbit_s(record_property: pytest.R
 def test_what_an_array_takes_is_predicted_to_the_frame() -> None:
     bench = CanBench(node_ids=(NODE,), bitrate=1_000_000, table=ARRAY)
     with CanLink(bench.port(), bench.clock) as link:
-        sdo = SdoClient(link, NODE, "drive X")
-        held = CanOpenCorrectionTable("X", lambda: sdo, load_table_map("simulated_array"))
+        node = Node("X", link, NODE)
+        node.open()
+        held = CanOpenCorrectionTable(node, load_table_map("simulated_array"))
         wanted = RawTable(tuple(range(30)), tuple(range(0, -30, -1)), (), -500, 1000)
         bench.clock.sleep_s(0.001)  # the boot-up message is through
         start_ns, frames = bench.clock.now_ns(), bench.wire.frames
@@ -98,8 +100,9 @@ def test_their_master_reads_by_block_what_ours_wrote_and_ours_what_theirs_wrote(
         form = error_domain(10.0)
         slave = stack.enter_context(served(servo, WallClock(), channel=channel, node_id=NODE, table=form))
         link = stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=channel))
-        sdo = SdoClient(link, NODE, "drive X", timeout_s=5.0)
-        held = CanOpenCorrectionTable("X", lambda: sdo, load_table_map("simulated_domain"))
+        node = Node("X", link, NODE)
+        node.open(5.0)
+        held = CanOpenCorrectionTable(node, load_table_map("simulated_domain"))
         first, second = table(), table(300)
         data = held.pack(second)
         held.write(first)
@@ -125,10 +128,11 @@ def test_a_drive_of_theirs_without_block_transfer_gets_it_in_segments() -> None:
     with ExitStack() as stack:
         node = their_canopen.network(stack, channel).create_node(NODE, str(EDS))
         link = stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=channel))
-        sdo = SdoClient(link, NODE, "theirs", timeout_s=5.0)
+        ours = Node("theirs", link, NODE)
+        ours.open(5.0)
         buffer = Entry(0x2100, 0, DataType.DOMAIN, "trace buffer")
         table_map = replace(load_table_map("simulated_domain"), domain=buffer, scalars={})
-        held = CanOpenCorrectionTable("X", lambda: sdo, table_map)
+        held = CanOpenCorrectionTable(ours, table_map)
         wanted = table(60)
         held.write(wanted)
         assert node.sdo.upload(0x2100, 0) == held.pack(wanted)

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.concise_dcf import pack_concise, unpack_concise
-from drivers.canopen.dcf import render_dcf
+from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import load_eds
 from drivers.canopen.sdo_cost import Frame, download_frames, exact_bits, upload_frames
 from drivers.errors import InputError

@@ -510,10 +510,10 @@ def test_the_dictionary_file_is_asked_before_mapping(make: MakeRig, tmp_path: Pa
     path = tmp_path / "drive.eds"
     path.write_text(text, encoding="utf-8")
     rig = make()
-    rig.drive.eds = load_eds(path, NODE)
+    rig.drive.node.eds = load_eds(path, NODE)
     with pytest.raises(InputError, match="6077h:00 torque actual value cannot be mapped"):
         rig.drive.open()
-    rig.drive.eds = load_eds(EDS, NODE)
+    rig.drive.node.eds = load_eds(EDS, NODE)
     rig.opened()
 
 

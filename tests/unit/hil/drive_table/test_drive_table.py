@@ -204,7 +204,7 @@ def test_nothing_is_touched_under_power(note: Path) -> None:
 def test_a_drive_without_a_table_says_so() -> None:
     rig = Rig("simulated_array")
     with rig.drive() as drive:
-        drive.table_map = None
+        drive.node.table = None
         with pytest.raises(CapabilityError, match="no correction table that is described"):
             held_table(drive)
 

@@ -1,0 +1,404 @@
+"""StoppableDrive: a CANopen drive as far as a stream must know it - looked at, stopped, brought to rest and switched off.
+
+A sample is asked for: SYNC goes out and the synchronous TPDOs that answer it are waited for, so it is never older than the call.
+While another owns SYNC (`sync.Sync`) the values are read by SDO.
+
+A stop goes out by every way there is, the fastest first, before anything is asked: `send_stop`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+
+from drivers.canopen import objects
+from drivers.canopen.bus import STOP_SEND_S, CanLink
+from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, Status, decode_state
+from drivers.canopen.connection import Connection
+from drivers.canopen.eds import EdsFile
+from drivers.canopen.homing import Homing
+from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion, Standstill
+from drivers.canopen.node import Node, NodeMonitor
+from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
+from drivers.canopen.power import PowerStage
+from drivers.canopen.sampling import Sampler
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.settings import CanOpenSettings
+from drivers.canopen.stream_axis import Axis
+from drivers.canopen.sync import SYNC
+from drivers.canopen.table_map import TableMap
+from drivers.clock import Clock
+from drivers.drive import DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.errors import (
+    BridgeError,
+    CapabilityError,
+    DriveFaultError,
+    HeldUnderPowerError,
+    InputError,
+    LimitError,
+    LinkLostError,
+    MotionTimeoutError,
+    StateError,
+    TransportError,
+)
+from drivers.scaling import AxisScaling
+
+WITHOUT_TORQUE = (
+    DriveState.NOT_READY,
+    DriveState.SWITCH_ON_DISABLED,
+    DriveState.READY,
+    DriveState.SWITCHED_ON,
+    DriveState.FAULT,
+)
+"""States in which a drive does not move its axis."""
+STOP_SHOWN_S = 0.1
+"""How long a drive may take to leave operation enabled after it confirmed the quick stop command, s: ten slow control cycles."""
+
+
+class StoppableDrive(ServoDrive):
+    """One node under power. `open` of the class that completes it makes the parts, with nothing enabled or moved.
+
+    Raises from its methods, besides what ServoDrive names: NoAnswerError and LinkLostError (wire, heartbeat, restart of the node),
+    AbortError (a refused access, naming object and reason), ProtocolError.
+    """
+
+    sdo: SdoClient
+    monitor: NodeMonitor
+    power: PowerStage
+    sampler: Sampler
+    connection: Connection
+    motion: ProfileMotion
+    homing: Homing
+
+    def __init__(
+        self,
+        name: str,
+        scaling: AxisScaling,
+        limits: DriveLimits,
+        clock: Clock,
+        *,
+        link: CanLink,
+        node_id: int,
+        settings: CanOpenSettings | None = None,
+        eds: EdsFile | None = None,
+        table: TableMap | None = None,
+    ) -> None:
+        super().__init__(name, scaling, limits, clock)
+        self.node = Node(name, link, node_id, eds, table)
+        self.link = link
+        self.node_id = node_id
+        self.settings = settings or CanOpenSettings()
+        self.notes: list[str] = []  # what open found worth telling an engineer
+        self._open = False
+        self._fault_code: int | None = None
+        self._stream_axis: Axis | None = None
+        self._braking_s = self.settings.power.stop_s
+        self._stop_lets_go = True
+        self._braking_awaited = False  # it had the time that braking needs, and was not heard since
+        self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise StateError(f"drive {self.name} is not open")
+
+    # -- reading ---------------------------------------------------------------------------------------------------------
+    def sample(self) -> DriveSample:
+        """A fresh sample by SYNC. following_error_mm is demand − actual, as 60F4h has it.
+
+        Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
+        DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a velocity run comes to the
+        end of the travel.
+        """
+        self._require_open()
+        self.sampler.refresh()
+        status = self.sampler.statusword
+        state = decode_state(status)
+        if state in FAULTS:
+            if self._fault_code is None:
+                self._fault_code = self.power.error_code()
+            self.homing.under_way = False
+        else:
+            self._fault_code = None
+        velocity = self.sampler.values.get(objects.VELOCITY_ACTUAL)
+        slow = velocity is None or Standstill.is_slow(self.scaling.load_mm(velocity))
+        self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
+        sample = self._as_sample()
+        if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
+            self._watch_travel(sample.position_load_mm, sample.velocity_mm_s)
+        return sample
+
+    def _as_sample(self) -> DriveSample:
+        """What was heard last."""
+        values, scaling, status = self.sampler.values, self.scaling, self.sampler.statusword
+        velocity = values.get(objects.VELOCITY_ACTUAL)
+        torque = values.get(objects.TORQUE_ACTUAL)
+        error = values.get(objects.FOLLOWING_ERROR_ACTUAL)
+        return DriveSample(
+            self.sampler.heard_ns,
+            decode_state(status),
+            scaling.load_mm(self.sampler.position_counts),
+            bool(status & Status.TARGET_REACHED) and not self.homing.under_way,
+            None if velocity is None else scaling.load_mm(velocity),
+            None if torque is None else scaling.direction * torque / 10.0,
+            None if error is None else scaling.load_mm(error),
+            self.homing.homed,
+            self._fault_code,
+            limited=bool(status & Status.INTERNAL_LIMIT),
+        )
+
+    # -- streaming -------------------------------------------------------------------------------------------------------
+    @property
+    def is_streaming(self) -> bool:
+        """Whether a `stream.CyclicStream` paces this drive; its samples come by SDO meanwhile, as SYNC belongs to the stream."""
+        return self.sampler.by_sdo
+
+    def begin_streaming(self, axis: Axis) -> None:
+        """A stream takes over SYNC and the PDOs; it puts the PDOs back before `end_streaming`."""
+        self._require_open()
+        if self.is_streaming:
+            raise StateError(f"drive {self.name} is streaming already")
+        self.sampler.by_sdo = True
+        self.sampler.unsubscribe()
+        self._stream_axis = axis
+
+    def end_streaming(self) -> None:
+        """The PDOs are those of `open` again."""
+        self._stream_axis = None
+        self.sampler.by_sdo = False
+        self.sampler.subscribe()
+
+    def set_mode(self, mode: Mode) -> None:
+        """Change the mode of operation; see `ProfileMotion.set_mode`."""
+        self._require_open()
+        with self._stopped_if_it_fails():
+            self.motion.set_mode(mode)
+        self.homing.under_way = False
+
+    # -- to rest, and without power --------------------------------------------------------------------------------------
+    def disable(self) -> None:
+        """Halt, and take the power off once the axis stands. Where the halt is not confirmed or no standstill is shown in its time:
+        quick stop first, and the power goes all the same, unless the axis falls without it.
+
+        Works without the node's heartbeat, and by SDO or PDO alone. Raises HeldUnderPowerError for an axis that falls and is held,
+        MotionTimeoutError when it was disabled without having been seen at rest, or is not seen disabled, and what the wire raises.
+        """
+        self._require_open()
+        with self.sdo.way_out:
+            self._disable()
+
+    def _disable(self) -> None:
+        self.homing.under_way = False
+        at_rest = self._brought_to_rest()
+        if not at_rest and self.falls_without_power:
+            raise HeldUnderPowerError(
+                f"drive {self.name} was stopped but not seen at rest, and gravity can move its axis: it is left under power"
+            )
+        self._take_power()
+        if self.motion.mode is Mode.PROFILE_VELOCITY:
+            self.motion.stay()  # a speed that is left in the drive would come to life with the next enabling
+        if not at_rest:
+            raise MotionTimeoutError(
+                f"drive {self.name}: no standstill within {self.settings.power.stop_s:g} s; quick-stopped and disabled all the same"
+            )
+
+    def _brought_to_rest(self) -> bool:
+        """Halt, else quick stop; False when no standstill was seen."""
+        halted = False
+        try:
+            if not self.sampler.heard_by_sync():
+                if not (self.sampler.by_sdo or self.link.sync.taken):
+                    self.send_stop()  # it should have answered: stop first, ask later
+                self.sampler.refresh_somehow()
+            state = decode_state(self.sampler.statusword)
+            if state in WITHOUT_TORQUE:
+                return True
+            if state is DriveState.ENABLED:
+                if not self.power.stopped:
+                    self._send(RUN | Control.HALT, by_sdo=False)  # SDO may be dead, and its answer is waited for
+                self.motion.halt()
+                halted = True
+            if self._comes_to_rest(self.settings.power.stop_s):
+                return True
+        except BridgeError:  # the halt is not confirmed
+            pass
+        if not (
+            halted and self.falls_without_power and self._stop_lets_go
+        ):  # then the halt holds it, a quick stop would not
+            self.send_stop()
+        try:
+            return self._comes_to_rest(self.settings.power.stop_s)
+        except LinkLostError:
+            return False
+        except BridgeError:  # nobody answers: it has the time that braking needs, before its power is taken
+            if not self._braking_awaited:
+                self.clock.sleep_s(self._braking_s)
+                self._braking_awaited = True
+            return False
+
+    def _comes_to_rest(self, timeout_s: float) -> bool:
+        """Look until it stands, or has no torque; False when neither was shown in time. Raises when nobody answers."""
+        standstill = Standstill(self.scaling.counts_per_load_mm)
+        sampler, deadline = self.sampler, self.clock.deadline(timeout_s)
+        while True:
+            sampler.refresh_somehow()
+            self._braking_awaited = False
+            status = sampler.statusword
+            with suppress(BridgeError):  # whoever watches has no say in this
+                self.looked_at(self._as_sample())
+            velocity = sampler.values.get(objects.VELOCITY_ACTUAL)
+            stands = standstill.look(
+                sampler.heard_ns, sampler.position_counts, velocity, bool(status & Status.TARGET_REACHED)
+            )
+            if stands or decode_state(status) in WITHOUT_TORQUE:
+                return True
+            if deadline.expired:
+                return False
+            self.clock.sleep_s(LOOK_S)
+
+    def _take_power(self) -> None:
+        """By SDO, every step confirmed; else by RPDO, and seen by TPDO. Raises what SDO raised when it is not seen."""
+        try:
+            self.power.disable()
+        except (TransportError, MotionTimeoutError):
+            self._send(Command.DISABLE_VOLTAGE.word)
+            if not self.sampler.heard_by_sync() or decode_state(self.sampler.statusword) not in WITHOUT_TORQUE:
+                raise
+
+    # -- stopping --------------------------------------------------------------------------------------------------------
+    def send_stop(self) -> None:
+        """By event-driven RPDO, or the synchronous one with SYNC, and by SDO. No command enables the axis until `enable` is called."""
+        if not self._open:
+            return
+        self.power.stopped = True
+        self._send(Command.QUICK_STOP.word)
+        self.sdo.way_out.begin()
+
+    def quick_stop(self) -> None:
+        """Quick stop command; what follows the ramp is up to the drive's 605Ah.
+
+        Raises NoAnswerError, LinkLostError when nobody confirms it, AbortError when it is refused by SDO and not shown,
+        MotionTimeoutError when the drive stays in operation enabled.
+        """
+        self._require_open()
+        with self.sdo.way_out:
+            self._quick_stop()
+
+    def _quick_stop(self) -> None:
+        self.send_stop()
+        self.homing.under_way = False
+        with suppress(LinkLostError):
+            if self._stop_is_shown():
+                return
+        self.power.write(Command.QUICK_STOP.word)
+        deadline = self.clock.deadline(STOP_SHOWN_S)
+        while decode_state(status := self.power.statusword()) is DriveState.ENABLED:
+            if deadline.expired:
+                self.power.disobeyed = True
+                raise MotionTimeoutError(
+                    f"drive {self.name}: the quick stop was sent, but it stays enabled{self.power.why(DriveState.ENABLED, status)}"
+                )
+            self.clock.sleep_s(LOOK_S)
+
+    def _stop_is_shown(self) -> bool:
+        """By a TPDO; False where none comes."""
+        axis = self._stream_axis
+        if axis is None:
+            return self.sampler.heard_by_sync() and decode_state(self.sampler.statusword) is not DriveState.ENABLED
+        axis.fresh = False
+        if axis.sync_by_host:
+            self.link.send(SYNC, b"")
+        heard = self.link.wait(lambda: axis.fresh, self.settings.sample_timeout_s)
+        return heard and decode_state(axis.status) is not DriveState.ENABLED
+
+    def _send(self, word: int, *, by_sdo: bool = True) -> None:
+        """A controlword that stops the axis or takes its power, by every way there is; one that fails does not keep the others.
+
+        Waits for nothing and takes no lock of ours: for any thread, and a signal handler.
+        """
+        ways = self._ways(word)
+        for way in ways if by_sdo else ways[:-1]:
+            with suppress(Exception):
+                way()
+
+    def _ways(self, word: int) -> list[Callable[[], None]]:
+        """The fastest first. In a stream its RPDO carries the command too: what waits in the drive for the next SYNC would let the
+        axis go on. SYNC is sent only where it is ours, or where nobody is heard to send it. SDO is the last."""
+        stop, axis = self.connection.stop_rpdo, self._stream_axis
+        ways: list[Callable[[], None]] = []
+        if stop is not None:
+            ways.append(partial(self.link.send, stop.cob_id, stop.codec.pack(word), STOP_SEND_S))
+        if axis is not None:
+            ways.append(partial(self.link.send_message, axis.command(word), STOP_SEND_S))
+        elif stop is None and self.connection.mapped:
+            place = self.sampler.values.get(objects.POSITION_ACTUAL, 0)
+            ways.append(partial(self.link.send, self.rpdo.cob_id, self.rpdo.codec.pack(word, place), STOP_SEND_S))
+        if stop is None and ways and not self.link.sync.foreign_runs and (axis is None or axis.sync_by_host):
+            ways.append(partial(self.link.send, SYNC, b"", STOP_SEND_S))
+        ways.append(partial(self.sdo.send_at_once, objects.CONTROLWORD, word))
+        return ways
+
+    def _quick_stop_holds(self) -> bool:
+        ending = QUICK_STOP_ENDINGS.get(self.sdo.read_or(objects.QUICK_STOP_OPTION, 2))
+        return ending is not None and ending.stays
+
+    def _note_ramps(self) -> None:
+        """What an engineer should know of the quick stop; said once, changed never.
+
+        One that brakes less than a move does overshoots the move's target; one that ends without power lets an axis fall that gravity
+        can move.
+        """
+        self.notes = []
+        self._stop_lets_go = not self._quick_stop_holds()
+        if self.falls_without_power and self._stop_lets_go:
+            self.notes.append(
+                f"drive {self.name}: gravity can move this axis and no brake is stated, but after a quick stop (605Ah) its drive"
+                " switches its power off"
+            )
+        quick = self.sdo.read_or(objects.QUICK_STOP_DECELERATION, 0)
+        ordinary = self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2)
+        if 0 < quick < ordinary:
+            self.notes.append(
+                f"drive {self.name}: quick stop (6085h) brakes with {quick * self.scaling.resolution_load_mm:g} mm/s²,"
+                f" moves with up to {self.limits.max_acceleration_mm_s2:g} mm/s²: a stop may overshoot the target"
+            )
+        braking_mm_s2 = quick * self.scaling.resolution_load_mm or self.limits.max_acceleration_mm_s2
+        # and what the drive and the bus take, generously: ten looks
+        self._braking_s = min(self.limits.max_velocity_mm_s / braking_mm_s2 + 10 * LOOK_S, self.settings.power.stop_s)
+
+    @contextmanager
+    def _stopped_if_it_fails(self) -> Iterator[None]:
+        """Around what sets the axis in motion or changes how it moves: no error is raised beside a moving axis.
+
+        An order that is not confirmed: the axis is halted (else quick-stopped) and its power taken off, see `disable`. A refusal
+        before anything was ordered leaves the axis as it is; a fault has the drive stop by itself. On an interrupt a stop is sent, and
+        the rest left to who handles it.
+        """
+        try:
+            yield
+        except (StateError, CapabilityError, InputError, DriveFaultError):
+            raise
+        except LimitError as error:  # refused by the drive after it was ordered, and halted
+            if not self._seen_at_rest():
+                self._bring_down(error)
+            raise
+        except BridgeError as error:
+            self._bring_down(error)
+            raise
+        except BaseException:
+            self.send_stop()
+            raise
+
+    def _seen_at_rest(self) -> bool:
+        try:
+            return self._comes_to_rest(self.settings.power.stop_s)
+        except BridgeError:
+            return False
+
+    def _bring_down(self, error: BridgeError) -> None:
+        try:
+            self.disable()
+        except HeldUnderPowerError as held:
+            raise HeldUnderPowerError(f"{held}; {error}") from error
+        except BridgeError as worse:
+            error.add_note(str(worse))
