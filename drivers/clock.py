@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 NS_PER_S = 1_000_000_000
@@ -36,6 +37,13 @@ class Clock(ABC):
 
         A clock that nobody can interrupt does nothing here.
         """
+
+    def side_by_side(self, works: Sequence[Callable[[], None]]) -> Sequence[Callable[[], None]]:
+        """These works on this clock, each for a thread of its own; all of the threads have to be started.
+
+        A clock whose time passes by itself gives them back as they are.
+        """
+        return works
 
     def deadline(self, duration_s: float) -> Deadline:
         """A deadline `duration_s` seconds from now."""

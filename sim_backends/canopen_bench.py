@@ -66,9 +66,9 @@ class CanBench:
     refused: Sequence[tuple[int, int]] = ()
     eds: Path = EDS
     table: TableForm | None = None  # of every drive: the correction table that it holds itself
+    clock: SimClock = field(default_factory=SimClock)
 
     def __post_init__(self) -> None:
-        self.clock = SimClock()
         self.servos: dict[int, SimulatedServo] = {}
         for node_id in self.node_ids:
             servo = SimulatedServo(BareShaft(), self.servo_parameters, tuple(self.servo_faults))

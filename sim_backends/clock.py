@@ -2,12 +2,14 @@
 
 One thread owns simulated time: the procedure that sleeps. While it sleeps, everything attached is advanced in small steps, in the
 order of attachment (the servo with its plant first, then what shows them on a wire), so a run depends on its seeds alone and not
-on how fast the host is.
+on how fast the host is. Works that `side_by_side` was given own it in turns: one of their threads runs, the others sleep.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from drivers.clock import NS_PER_S, Clock, Waiting
 
@@ -40,6 +42,7 @@ class SimClock(Clock):
         self._bearable: list[Bearable] = []
         self._settle: list[Settle] = []
         self._all_bear = True  # everything attached states its own longest step
+        self._turns: _Turns | None = None
 
     def attach(self, advance: Advance, *, bearable: Bearable | None = None, settle: Settle | None = None) -> None:
         """Advance this too, after everything attached before it.
@@ -62,6 +65,27 @@ class SimClock(Clock):
             self._waiting.simulated(self._now_ns)
 
     def sleep_until_ns(self, time_ns: int) -> None:
+        if self._now_ns >= time_ns:
+            return
+        turns = self._turns
+        if turns is not None and turns.is_one_of_them():
+            turns.sleep_until_ns(time_ns)
+            return
+        self._pass_until_ns(time_ns)
+
+    def side_by_side(self, works: Sequence[Callable[[], None]]) -> Sequence[Callable[[], None]]:
+        turns = self._turns = _Turns(self._now_ns, len(works), self._pass_until_ns)
+
+        def in_turn(number: int, work: Callable[[], None]) -> None:
+            turns.begin(number)
+            try:
+                work()
+            finally:
+                turns.end()
+
+        return [partial(in_turn, number, work) for number, work in enumerate(works)]
+
+    def _pass_until_ns(self, time_ns: int) -> None:
         if self._now_ns >= time_ns:
             return
         if self._waiting is None:
@@ -89,3 +113,55 @@ class SimClock(Clock):
     def _settled(self) -> None:
         for settle in self._settle:
             settle()
+
+
+class _Turns:
+    """Who runs, of several threads on one clock: always one, and the next when that one sleeps or ends: whose sleep is over first, of
+    those the one with the lowest number. So a run with threads is as repeatable as one without.
+
+    pass_until_ns: advances the clock, called by the thread that runs.
+    """
+
+    def __init__(self, now_ns: int, count: int, pass_until_ns: Callable[[int], None]) -> None:
+        self._pass_until_ns = pass_until_ns
+        self._wakes_ns = dict.fromkeys(range(count), now_ns)  # of those that have not ended
+        self._runs: int | None = 0
+        self._changed = threading.Condition()
+        self._own = threading.local()
+
+    def is_one_of_them(self) -> bool:
+        """Whether the calling thread is, and has not ended."""
+        return getattr(self._own, "number", None) is not None
+
+    def begin(self, number: int) -> None:
+        """Called by each thread first; returns when it is its turn."""
+        self._own.number = number
+        self._await(number)
+
+    def sleep_until_ns(self, time_ns: int) -> None:
+        """Let the others run until then. Raises what ends the sleep; then the calling thread goes on."""
+        number: int = self._own.number
+        self._wakes_ns[number] = time_ns
+        following = self._next()
+        if following != number:
+            self._hand_on(following)
+            self._await(number)
+        self._pass_until_ns(time_ns)  # this one's is the earliest sleep
+
+    def end(self) -> None:
+        """Called by each thread last, however it ended."""
+        del self._wakes_ns[self._own.number]
+        self._own.number = None
+        self._hand_on(self._next() if self._wakes_ns else None)
+
+    def _next(self) -> int:
+        return min(self._wakes_ns, key=lambda number: (self._wakes_ns[number], number))
+
+    def _hand_on(self, number: int | None) -> None:
+        with self._changed:
+            self._runs = number
+            self._changed.notify_all()
+
+    def _await(self, number: int) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._runs == number)

@@ -1,14 +1,18 @@
 """Counts writes to a drive's EEPROM, and refuses the one that exceeds the register's budget.
 
 An EEPROM cell bears some 100 000 writes; a script that writes a parameter in a loop uses that up in an afternoon. The ledger counts
-attempts, not successes, and may live in a file, because wear outlasts the process.
+attempts, not successes, and may live in a file, because wear outlasts the process. Ledgers of several drives may share the file, in
+several threads or processes: each counts on from what the file says.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from drivers.errors import InputError, StateError
@@ -27,6 +31,16 @@ class WearLedger:
 
     def charge(self, drive: str, register: str, budget: int) -> None:
         """Count one more write, before it is made. Raises StateError when that would exceed the budget."""
+        if self._path is None:
+            self._charge(drive, register, budget)
+            return
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with _alone_in(self._path.parent):
+            self._counts = _read(self._path) if self._path.exists() else {}
+            self._charge(drive, register, budget)
+            _write(self._path, self._counts)
+
+    def _charge(self, drive: str, register: str, budget: int) -> None:
         written = self.writes(drive, register)
         if written >= budget:
             raise StateError(
@@ -34,8 +48,17 @@ class WearLedger:
                 " raise wear_budget in the register map if this is meant"
             )
         self._counts[f"{drive}/{register}"] = written + 1
-        if self._path is not None:
-            _write(self._path, self._counts)
+
+
+@contextmanager
+def _alone_in(directory: Path) -> Iterator[None]:
+    """Against other ledgers; each opens the directory itself, so that it holds between threads too."""
+    handle = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _read(path: Path) -> dict[str, int]:
@@ -50,7 +73,6 @@ def _read(path: Path) -> dict[str, int]:
 
 def _write(path: Path, counts: dict[str, int]) -> None:
     """Replace the file in one step, so that a power cut leaves the old counts or the new ones."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as stream:

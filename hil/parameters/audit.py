@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from drivers.errors import CapabilityError, NoAnswerError, RemoteError, TransportError
 from drivers.raw_parameters import Pause, RawParameters, Steps
-from hil.parameters.works import Progress, Work, stage, unseen
+from hil.parameters.works import Progress, Work, one_at_a_time, stage, unseen
 
 Ask = Callable[[str], None]
 """ask(what): tell a person what to do; it returns at once, the drive shows when it was done."""
@@ -21,6 +21,7 @@ _LOOK_S = 0.2
 
 def audit(works: Sequence[Work], ask: Ask, progress: Progress = unseen) -> None:
     """Start every drive anew and compare; the works' `audited` and `lost` say what was found, `error` what went wrong."""
+    ask = one_at_a_time(ask)
     for work in works:
         work.audited = False
     stage(works, "restart", lambda _work: 1, lambda work: restart_drive(work.drive, ask), progress)

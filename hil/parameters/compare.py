@@ -12,7 +12,7 @@ from drivers.raw_parameters import DriveIdentity, RawParameters, Steps, WireTime
 from hil.parameters.preflight import Objection, match_set, objections_to_identity
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.transaction import DriveJob, ended_in
-from hil.parameters.works import Progress, run_together, unseen
+from hil.parameters.works import Progress, one_at_a_time, run_together, unseen
 
 
 class Side(Enum):
@@ -80,6 +80,7 @@ def compare(
 ) -> list[Comparison]:
     """Read what each set speaks of, side by side, and compare. Never raises for what a drive or its wire does."""
     comparisons = [Comparison(drive, contents, DriveJob(drive), any_version) for drive, contents in pairs]
+    progress = one_at_a_time(progress)
     errors = run_together(comparisons, lambda each: each.drive, lambda each: _compare(each, progress))
     for comparison, error in zip(comparisons, errors, strict=True):
         if error is not None:

@@ -14,7 +14,7 @@ from drivers.parameters import ParameterKind
 from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, Steps
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.transaction import DriveJob, ended_in
-from hil.parameters.works import Progress, run_together, unseen
+from hil.parameters.works import Progress, one_at_a_time, run_together, unseen
 
 
 @dataclass
@@ -32,7 +32,7 @@ def back_up(
     drives: Sequence[RawParameters], *, name: str = "", everything: bool = False, progress: Progress = unseen
 ) -> list[Backup]:
     """Read every parameter that may be written (everything: all that can be read) of each drive, side by side."""
-    backups = [Backup(drive, DriveJob(drive)) for drive in drives]
+    backups, progress = [Backup(drive, DriveJob(drive)) for drive in drives], one_at_a_time(progress)
     errors = run_together(
         backups, lambda backup: backup.drive, lambda backup: _read(backup, name, everything, progress)
     )

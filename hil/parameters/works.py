@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import closing
+from contextvars import copy_context
 from dataclasses import dataclass, field
-from typing import TypeVar
+from functools import partial
+from typing import ParamSpec, TypeVar
 
+from drivers.clock import Clock
 from drivers.errors import BridgeError
-from drivers.raw_parameters import RawParameter, RawParameters, Steps
+from drivers.raw_parameters import Line, Pause, RawParameter, RawParameters, Steps
 from hil.parameters.journal import Download, Journal, Phase
 from hil.parameters.preflight import Objection
 from hil.parameters.report import Ending, JobReport, Row, Verdict
 from hil.parameters.transaction import DriveJob, ended_in
 
+P = ParamSpec("P")
 T = TypeVar("T")
 W = TypeVar("W", bound="Work")
 Progress = Callable[[str, str, int, int], None]
@@ -76,17 +83,104 @@ class Work:
 def run_together(
     works: Sequence[T], drive: Callable[[T], RawParameters], steps: Callable[[T], Steps[None]]
 ) -> list[BridgeError | None]:
-    """Run steps for each, those on one line side by side; what each raised."""
-    results: dict[int, BridgeError | None] = {}
+    """Run steps for each side by side, those on different lines in threads of their own; what each raised.
+
+    What a line raises beside BridgeErrors, and Ctrl-C, ends the others at their next transfer or pause, and is raised then.
+    """
     lines = {id(drive(work).line): drive(work).line for work in works}
-    for key, line in lines.items():
-        numbers = [number for number, work in enumerate(works) if id(drive(work).line) == key]
-        outcomes = line.run([steps(works[number]) for number in numbers])
-        results |= {
-            number: outcome if isinstance(outcome, BridgeError) else None
-            for number, outcome in zip(numbers, outcomes, strict=True)
-        }
+    jobs = [_OnLine(line, []) for line in lines.values()]
+    by_line = dict(zip(lines, jobs, strict=True))
+    for number, work in enumerate(works):
+        by_line[id(drive(work).line)].numbers.append(number)
+    results: dict[int, BridgeError | None] = {}
+
+    def run(job: _OnLine, guard: Callable[[Steps[None]], Steps[None]]) -> None:
+        outcomes = job.line.run([guard(steps(works[number])) for number in job.numbers])
+        for number, outcome in zip(job.numbers, outcomes, strict=True):
+            results[number] = outcome if isinstance(outcome, BridgeError) else None
+
+    if len(jobs) == 1:
+        run(jobs[0], lambda own: own)
+    elif jobs:
+        _in_threads([(drive(works[job.numbers[0]]).clock, partial(run, job)) for job in jobs])
     return [results[number] for number in range(len(works))]
+
+
+@dataclass(frozen=True)
+class _OnLine:
+    """The works, by number, of one line."""
+
+    line: Line
+    numbers: list[int]
+
+
+class _EndedByAnotherError(BaseException):
+    """Ends the work of a line because another line's was ended. No BridgeError: nothing is to get over it."""
+
+
+def _in_threads(runs: Sequence[tuple[Clock, Callable[[Callable[[Steps[None]], Steps[None]]], None]]]) -> None:
+    """Each in a thread of its own, until all have ended. A second Ctrl-C does not wait for them."""
+    ended = threading.Event()
+    outcomes: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
+
+    def work(run: Callable[[Callable[[Steps[None]], Steps[None]]], None]) -> None:
+        try:
+            run(partial(_until, ended))
+        except BaseException as error:  # noqa: BLE001  raised by the thread that waits
+            ended.set()
+            outcomes.put(error)
+        else:
+            outcomes.put(None)
+
+    clocks = {id(clock): clock for clock, _ in runs}
+    for key, clock in clocks.items():
+        for own in clock.side_by_side([partial(work, run) for its, run in runs if id(its) == key]):
+            # a copy each: a context is entered by one thread at a time
+            threading.Thread(target=copy_context().run, args=(own,), name="parameters", daemon=True).start()
+    raised: list[BaseException] = []
+    left = len(runs)
+    while left:
+        try:
+            outcome = outcomes.get()
+        except KeyboardInterrupt as interrupt:
+            if any(isinstance(error, KeyboardInterrupt) for error in raised):
+                raise
+            ended.set()
+            raised.insert(0, interrupt)
+            continue
+        left -= 1
+        if outcome is not None and not isinstance(outcome, _EndedByAnotherError):
+            raised.append(outcome)
+    if raised:
+        raise raised[0]
+
+
+def _until(ended: threading.Event, steps: Steps[None]) -> Steps[None]:
+    """The same steps; at the first one after `ended` they end. A transfer under way is not cut off, a pause is."""
+    with closing(steps):
+        while True:
+            if ended.is_set():
+                raise _EndedByAnotherError
+            try:
+                step = next(steps)
+            except StopIteration:
+                return
+            yield Pause(step.duration_s, partial(_over, ended, step)) if isinstance(step, Pause) else step
+
+
+def _over(ended: threading.Event, pause: Pause) -> bool:
+    return ended.is_set() or pause.done()
+
+
+def one_at_a_time(told: Callable[P, T]) -> Callable[P, T]:
+    """For those who are told of several lines' works: their threads call it in turn."""
+    lock = threading.Lock()
+
+    def tell(*args: P.args, **kwargs: P.kwargs) -> T:
+        with lock:
+            return told(*args, **kwargs)
+
+    return tell
 
 
 def stage(
@@ -97,13 +191,21 @@ def stage(
     progress: Progress = unseen,
 ) -> None:
     """Take every work through a stage; what it raises becomes its error. total: accesses of it, for the progress."""
+    progress = one_at_a_time(progress)
     for work in works:
         _count(work, name, max(1, total(work)), progress)
-    errors = run_together(works, lambda work: work.drive, steps)
+    errors = run_together(works, lambda work: work.drive, partial(_timed, steps))
     for work, error in zip(works, errors, strict=True):
-        work.seconds = (work.drive.clock.now_ns() - work.began_ns) * 1e-9
         if error is not None:
             work.fail(error)
+
+
+def _timed(steps: Callable[[W], Steps[None]], work: W) -> Steps[None]:
+    """seconds: until this drive was through, whatever the others take."""
+    try:
+        yield from steps(work)
+    finally:
+        work.seconds = (work.drive.clock.now_ns() - work.began_ns) * 1e-9
 
 
 def _count(work: Work, name: str, total: int, progress: Progress) -> None:

@@ -16,6 +16,7 @@ from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash
+from sim_backends.clock import SimClock
 
 TYPES = ((0x0007, 4, 0), (0x0006, 2, 0), (0x0005, 1, 0), (0x0004, 4, -5), (0x0003, 2, -5), (0x0002, 1, -5))
 """Of the makers' parameters in turn: CiA code, bytes, default."""
@@ -75,6 +76,7 @@ class ParameterRig:
         flash: Flash | None = None,
         timeout_s: float = 0.05,
         file: EdsFile | None = None,
+        clock: SimClock | None = None,
     ) -> None:
         slow = (CanFault(CanFaultKind.SDO_LATE, size=turnaround_s),) if turnaround_s else ()
         self.bench = CanBench(
@@ -83,6 +85,7 @@ class ParameterRig:
             {node: (*(faults if only in (None, node) else ()), *slow) for node in nodes},
             flash=flash,
             eds=eds,
+            clock=SimClock() if clock is None else clock,
         )
         self.stack = ExitStack()
         self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
