@@ -169,6 +169,7 @@ class ZeroKeeper:
         self._instrument = instrument
         self._allowed = False  # the next homing, by `begin`
         self._tied = False  # by the drive: its zero is the same whatever the instrument counts from
+        self._says_homed = False  # the drive, without a word by what
         self._campaign: Path | None = None
         self._begun = ""
 
@@ -196,13 +197,15 @@ class ZeroKeeper:
         now = drive.zero()
         place = homes and now.method in FROM_WHERE_IT_STANDS
         asks = not self.anew and (place or (not homes and known is not None))
-        homed = self._has_kept_zero(drive, known) if asks else False
+        absolute = asks and self._absolute and known is not None
+        self._says_homed = asks and not absolute and drive.says_homed() is True
+        homed = absolute or self._says_homed
         if known is not None:
             self._check_same(known, now, homes=homes, homed=homed)
         if place and not homed and not self.anew and (known is not None or old_tables or self._was_measured()):
             raise ZeroError(self._refused(now.method, known))
         self.stands = place and homed
-        self._tied = homed or (homes and not place)
+        self._tied = absolute or (homes and not place)
         self._allowed = homes and not self.stands
         self.current = known or Zero(
             secrets.token_hex(16), self.axis, _now(), dict(now.identity), homes, now.method, now.home_position_mm
@@ -224,9 +227,6 @@ class ZeroKeeper:
         """Raise ZeroError for tables that were made in another zero than the axis has."""
         if tables is not None and self.current is not None and tables.id != self.current.id:
             self.kept(tables=tables)
-
-    def _has_kept_zero(self, drive: ServoDrive, known: Zero | None) -> bool:
-        return (self._absolute and known is not None) or drive.says_homed() is True
 
     def _check_same(self, known: Zero, now: DriveZero, *, homes: bool, homed: bool) -> None:
         if dict(known.drive) != dict(now.identity):
@@ -250,6 +250,15 @@ class ZeroKeeper:
             f"axis {self.axis}: homing method {method} depends on where the axis stands, {lost} would be lost, and the drive does not"
             " say that it is homed; home to a switch, or bring the axis to its zero and begin anew"
             f" (hil calibrate {self._file} --new-zero)"
+        )
+
+    @property
+    def _drives_word(self) -> str:
+        if not self._says_homed:
+            return "does not say that it has kept its zero"
+        return (
+            "says that it is homed, but not by what: another program may have homed it since (--instrument-zeroed where a person"
+            " knows that none has)"
         )
 
     @property
@@ -301,11 +310,11 @@ class ZeroKeeper:
                     f" (hil calibrate {self._file} --new-zero), or the instrument was zeroed since (--instrument-zeroed)"
                 )
             found = before
-        elif before is not None and not self._tied:
+        elif before is not None and not self._tied and not (self._says_homed and self.instrument_zeroed):
             raise ZeroError(
                 f"axis {self.axis}: the instrument counts from another place than on {before.time[:16]}, the axis is not homed to a"
-                " switch, and its drive does not say that it has kept its zero: nothing shows that it is the same ([axis]"
-                f" absolute_encoder = true where the drive keeps it){self._way_out}"
+                f" switch, and its drive {self._drives_word}: nothing shows that it is the same ([axis] absolute_encoder = true where"
+                f" the drive keeps it){self._way_out}"
             )
         self.current = replace(current, reference=found)
         write_zero(self.path, self.current)

@@ -192,6 +192,43 @@ def test_an_instrument_is_believed_while_it_has_run_on(tmp_path: Path, sequence:
     assert (kept.reference.instrument_mm, kept.reference.sequence) == (5.0, sequence)
 
 
+@pytest.mark.parametrize("homes", [True, False], ids=["37", "not homed"])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_a_drive_that_was_homed_by_another_program_is_not_believed_by_its_word(
+    tmp_path: Path, homes: bool, absolute: bool
+) -> None:
+    """It says that it is homed, and was, elsewhere; the instrument was switched off meanwhile and shows nothing of it."""
+    drive = Drive(homed=True)
+    one = keeper(tmp_path, drive, absolute_encoder=absolute)
+    write_zero(one.path, replace(ZERO, homes=homes))
+    kept = one.path.read_bytes()
+    begin(one, drive, homes=homes)
+    one._begun = "2026-03-02T08:00:00+00:00"
+    if absolute:
+        one.at_reference(20.0, 55.0, 100, 50.0)  # a stated fact, whoever homes
+        return
+    with pytest.raises(ZeroError, match="says that it is homed, but not by what: another program may have homed it"):
+        one.at_reference(20.0, 55.0, 100, 50.0)
+    assert one.path.read_bytes() == kept
+    one.instrument_zeroed = True  # a person says so
+    begin(one, drive, homes=homes)
+    one.at_reference(20.0, 55.0, 100, 50.0)
+    assert read_zero(one.path) != ZERO
+
+
+@pytest.mark.parametrize("homes", [True, False], ids=["37", "not homed"])
+def test_a_drive_that_was_homed_by_another_program_is_found_by_an_instrument_that_ran_on(
+    tmp_path: Path, homes: bool
+) -> None:
+    drive = Drive(homed=True)
+    one = keeper(tmp_path, drive)
+    write_zero(one.path, replace(ZERO, homes=homes))
+    begin(one, drive, homes=homes)
+    one._begun = "2026-03-01T09:00:00+00:00"
+    with pytest.raises(ZeroError, match=r"\+58\.2500 mm from where it was"):
+        one.at_reference(20.0, 55.0, 1000 + 180_000, 50.0)
+
+
 def test_small_shifts_do_not_add_up(tmp_path: Path) -> None:
     """Each reading is held against the first one, not against the last."""
     drive = Drive(DriveZero(17, 0.0, {"serial": 7}))
