@@ -7,6 +7,7 @@ itself: that is done only where the axis file allows it ([instrument] resume_wit
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 from typing import TypeVar
 
 from drivers.drive import DriveState
@@ -16,25 +17,36 @@ from hil.machine.session import AxisSession
 
 STEADY_S = 1.0
 """How long the signal has to be good without a break before it is believed."""
+MOST_LOSSES = 3
+"""So often the signal may be lost on the way to one point and at it. The first loss may be anybody's hand, the second the hand that
+was not quite away; a beam that is lost a third time is cut off there by the machine itself (a cover, a cable, the pitch of the table),
+and each further try would move the axis by itself for nothing."""
 
 T = TypeVar("T")
 
 
 def resuming(session: AxisSession, measure: Callable[[], T], tell: Callable[[str], None]) -> T:
-    """What `measure` returns; after a lost signal it is called again, from a new datum, as often as that comes back in time.
+    """What `measure` returns; after a lost signal it is called again, from a new datum, if that comes back in time.
 
-    tell: hears what was lost and when it went on. Raises the MeasurementLostError for a session without `resume_within_s`, or when the
-    signal does not come back within that; whatever the drive raises meanwhile, at once.
+    measure: of one point. tell: hears what was lost and when it went on. Raises the MeasurementLostError for a session without
+    `resume_within_s`, when the signal does not come back within that, or when it is lost for the time `MOST_LOSSES`; whatever the
+    drive raises meanwhile, at once.
     """
-    while True:
+    for times in count(1):
         try:
             return measure()
         except MeasurementLostError as lost:
             if session.resume_within_s is None:
                 raise
+            if times == MOST_LOSSES:
+                raise MeasurementLostError(
+                    f"{lost}; it was lost {times} times on the way to the same point, which is not tried again: see what cuts the"
+                    " beam off there"
+                ) from lost
             tell(f"{lost}; waiting up to {session.resume_within_s:g} s for it")
             _await_signal(session, session.resume_within_s, lost)
             tell("signal back; datum taken anew")
+    raise AssertionError("count does not end")
 
 
 def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostError) -> None:

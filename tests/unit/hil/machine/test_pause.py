@@ -20,7 +20,7 @@ from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
 from hil.machine.events import Event
 from hil.machine.measure import Step, bidirectional_steps, measure
-from hil.machine.pause import STEADY_S
+from hil.machine.pause import MOST_LOSSES, STEADY_S
 from hil.machine.session import AxisSession
 from hil.machine.wiring import bench_parameters, connected
 from hil.records.journal import Campaign
@@ -160,6 +160,32 @@ def test_a_signal_that_does_not_come_back_ends_the_job_in_time(tmp_path: Path) -
         passed(tmp_path / "c", session, [])
     assert 26.0 <= machine.now_s < 28.0
     assert (tmp_path / "c" / "pass.csv").read_text().count("# instrument") == 1
+
+
+@pytest.mark.parametrize(("losses", "ends"), [(MOST_LOSSES - 1, False), (MOST_LOSSES, True)])
+def test_a_point_that_loses_the_signal_again_and_again_is_given_up(tmp_path: Path, losses: int, ends: bool) -> None:
+    """Each time it comes back, at the datum, and is cut off on the way to the same place: a cover of the machine."""
+    machine, told, rows = ToyMachine(), list[Event](), []
+    with toy_session(machine) as session:
+        session.resume_within_s = 60.0
+        session.prepare()
+        read = session.read_position
+
+        def cut_off(*args: object, **kwargs: object) -> object:
+            if len(rows) < losses:
+                rows.append(machine.now_s)
+                session.drive.quick_stop()
+                raise MeasurementLostError("beam lost")
+            return read(*args, **kwargs)  # type: ignore[arg-type]
+
+        session.read_position = cut_off  # type: ignore[assignment,method-assign]
+        campaign = Campaign(tmp_path / "c", {"kind": "test"}, resume=False)
+        if ends:
+            with pytest.raises(MeasurementLostError, match=f"lost {MOST_LOSSES} times on the way to the same point"):
+                measure(session, campaign, "pass", bidirectional_steps(TARGETS, 1), told.append)
+        else:
+            assert len(measure(session, campaign, "pass", bidirectional_steps(TARGETS, 1), told.append)) == 8
+    assert len(rows) == losses
 
 
 def test_a_fault_of_the_drive_is_not_waited_for(tmp_path: Path) -> None:
