@@ -342,12 +342,14 @@ class CanOpenDrive(StoppableDrive):
     def queue_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         """A set-point that follows the move under way without a stop between being asked for; the drive holds one.
 
-        Raises as `start_move`, and StateError when the drive holds one already.
+        Raises as `start_move`, and StateError when the drive holds one already. A drive that clips the move (bit 11) is halted with
+        LimitError: here, or by the `sample` that sees it begin the move.
         """
         self.limits.check_target(position_load_mm)
         self.limits.check_velocity(velocity_mm_s)
         self._require_enabled("move")
         self._move(position_load_mm, velocity_mm_s, after_the_present=True)
+        self.destination_load_mm = position_load_mm
 
     def _move(self, position_load_mm: float, velocity_mm_s: float, *, after_the_present: bool) -> None:
         scaling = self.scaling

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import partial
 
 from drivers.canopen import objects
@@ -95,6 +96,14 @@ def _spread(looks: Iterable[tuple[int, int, int | None]]) -> int:
     return max(positions) - min(positions)
 
 
+@dataclass(frozen=True)
+class _Queued:
+    """A following set-point that the drive holds. limited: whether bit 11 was set before it began, by the move before."""
+
+    target: int
+    limited: bool
+
+
 class ProfileMotion:
     """Motion orders to one open drive. handshake_s and mode_s: how long a drive may take to acknowledge."""
 
@@ -112,6 +121,7 @@ class ProfileMotion:
         self.supported_modes = sdo.read(objects.SUPPORTED_MODES)
         self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
         self.halted = False
+        self._queued: _Queued | None = None
 
     def supports(self, mode: Mode) -> bool:
         """Whether 6502h lists the mode."""
@@ -191,17 +201,33 @@ class ProfileMotion:
         self.set(objects.PROFILE_ACCELERATION, acceleration)
         self.set(objects.PROFILE_DECELERATION, acceleration)
         self.set(objects.TARGET_POSITION, target, always=True)
-        if after_the_present:
-            self._hand_over(Control(0), wait_until_free=False)
-            return
         distance = abs(target - self._sampler.position_counts)
         limited_before = self._sampler.statusword & Status.INTERNAL_LIMIT
-        self._hand_over(Control.CHANGE_IMMEDIATELY, wait_until_free=True)
+        self._queued = None
+        flags = Control(0) if after_the_present else Control.CHANGE_IMMEDIATELY
+        self._hand_over(flags, wait_until_free=not after_the_present)
         if self._sampler.statusword & Status.INTERNAL_LIMIT and not limited_before:
             self._refuse_limited(target)
-        if distance > self._position_window():
+        if after_the_present:
+            self._queued = _Queued(target, bool(limited_before))
+        elif distance > self._position_window():
             # a drive may show the arrival of the move before for a cycle or two
             self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05)
+
+    def look(self, status: int) -> None:
+        """At a sample: the following set-point, once the drive has begun it. Raises LimitError once, with the axis halted, where the
+        drive clips it."""
+        queued = self._queued
+        if queued is None:
+            return
+        if self.mode is not Mode.PROFILE_POSITION or decode_state(status) is not DriveState.ENABLED:
+            self._queued = None
+        elif _acknowledged(status):  # it waits
+            self._queued = replace(queued, limited=bool(status & Status.INTERNAL_LIMIT))
+        else:
+            self._queued = None
+            if status & Status.INTERNAL_LIMIT and not queued.limited:
+                self._refuse_limited(queued.target)
 
     def _refuse_limited(self, target: int) -> None:
         """The drive clips this target to its own software limits: stop, rather than arrive somewhere else."""

@@ -108,7 +108,7 @@ class StoppableDrive(ServoDrive):
 
         Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
         DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a velocity run comes to the
-        end of the travel.
+        end of the travel, and (with a halt) when the drive begins a queued move that it clips.
         """
         self._require_open()
         self.sampler.refresh()
@@ -123,6 +123,7 @@ class StoppableDrive(ServoDrive):
         velocity = self.sampler.values.get(objects.VELOCITY_ACTUAL)
         slow = velocity is None or Standstill.is_slow(self.scaling.load_mm(velocity))
         self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
+        self.motion.look(status)
         sample = self._as_sample()
         if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
             self._watch_travel(sample.position_load_mm, sample.velocity_mm_s)

@@ -502,6 +502,31 @@ def test_a_target_that_the_drive_would_clip_is_refused(make: MakeRig) -> None:
     drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
 
 
+@pytest.mark.parametrize("at_once", [True, False], ids=["when it takes it", "when it begins it"])
+def test_a_following_target_that_the_drive_would_clip_is_refused(make: MakeRig, at_once: bool) -> None:
+    """Whenever the drive shows bit 11, which until then may belong to the move under way."""
+    rig = make(parameters={(0x607D, 1): -500_000, (0x607D, 2): 500_000})
+    drive = rig.enabled()
+    profile = rig.bench.slave.profile
+    shown = profile._true_statusword
+    if not at_once:
+        profile._true_statusword = lambda: shown() & ~(0 if profile._buffered is None else 0x0800)  # type: ignore[method-assign]
+    drive.start_move(5.0, 50.0)
+    with pytest.raises(LimitError, match=r"limits the target 1000000 to its own software limits \(607Dh\)"):
+        drive.queue_move(100.0, 50.0)
+        assert not at_once
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    rig.run(0.5)
+    assert drive.sample().velocity_mm_s == 0.0
+    assert drive.sample().position_load_mm < 10.0, "not at 50 mm, where the drive's own limit is"
+    drive.start_move(20.0, 50.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    drive.start_move(30.0, 50.0)
+    drive.queue_move(40.0, 50.0)
+    assert drive.destination_load_mm == 40.0
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+
+
 def test_the_dictionary_file_is_asked_before_mapping(make: MakeRig, tmp_path: Path) -> None:
     text = EDS.read_text(encoding="utf-8").replace(
         "ParameterName=Torque actual value\nObjectType=0x7\nDataType=0x0003\nAccessType=ro\nPDOMapping=1",
