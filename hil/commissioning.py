@@ -24,7 +24,8 @@ from hil.diagnosis.loop.procedure import Loop, Turning, close_loop
 from hil.doctor.procedure import Check, doctor
 from hil.drive_table import DriveTable, drive_table, wanted_of
 from hil.drive_table.change import changing as changing_table
-from hil.drive_table.change import held_table
+from hil.drive_table.change import held_table, zero_note
+from hil.drive_table.change import remember_zero as remember_table_zero
 from hil.drive_table.proof import Proof, prove_by_drive, prove_by_instrument
 from hil.figures.iso230 import Iso230, iso230
 from hil.lost_motion.circle.figures import Circle
@@ -45,6 +46,7 @@ from hil.probe.store import RunOutStore
 from hil.probe.wiring import connected_probe, probe_bench
 from hil.records.journal import Campaign
 from hil.records.rows import Records, read_csv, to_csv
+from hil.records.zero import read_zero
 
 __all__ = [
     "AxisConfig",
@@ -124,7 +126,9 @@ __all__ = [
     "read_csv",
     "read_manual_tables",
     "read_straightness",
+    "read_zero",
     "recorded",
+    "remember_table_zero",
     "replayed",
     "save_private_key",
     "save_public_key",
@@ -132,4 +136,5 @@ __all__ = [
     "verify",
     "wanted_of",
     "warm_up",
+    "zero_note",
 ]

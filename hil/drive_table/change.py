@@ -186,6 +186,11 @@ def put_back(drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None
 
 
 # -- the zero it was made in -----------------------------------------------------------------------------------------------
+def zero_note(directory: Path, axis: str) -> Path:
+    """Where an axis that keeps its campaigns in this directory notes it."""
+    return directory / f"{axis}.drive-table.json"
+
+
 def remember_zero(note: Path, raw: RawTable, zero: Zero | None) -> None:
     """Note that what the drive holds from now on was made in this zero of the axis; a drive has no place for it."""
     form = {"table": _digest(raw), "zero": None if zero is None else zero.to_json()}

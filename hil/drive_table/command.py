@@ -33,7 +33,16 @@ from hil.drive_table import (
     largest_deviation_um,
     wanted_of,
 )
-from hil.drive_table.change import Snapshot, TableChange, changing, held_table, remember_zero, remembered_zero, snapshot
+from hil.drive_table.change import (
+    Snapshot,
+    TableChange,
+    changing,
+    held_table,
+    remember_zero,
+    remembered_zero,
+    snapshot,
+    zero_note,
+)
 from hil.drive_table.proof import TOLERANCE_UM, Proof, Way, prove_by_drive, prove_by_instrument
 from hil.machine.events import Listener
 from hil.machine.supervisor import Supervisor
@@ -112,8 +121,6 @@ def proof_form(axis: str, proof: Proof | None) -> dict[str, Any]:
 
 
 NOTE = "drive-table-before.json"
-ZERO_NOTE = ".drive-table.json"
-"""Behind the axis's name: in which zero of the axis the drive's table was made."""
 EXAMPLE = """\
 example:
   hil params table show X.toml                        what the drive holds, and whether it corrects by it
@@ -287,7 +294,7 @@ def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, D
 
 
 def _zero_note(axis: DriveAxis) -> Path:
-    return axis.store.directory / f"{axis.name}{ZERO_NOTE}"
+    return zero_note(axis.store.directory, axis.name)
 
 
 # -- prove ---------------------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """The stored tables into the drive's own: written, read back, proven by the instrument, and left in force only if proven.
 
 python -m hil.examples.drive_table AXIS.toml, with the reading password in HIL_PASSWORD; the axis file names the map of the drive's
-table.
+table. The zero that it was made in is noted beside the campaigns: `hil params table prove` refuses the drive's table in another one.
 """
 
 import os
@@ -26,6 +26,9 @@ def main(path: str) -> int:
                 change.switch(True)
             else:
                 change.undo()
+    if proof.good:  # a drive has no place for the zero that its table was made in
+        made_in = compensation.zero or hil.read_zero(axis.zero_path)
+        hil.remember_table_zero(hil.zero_note(axis.store.directory, axis.name), made.raw, made_in)
     print(f"{len(made.raw.plus)} points, {made.deviation_um:.2f} µm off the stored tables at most")
     print(proof.verdict)
     return 0 if proof.good else 1

@@ -16,8 +16,8 @@ import sim_backends.virtual_drive
 from drivers.correction_table import RawTable
 from hil.app.terminal.main import main
 from hil.axis.axis_file import AxisConfig
-from hil.drive_table.change import Snapshot
-from hil.records.zero import Zero, write_zero
+from hil.drive_table.change import Snapshot, remembered_zero, zero_note
+from hil.records.zero import Zero, read_zero, write_zero
 from sim_backends.virtual_table import VirtualCorrectionTable
 
 OLD = RawTable((5, 6), (7, 8), (), 100, 200)
@@ -199,6 +199,11 @@ def test_the_example_as_it_is_shipped(kept: Kept, axis: AxisConfig, capsys: pyte
     assert kept.enabled
     assert kept.raw != OLD
     assert "the drive corrects as the bridge does" in capsys.readouterr().out
+    made_in = remembered_zero(zero_note(axis.store.directory, axis.name), kept.raw)
+    assert made_in is not None
+    assert made_in == read_zero(axis.zero_path)
+    assert run(axis, "show") == 0
+    assert made_in.describe() in capsys.readouterr().out
 
 
 def test_a_drives_table_remembers_the_zero_it_was_made_in(
