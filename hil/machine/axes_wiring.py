@@ -15,6 +15,7 @@ from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig
+from hil.machine.axis_place import held_axis
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.instruments import instrument, with_instrument
 from hil.machine.signals import ending_by_signals
@@ -31,7 +32,6 @@ from hil.machine.wiring import (
     session_of,
     virtual_drive,
 )
-from hil.records.files import held_by_name
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
@@ -53,7 +53,7 @@ def connected_axes(
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
         for axis in axes:
-            stack.enter_context(held_by_name(axis.path))
+            stack.enter_context(held_axis(axis))
         if axes[0].drive.backend == "bench":
             machines = _on_bench(axes, benches or [bench_parameters(axis) for axis in axes], stack, waiting)
         else:

@@ -25,15 +25,15 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
+from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis
+from hil.machine.axis_place import held_axis, modbus_endpoint
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
 from hil.machine.instruments import instrument, with_instrument
 from hil.machine.session import AxisSession
 from hil.machine.signals import ending_by_signals, stopped_by_signals
-from hil.records.files import held_by_name
 from hil.records.zero import ZeroKeeper
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_in_turn import drives_in_turn
@@ -75,11 +75,11 @@ def connected(
     conditions: who brings about the load and the like on a real machine; the bench does so itself.
     waiting: through whom the axis's clock waits, so that somebody else can end a wait.
     Raises InputError for a bench whose travel or scaling is not the axis file's, or while another process has connected this axis
-    file, and whatever connecting raises.
+    file or another one of its drive, and whatever connecting raises.
     """
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
-        stack.enter_context(held_by_name(axis.path))
+        stack.enter_context(held_axis(axis))
         if axis.drive.backend == "bench":
             machine = _on_bench(axis, bench or bench_parameters(axis), stack, waiting)
         else:
@@ -120,7 +120,7 @@ def connected_drive(
     """The drive alone, open, without an instrument. Nothing is enabled or moved. bench, waiting: as for `connected`."""
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
-        stack.enter_context(held_by_name(axis.path))
+        stack.enter_context(held_axis(axis))
         yield stack.enter_context(_drive_alone(axis, stack, bench, waiting))
 
 
@@ -131,7 +131,7 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
     Raises CapabilityError for an axis without registers.
     """
     with ExitStack() as stack:
-        stack.enter_context(held_by_name(axis.path))
+        stack.enter_context(held_axis(axis))
         drive = _drive_alone(axis, stack)
         if not isinstance(drive, ModbusDrive):
             raise CapabilityError(f"axis {axis.name} has no registers: its drive is not on Modbus")
@@ -178,11 +178,7 @@ def hardware_drive(axis: DriveAxis, clock: Clock, stack: ExitStack, links: Links
     """The real drive of an axis file, not opened; links: of the machine's other drives."""
     if axis.drive.backend == "canopen":
         return canopen_drive(axis, clock, (axis.drive.interface, axis.drive.channel), stack, links=links)
-    try:
-        endpoint = parse_endpoint(axis.drive.url, baud=axis.drive.baud)
-    except InputError as error:
-        raise InputError(f"[drive] url: {error.what}", path=axis.path) from error
-    return modbus_drive(axis, clock, endpoint, axis.drive.unit, links)
+    return modbus_drive(axis, clock, modbus_endpoint(axis), axis.drive.unit, links)
 
 
 def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:

@@ -21,12 +21,12 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Endpoint, parse_endpoint
+from drivers.modbus.wire import Endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
+from hil.machine.axis_place import held_axis, modbus_endpoint
 from hil.machine.wiring import bench_parameters
 from hil.parameters.journal import Journal
-from hil.records.files import held_by_name
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import attach_to_wire
 from sim_backends.canopen_wire import SimWire
@@ -65,7 +65,7 @@ def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = No
         for axis in axes:
             if any(other.name == axis.name for other in axes if other is not axis):
                 raise InputError(f"axis {axis.name} is given twice, expected different ones", path=axis.path)
-            stack.enter_context(held_by_name(axis.path))
+            stack.enter_context(held_axis(axis))
             drives.append(_drive(axis, lines, stack))
         yield drives
 
@@ -79,7 +79,7 @@ def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParame
         drives: list[RawParameters] = []
         for axis in axes:
             if axis.drive.backend == "modbus":
-                endpoint = _endpoint(axis)
+                endpoint = modbus_endpoint(axis)
                 drives.append(_modbus(axis, lines.modbus.setdefault(endpoint, ModbusLine(ModbusLink(endpoint, clock)))))
                 continue
             bus = axis.drive.interface, axis.drive.channel
@@ -99,7 +99,7 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
     if axis.drive.backend == "canopen":
         return _canopen(axis, (axis.drive.interface, axis.drive.channel), lines, stack)
     if axis.drive.backend == "modbus":
-        endpoint = _endpoint(axis)
+        endpoint = modbus_endpoint(axis)
         if endpoint not in lines.modbus:
             link = ModbusLink(endpoint, lines.wall_clock)
             link.open()
@@ -143,13 +143,6 @@ def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawP
     )
     stack.callback(drive.close)
     return drive
-
-
-def _endpoint(axis: DriveAxis) -> Endpoint:
-    try:
-        return parse_endpoint(axis.drive.url, baud=axis.drive.baud)
-    except InputError as error:
-        raise InputError(f"[drive] url: {error.what}", path=axis.path) from error
 
 
 def _modbus(axis: DriveAxis, line: ModbusLine) -> RawParameters:

@@ -19,11 +19,11 @@ from drivers.errors import AbortError, CapabilityError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.axis.axis_file import DriveAxis
+from hil.machine.axis_place import held_axis
 from hil.machine.signals import ending_by_signals, stopped_by_signals
 from hil.machine.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
 from hil.probe.machine_file import ProbeConfig, ProbeMachineConfig
 from hil.probe.session import ProbeSession, ProbeSignal
-from hil.records.files import held_by_name
 from hil.records.rows import UM_PER_MM
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
@@ -70,7 +70,7 @@ def probe_drives(
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
         for axis in config.axes.values():
-            stack.enter_context(held_by_name(axis.path))
+            stack.enter_context(held_axis(axis))
         yield _hardware(config, stack, waiting) if bench is None else _simulated(config, bench, stack)
 
 

@@ -76,11 +76,26 @@ def held_by_name(path: str | Path) -> Iterator[None]:
     The name is held by a socket in Linux's abstract namespace, which leaves nothing behind; the file as well, as by `held`.
     Raises InputError as `held`.
     """
-    with held(path), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name:
+    with held(path), _held_word("file", os.fsencode(os.path.realpath(path)), path):
+        yield
+
+
+@contextmanager
+def held_place(place: str) -> Iterator[None]:
+    """Something outside the file system that only one may work with at a time on this computer, by the same socket as `held_by_name`.
+
+    Raises InputError while it is held already.
+    """
+    with _held_word("place", place.encode(), None):
+        yield
+
+
+@contextmanager
+def _held_word(kind: str, word: bytes, path: str | Path | None) -> Iterator[None]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name:
         if sys.platform == "linux":
-            digest = hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()
             try:
-                name.bind(f"\0hil-file-{digest}")
+                name.bind(f"\0hil-{kind}-{hashlib.sha256(word).hexdigest()}")
             except OSError as error:
                 raise InputError("is in use already, expected one process at a time", path=path) from error
         yield

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -22,7 +24,9 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.calibrate import calibrate
 from hil.correction.tables import TableSet
 from hil.machine.agreement import AgreementLimits
+from hil.machine.axis_place import drive_place, held_axis
 from hil.machine.wiring import bench_parameters, connected, connected_drive
+from hil.parameters.wiring import connected_parameters
 from hil.records.journal import Campaign
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import served
@@ -229,6 +233,50 @@ def test_an_axis_file_that_is_replaced_meanwhile_is_still_in_use(tmp_path: Path)
         with pytest.raises(InputError, match="is in use already"), connected(axis):
             pass
     with connected(axis):
+        pass
+
+
+PLACES = {
+    "can": 'backend = "canopen"\ninterface = "{bus}"\nchannel = "{can}"\nnode_id = {unit}',
+    "tcp": 'backend = "modbus"\nregister_map = "cia402_over_modbus"\nurl = "tcp://{host}:{port}"\nunit = {unit}',
+    "serial": 'backend = "modbus"\nregister_map = "cia402_over_modbus"\nurl = "{device}"\nunit = {unit}',
+}
+
+
+@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize("face", ["copy", "other name of the place", "other unit"])
+def test_a_drive_is_held_whichever_axis_file_names_it(tmp_path: Path, kind: str, face: str) -> None:
+    """A copied axis file, perhaps with another store, is another file and the same drive."""
+    device, link = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    device.touch()
+    link.symlink_to(device)
+    here = {"bus": "slcan", "can": str(device), "host": "127.0.0.1", "port": 5020, "device": str(device), "unit": 3}
+    there = here | {
+        "copy": {},
+        "other name of the place": {"can": f"{link}@115200", "host": "localhost", "device": f"rtu:{link}?timeout_s=2"},
+        "other unit": {"unit": 4},
+    }[face]  # fmt: skip
+    text = PLACES[kind]
+    axes = [on_hardware(tmp_path / name, text.format(**values)) for name, values in (("one", here), ("two", there))]
+    with held_axis(axes[0]):
+        if face == "other unit":
+            with held_axis(axes[1]):
+                return
+        said = r"two/axis\.toml: its drive \(.*(node|unit) 3\) is in use already, by another axis file"
+        for connect in (held_axis, connected, connected_drive, lambda axis: connected_parameters([axis])):
+            with pytest.raises(InputError, match=said), connect(axes[1]):
+                pass
+        other = "import sys, hil.commissioning as hil; hil.connected(hil.load_axis(sys.argv[1])).__enter__()"
+        done = subprocess.run([sys.executable, "-c", other, axes[1].path], check=False, capture_output=True, text=True)
+        assert "is in use already, by another axis file" in done.stderr
+    with held_axis(axes[1]):
+        pass
+
+
+def test_the_benchs_drive_has_no_place_that_another_could_reach(tmp_path: Path) -> None:
+    one, two = (load_axis(bench_axis.lay_out(tmp_path / name)) for name in ("one", "two"))
+    assert drive_place(one) is None
+    with connected_drive(one), connected_drive(two):
         pass
 
 
