@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.app.terminal.output import Align, add_json_option, number, print_facts, print_table, write_json
-from hil.app.terminal.resuming import resumed_by, state_of
+from hil.app.terminal.resuming import state_of, way_on
 from hil.correction.formats import wide_iso
 from hil.figures.history import (
     FoundCampaign,
@@ -103,8 +103,8 @@ def _list(args: argparse.Namespace) -> int:
     heads: list[str | tuple[str, Align]] = ["begun", ("axis", "left"), ("kind", "left"), "passes", "rows"]
     print_table([*heads, ("campaign", "left"), ("state", "left")], rows)
     for one in campaigns:
-        if command := resumed_by(one):
-            print(f"{one.directory}: go on with {command}")
+        if said := way_on(one).sentence():
+            print(f"{one.directory}: {said}")
     if args.json:
         write_json(args.json, {"campaigns": [_campaign_form(one) for one in campaigns]})
     return 0
@@ -122,8 +122,8 @@ def _inspect(args: argparse.Namespace) -> int:
     for one in campaign.passes:
         for note in one.notes:
             print(f"{one.name}: {note}")
-    if command := resumed_by(campaign):
-        print(f"unfinished, go on with {command}")
+    if said := way_on(campaign).sentence():
+        print(f"unfinished, {said}")
     chain, good = _chain(campaign)
     print(f"rows: {chain}")
     if args.json:
@@ -164,13 +164,15 @@ def _rows(one: Pass) -> int:
 
 
 def _campaign_form(campaign: FoundCampaign) -> dict[str, Any]:
+    way = way_on(campaign)
     return {
         "directory": str(campaign.directory),
         "axis": campaign.axis,
         "kind": campaign.kind,
         "purpose": dict(campaign.purpose),
         "state": state_of(campaign),
-        "resume": resumed_by(campaign),
+        "resume": way.command,
+        "refused": way.refused,
         "passes": [
             {
                 "name": one.name,

@@ -324,19 +324,31 @@ def checksums(directory: Path) -> dict[str, str]:
 def _check_rows(directory: Path) -> str:
     """Refuse rows that are not as they were written, with InputError naming file and line; what could not be checked, or ""."""
     origin, warning = read_bytes(directory / MARKER), ""
+    check_resumable(directory)
     if not (directory / CHAIN).exists():
-        passes = sorted(path for path in directory.glob("*.csv") if written_lines(path))
-        if any(map(_says_chained, passes)):
-            raise InputError("is gone; without it the rows beside it cannot be checked", path=directory / CHAIN)
-        _check_closed(directory)
-        if not passes:
+        if not _passes(directory):
             return ""
         adopt(directory, origin)
         warning = UNCHECKED
     with RowChain(directory, origin):
         pass
-    _check_closed(directory)
     return warning
+
+
+def check_resumable(directory: Path) -> Chained | None:
+    """Compare a campaign's rows with its chain and its checksums as resuming does, changing nothing; None where it has no chain.
+
+    Raises InputError naming file and line, upon which resuming is refused.
+    """
+    if not (directory / CHAIN).exists() and any(map(_says_chained, _passes(directory))):
+        raise InputError("is gone; without it the rows beside it cannot be checked", path=directory / CHAIN)
+    found = check_rows(directory)
+    _check_closed(directory)
+    return found
+
+
+def _passes(directory: Path) -> list[Path]:
+    return sorted(path for path in directory.glob("*.csv") if written_lines(path))
 
 
 def _says_chained(path: Path) -> bool:

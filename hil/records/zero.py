@@ -137,6 +137,18 @@ def homing_risk(homes: bool, method: int | None) -> str | None:
     return None
 
 
+def what_shows_it(zero: Zero, *, absolute_encoder: bool) -> str | None:
+    """What a later connection needs for going on in this zero; None where homing to a switch gives it back."""
+    if absolute_encoder or (zero.homes and zero.method not in FROM_WHERE_IT_STANDS):
+        return None
+    if not zero.homes:
+        return "the axis is not homed: the instrument has to run on until then"
+    return (
+        f"homing method {zero.method} is not done a second time: the drive has to say that it is still homed, and the instrument"
+        " has to run on until then"
+    )
+
+
 class ZeroKeeper:
     """Holds one connected axis against its zero. Without a file of the zero the axis is a fresh one, and gets it.
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support import bench_axis
 
 from drivers.errors import LinkLostError
+from hil.app.terminal import main as command_line
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.store import SealedStore
@@ -21,6 +25,7 @@ from hil.machine.session import AxisSession
 from hil.records.files import held
 from hil.records.journal import RowJournal
 from hil.records.rows import read_csv
+from hil.records.zero import read_zero, write_zero
 
 
 @pytest.fixture
@@ -282,6 +287,96 @@ def test_where_nothing_can_be_gone_on_with_nothing_of_it_is_said(
     said = capsys.readouterr().out
     assert "finished" in said
     assert "go on with" not in said
+
+
+def spoil_row(campaign: Path) -> str:
+    rows = campaign / "measure.csv"
+    rows.write_text(rows.read_text().replace("1,+1,", "1,+1,0", 1))
+    return "is not as it was written"
+
+
+def lose_chain(campaign: Path) -> str:
+    (campaign / "rows.chain").unlink()
+    return "rows.chain: is gone"
+
+
+def spoil_checksum(campaign: Path) -> str:
+    sums = campaign / "SHA256SUMS"
+    sums.write_text(f"{'0' * 64}  measure.csv\n")
+    return "was changed since it was closed"
+
+
+def other_zero(campaign: Path) -> str:
+    mine = read_zero(campaign / "zero.json")
+    assert mine is not None
+    write_zero(campaign.parent / "X.zero.json", replace(mine, id="cd" * 16))
+    return "the campaign's rows were measured in another zero"
+
+
+@pytest.mark.parametrize("spoil", [spoil_row, lose_chain, spoil_checksum, other_zero])
+def test_what_would_be_refused_is_not_called_a_way_to_go_on(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], str]
+) -> None:
+    """Spoilt before the first run told how to go on, as somebody at another terminal may; and later, for the list."""
+    campaign = axis.parent / "X-campaign/calibrate-001"
+    rows = RowJournal.append
+    left = [3]
+
+    def interrupted(journal: RowJournal, row: dict[str, float]) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        rows(journal, row)
+
+    says: list[str] = []
+    end = command_line._end
+
+    def ended(error: BaseException, args: argparse.Namespace) -> tuple[str, int]:
+        if not says:
+            says.append(spoil(campaign))
+        return end(error, args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RowJournal, "append", interrupted)
+        patch.setattr(command_line, "_end", ended)
+        assert main(["calibrate", str(axis)]) == 130
+    told = capsys.readouterr().err
+    assert "go on with: " not in told
+    assert f"hil: cannot be gone on with: {'' if spoil is other_zero else campaign}" in told
+    assert says[0] in told.splitlines()[-1]
+    assert main(["records", "list", str(axis.parent), "--json", str(axis.parent / "list.json")]) == 0
+    listed = capsys.readouterr().out
+    assert "go on with hil" not in listed
+    assert says[0] in listed
+    (one,) = json.loads((axis.parent / "list.json").read_text())["campaigns"]
+    assert one["resume"] is None
+    assert says[0] in one["refused"]
+    assert main(["calibrate", str(axis), "--resume"]) == 2
+    assert says[0] in last_line(capsys), "as was said"
+
+
+def test_what_was_said_of_the_zero_once_is_not_said_again(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupted_after(3, KeyboardInterrupt(), patch)
+        assert main(["calibrate", str(axis), "--new-zero", "--instrument-zeroed"]) == 130
+    assert last_line(capsys) == f"hil: go on with: hil calibrate {axis} --resume"
+    assert main(["calibrate", str(axis), "--resume"]) == 0
+
+
+def test_a_homing_that_is_not_done_twice_is_said_before_how_to_go_on(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis.write_text(axis.read_text().replace("[drive]\n", "[drive]\nhoming = { method = 37 }\n"))
+    with monkeypatch.context() as patch:
+        interrupted_after(3, KeyboardInterrupt(), patch)
+        assert main(["calibrate", str(axis)]) == 130
+    *_, needs, command = capsys.readouterr().err.splitlines()
+    assert "homing method 37 is not done a second time: the drive has to say that it is still homed" in needs
+    assert command == f"hil: go on with: hil calibrate {axis} --resume"
+    assert main(["records", "list", str(axis.parent)]) == 0
+    assert "--resume (homing method 37 is not done a second time" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("closed", [True, False])

@@ -110,8 +110,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001  a mistake of ours is told in one line too
         said, status = _end(error, args)
         _say(said)
-        if command := _how_to_go_on(args, argv, before, error):
-            _say(f"go on with: {command}")
+        for sentence in _how_to_go_on(args, argv, before, error):
+            _say(sentence)
     return status
 
 
@@ -155,9 +155,9 @@ def _left_behind(args: argparse.Namespace) -> Left | None:
 
 def _how_to_go_on(
     args: argparse.Namespace, argv: Sequence[str], before: Left | None, error: BaseException
-) -> str | None:
+) -> list[str]:
     if not hasattr(args, "resumes"):
-        return None
+        return []
     from hil.app.terminal.resuming import how_to_go_on  # noqa: PLC0415  (as above)
 
     return how_to_go_on(args, argv, before, error)

@@ -10,53 +10,78 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import BridgeError, InputError, LocalError
-from hil.axis.axis_file import load_axis
+from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
 from hil.figures.history import REPLAY, FoundCampaign
-from hil.records.journal import FINISHED, Campaign, check_rows
+from hil.machine.wiring import zero_keeper
+from hil.records.journal import FINISHED, Campaign, check_resumable
+from hil.records.zero import FILE, ZeroError, read_zero, what_shows_it
 
 VERBS = ("calibrate", "verify", "close-loop", "lost-motion")
 """That resume; each measures campaigns of a kind of its own name."""
 _RESUME = "--resume"
+_NOT_AGAIN = ("--new-zero", "--instrument-zeroed")
+"""Said of the axis as the first run found it; what that run made of it is kept."""
 _ONCE = "--record"  # a recording is a new file each time
 
 
 @dataclass(frozen=True)
 class Left:
-    """A campaign that can be gone on with, and how many lines of it are confirmed."""
+    """A campaign that is not finished, and how many of its lines are confirmed.
+
+    refused: why resuming it will be refused, "" where nothing is known against it; needs: what it needs beside the axis as it is.
+    """
 
     directory: Path
     lines: int
+    refused: str = ""
+    needs: str = ""
 
 
 def left_behind(args: argparse.Namespace) -> Left | None:
-    """What the verb of this command line, one of `VERBS`, would resume; None where there is nothing, or what would be refused."""
+    """What the verb of this command line, one of `VERBS`, would resume, or refuse to; None where there is nothing."""
     kind = REPLAY if getattr(args, "replay", None) else args.resumes
     try:
-        found = Campaign.unfinished(load_axis(args.axis).store.directory, kind)
-        if found is None:
-            return None
-        chained = check_rows(found.directory)
-        return Left(found.directory, 0 if chained is None else sum(chained.lines.values()))
+        axis = load_axis(args.axis)
+        found = Campaign.unfinished(axis.store.directory, kind)
+        return None if found is None else _left(found.directory, None if kind == REPLAY else axis)
     except (BridgeError, OSError):
         return None
 
 
-def how_to_go_on(
-    args: argparse.Namespace, argv: Sequence[str], before: Left | None, error: BaseException
-) -> str | None:
-    """The command that goes on with what this one did not finish; None where it left nothing that it could go on with."""
+def _left(directory: Path, axis: AxisConfig | None) -> Left:
+    """axis: whose zero the rows are to be in; None for rows of a recording, and where its file is not known. Raises OSError."""
+    lines = 0
+    try:
+        chained = check_resumable(directory)
+        lines = 0 if chained is None else sum(chained.lines.values())
+        rows = read_zero(directory / FILE)
+        known = None if axis is None else zero_keeper(axis).kept(rows)
+    except (InputError, ZeroError) as error:
+        return Left(directory, lines, refused=" ".join(str(error).split()))
+    needs = None if axis is None or known is None else what_shows_it(known, absolute_encoder=axis.absolute_encoder)
+    return Left(directory, lines, needs=needs or "")
+
+
+def how_to_go_on(args: argparse.Namespace, argv: Sequence[str], before: Left | None, error: BaseException) -> list[str]:
+    """Sentences on how to go on with what this command line did not finish, the command last; none where it left nothing."""
     now = left_behind(args)
-    if now is None or (now == before and not (args.resume and not isinstance(error, LocalError))):
-        return None
-    words = _without_recording(argv)
-    return shlex.join(["hil", *words, *([] if args.resume else [_RESUME])])
+    if now is None or isinstance(error, ZeroError):  # resuming finds the same zero: the error says what to do
+        return []
+    if now == before and not (args.resume and not isinstance(error, LocalError)):
+        return []
+    if now.refused:
+        return [] if now.refused in str(error) else [f"cannot be gone on with: {now.refused}"]
+    words = _said_again(argv)
+    command = shlex.join(["hil", *words, *([] if args.resume else [_RESUME])])
+    return [*([now.needs] if now.needs else []), f"go on with: {command}"]
 
 
-def _without_recording(argv: Sequence[str]) -> list[str]:
+def _said_again(argv: Sequence[str]) -> list[str]:
     kept, skip = [], False
     for word in argv:
-        if not skip and word != _ONCE and not word.startswith(f"{_ONCE}="):
+        once = word == _ONCE or word.startswith(f"{_ONCE}=") or word in _NOT_AGAIN
+        if not skip and not once:
             kept.append(word)
         skip = word == _ONCE and not skip
     return kept
@@ -70,17 +95,38 @@ def state_of(campaign: FoundCampaign) -> str:
     return "unfinished" if rows and campaign.kind in (*VERBS, REPLAY) else ""
 
 
-def resumed_by(campaign: FoundCampaign) -> str | None:
-    """The command that goes on with an unfinished campaign, by what it was started for; None where a later one is resumed instead, or
-    its options are not all known."""
+@dataclass(frozen=True)
+class WayOn:
+    """Of an unfinished campaign. command: that goes on with it, None where a later one is resumed instead, its options are not all
+    known, or it will be refused; refused, needs: as of `Left`."""
+
+    command: str | None = None
+    refused: str = ""
+    needs: str = ""
+
+    def sentence(self) -> str:
+        """ "" where there is nothing to say."""
+        if self.refused:
+            return f"cannot be gone on with: {self.refused}"
+        needs = f" ({self.needs})" if self.needs else ""
+        return f"go on with {self.command}{needs}" if self.command else ""
+
+
+def way_on(campaign: FoundCampaign) -> WayOn:
+    """By what a campaign was started for."""
     place = campaign.directory.parent
     found = Campaign.unfinished(place, campaign.kind) if campaign.kind in VERBS else None
     if found is None or found.directory.resolve() != campaign.directory.resolve():
-        return None
+        return WayOn()
+    path = _axis_file(place, campaign.axis)
+    try:
+        left = _left(campaign.directory, None if path is None else load_axis(path))
+    except OSError as error:
+        return WayOn(refused=str(error))
     options = _options(campaign.purpose)
-    if options is None:
-        return None
-    return shlex.join(["hil", campaign.kind, str(_axis_file(place, campaign.axis)), *options, _RESUME])
+    if left.refused or options is None:
+        return WayOn(refused=left.refused)
+    return WayOn(shlex.join(["hil", campaign.kind, str(path or "AXIS.toml"), *options, _RESUME]), needs=left.needs)
 
 
 def _options(purpose: Mapping[str, Any]) -> list[str] | None:
@@ -94,8 +140,8 @@ def _options(purpose: Mapping[str, Any]) -> list[str] | None:
     return options
 
 
-def _axis_file(place: Path, axis: str) -> Path:
-    """The axis file that keeps its campaigns there, as far as it stands where it usually does."""
+def _axis_file(place: Path, axis: str) -> Path | None:
+    """The axis file that keeps its campaigns there, None where it does not stand where it usually does."""
     for path in sorted(place.parent.glob("*.toml")):
         try:
             found = load_axis(path)
@@ -103,4 +149,4 @@ def _axis_file(place: Path, axis: str) -> Path:
             continue
         if found.name == axis and found.store.directory == place.resolve():
             return path
-    return Path("AXIS.toml")
+    return None

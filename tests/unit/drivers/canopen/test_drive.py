@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -512,10 +513,12 @@ def test_a_following_target_that_the_drive_would_clip_is_refused(make: MakeRig, 
     if not at_once:
         profile._true_statusword = lambda: shown() & ~(0 if profile._buffered is None else 0x0800)  # type: ignore[method-assign]
     drive.start_move(5.0, 50.0)
+    order = partial(drive.queue_move, 100.0, 50.0)
+    if not at_once:
+        order()
+        order = partial(drive.wait_for, lambda sample: sample.target_reached, 5.0, "arrived")  # type: ignore[assignment]
     with pytest.raises(LimitError, match=r"limits the target 1000000 to its own software limits \(607Dh\)"):
-        drive.queue_move(100.0, 50.0)
-        assert not at_once
-        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        order()
     rig.run(0.5)
     assert drive.sample().velocity_mm_s == 0.0
     assert drive.sample().position_load_mm < 10.0, "not at 50 mm, where the drive's own limit is"
