@@ -7,6 +7,7 @@ from typing import Any
 
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
+from hil.app.jobs.of_zero import UNSAID, OfZero
 from hil.app.jobs.plan import Plan, Write, measuring_plan
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.calibrate import Calibration, calibrate
@@ -55,13 +56,16 @@ def run_calibration(
     return result
 
 
-def calibration_job(axis: AxisConfig, *, resume: bool = False) -> Job:
-    """For the desk: returns a Calibration."""
-    return Job(
-        CALIBRATE,
-        calibration_plan(axis),
-        lambda place: run_calibration(place.machine(), place.opened_store(), place.listener, resume=resume),
-    )
+def calibration_job(axis: AxisConfig, *, resume: bool = False, zero: OfZero = UNSAID) -> Job:
+    """For the desk: returns a Calibration. Raises InputError for a zero that is to be new in a resumed campaign."""
+    zero.check(resume=resume)
+
+    def work(place: Workplace) -> Calibration:
+        machine = place.machine()
+        with zero.told(machine.session):
+            return run_calibration(machine, place.opened_store(), place.listener, resume=resume)
+
+    return Job(CALIBRATE, zero.in_plan(calibration_plan(axis)), work)
 
 
 def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
@@ -123,14 +127,19 @@ def run_verification(
     return result
 
 
-def verification_job(axis: AxisConfig, *, corrected: bool = True, seed: int = 1, resume: bool = False) -> Job:
+def verification_job(
+    axis: AxisConfig, *, corrected: bool = True, seed: int = 1, resume: bool = False, zero: OfZero = UNSAID
+) -> Job:
     """For the desk: returns a Verified, of the compensation in the axis's store, or of the axis without any."""
 
     def work(place: Workplace) -> Verified:
         compensation = place.opened_store().load() if corrected else None
         if compensation is not None and (warning := place.opened_store().warning()) is not None:
             place.tell(warning)
-        result = run_verification(place.machine(), compensation, place.listener, seed=seed, resume=resume)
+        machine = place.machine()
+        with zero.told(machine.session):
+            result = run_verification(machine, compensation, place.listener, seed=seed, resume=resume)
         return Verified(compensation, result)
 
-    return Job(VERIFY if corrected else UNCORRECTED, verification_plan(axis, seed), work)
+    plan = zero.in_plan(verification_plan(axis, seed))
+    return Job(VERIFY if corrected else UNCORRECTED, plan, work)

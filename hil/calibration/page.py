@@ -11,6 +11,7 @@ from hil.app.panel.drawings import Curve, Drawing, Options, curves
 from hil.app.panel.pieces import Reading, Table, draw_where
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
+from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
@@ -73,20 +74,25 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     """Start, verify, go on with what was broken off."""
     t, desk = view.t, view.desk
 
+    async def start_new() -> None:
+        await zero.run(view.ask_and_run, calibrate.calibration_job(axis, zero=zero.said()))
+
     async def verify() -> None:
-        job = calibrate.verification_job(axis, corrected=bool(corrected.value), seed=int(view.number_of(seed)))
-        await view.ask_and_run(job)
+        corrects, of_targets, said = bool(corrected.value), int(view.number_of(seed)), zero.said(anew=False)
+        job = calibrate.verification_job(axis, corrected=corrects, seed=of_targets, zero=said)
+        await zero.run(view.ask_and_run, job)
 
     with ui.row().classes("items-center"):
-        start = view.button("calibrate.start", lambda: view.ask_and_run(calibrate.calibration_job(axis)))
+        start = view.button("calibrate.start", start_new)
         verifying = view.button("calibrate.verify", verify)
         corrected = view.named(ui.switch(t("calibrate.correction"), value=True), "calibrate.correction")
         seed = view.named(
             ui.number(t("calibrate.seed"), value=1, min=0, max=10_000, precision=0), "calibrate.seed"
         ).style("width: 14rem")
+        zero = ZeroSwitches(view, "calibrate", anew=True)
         tables = view.button("calibrate.open", lambda: _ask_password(view)).props("outline")
     resuming = {
-        kind: view.button(f"calibrate.resume.{kind}", partial(_resume, view, axis, kept, kind)) for kind in KINDS
+        kind: view.button(f"calibrate.resume.{kind}", partial(_resume, view, axis, kept, kind, zero)) for kind in KINDS
     }
 
     def refresh() -> None:
@@ -95,6 +101,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
         start.set_enabled(view.can_start and view.is_builder and writable)
         verifying.set_enabled(view.can_start and (store is not None or not corrected.value))
         tables.set_enabled(view.in_control and store is None)
+        zero.refresh()
         unfinished = {} if kept.value is None else kept.value.unfinished
         allowed = {CALIBRATE: view.is_builder and writable, VERIFY: store is not None, UNCORRECTED: True}
         for kind, button in resuming.items():
@@ -104,13 +111,15 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     return refresh
 
 
-async def _resume(view: View, axis: AxisConfig, kept: Kept, kind: str) -> None:
+async def _resume(view: View, axis: AxisConfig, kept: Kept, kind: str, zero: ZeroSwitches) -> None:
     """Go on with the campaign that was broken off, with the targets it was begun with."""
     _, seed = (kept.value.unfinished if kept.value is not None else {}).get(kind, ("", 1))
     if kind == CALIBRATE:
-        await view.ask_and_run(calibrate.calibration_job(axis, resume=True))
+        job = calibrate.calibration_job(axis, resume=True, zero=zero.said())
     else:
-        await view.ask_and_run(calibrate.verification_job(axis, corrected=kind == VERIFY, seed=seed, resume=True))
+        said = zero.said(anew=False)
+        job = calibrate.verification_job(axis, corrected=kind == VERIFY, seed=seed, resume=True, zero=said)
+    await zero.run(view.ask_and_run, job)
 
 
 async def _ask_password(view: View) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 from drivers.errors import StateError
 from hil.app.jobs.identity import drive_in_words
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
+from hil.app.jobs.of_zero import UNSAID, OfZero
 from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
@@ -91,18 +92,22 @@ def run_lost_motion(
     return MeasuredLostMotion(how, result, present, campaign.directory)
 
 
-def measuring_job(axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, resume: bool = False) -> Job:
+def measuring_job(
+    axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, resume: bool = False, zero: OfZero = UNSAID
+) -> Job:
     """For the desk: returns a MeasuredLostMotion, beside what is stored as far as its password was given."""
 
     def work(place: Workplace) -> MeasuredLostMotion:
         present = None if place.store is None else stored_now(place.store)
         if present is None and axis.tables_path.exists():
             place.tell(SEALED)
-        return run_lost_motion(
-            place.machine(), how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
-        )
+        machine = place.machine()
+        with zero.told(machine.session):
+            return run_lost_motion(
+                machine, how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
+            )
 
-    return Job(MEASURE, measuring_plan(axis, how, seed), work)
+    return Job(MEASURE, zero.in_plan(measuring_plan(axis, how, seed)), work)
 
 
 def _named(listener: Listener) -> Listener:

@@ -11,6 +11,7 @@ from hil.app.panel.drawings import Curve, Drawing, Options, curves
 from hil.app.panel.pieces import Latest, Reading, Table, draw_where
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
+from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
@@ -55,7 +56,7 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
     view.named(ui.label(plan).classes("hil-name"), "lost_motion.plan")
 
     async def start(resume: bool) -> None:
-        await view.ask_and_run(lost_motion.measuring_job(axis, how, resume=resume))
+        await zero.run(view.ask_and_run, lost_motion.measuring_job(axis, how, resume=resume, zero=zero.said()))
 
     async def store() -> None:
         measured = lost_motion_screen(desk).measured
@@ -66,9 +67,11 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
         start_button = view.button("lost_motion.start", lambda: start(False))
         resume_button = view.button("lost_motion.resume", lambda: start(True))
         store_button = view.button("lost_motion.store", store)
+        zero = ZeroSwitches(view, "lost_motion")
 
     def refresh() -> None:
         start_button.set_enabled(view.can_start)
+        zero.refresh()
         resume_button.set_enabled(view.can_start and broken_off.value is True)
         store_button.set_enabled(view.can_start and view.is_builder and lost_motion_screen(desk).storable)
 

@@ -204,7 +204,8 @@ class AxisSession:
             self.zero.begin(self.drive, homes=self.how.home, campaign=campaign, tables=stored, old_tables=old)
         self.supervisor.enable()
         stands = self.zero is not None and self.zero.stands
-        if self.how.home and not stands and (self.axis.saw_fault or not self._keeps_home):
+        anew = self.zero is not None and self.zero.anew
+        if self.how.home and not stands and (anew or self.axis.saw_fault or not self._keeps_home):
             self.steering.lose()
             self.supervisor.home()
             self._homed_here, self.axis.saw_fault = True, False

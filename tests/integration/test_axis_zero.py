@@ -17,6 +17,7 @@ from support import bench_axis
 
 import hil.machine.wiring
 from drivers.drive import DriveState
+from hil.app.jobs.of_zero import OfZero
 from hil.app.terminal.main import main
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
@@ -256,6 +257,31 @@ def test_new_zero_is_the_way_out_and_the_old_tables_are_refused(site: Make) -> N
         with pytest.raises(ZeroError, match="tables were made in another zero"):
             machine.session.compensation = old  # the first corrected move of a script
         run_verification(machine, here.store().load())
+
+
+def test_a_zero_taken_anew_in_a_connection_that_lasts_is_homed_anew(site: Make) -> None:
+    """As behind the screen: the job before homed, and the drive kept that; a zero that is asked for is not that one."""
+    here = site("37")
+    with here.machine() as machine:
+        keeper = machine.session.zero
+        assert keeper is not None
+        with machine.session.one_job():
+            run_calibration(machine, here.store())
+        first = read_zero(here.axis.zero_path)
+        machine.session.drive.disable()
+        here.bench.servo.power_on()
+        here.bench.servo.move_absolute(1_000_000, 1e7, 1e7)  # to where its zero is to be
+        here.bench.clock.sleep_s(10.0)
+        here.bench.servo.power_off()
+        with machine.session.one_job(), OfZero(anew=True).told(machine.session):
+            machine.session.prepare()
+        assert not keeper.anew
+        second = read_zero(here.axis.zero_path)
+        assert first is not None
+        assert second is not None
+        assert second.id != first.id
+        shift_mm = here.motor_mm() - machine.session.drive.sample().position_load_mm
+        assert shift_mm == pytest.approx(10.0, abs=0.01)
 
 
 # -- the reference position --------------------------------------------------------------------------------------------------

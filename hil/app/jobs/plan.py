@@ -37,7 +37,8 @@ class Plan:
     """positions: how many are captured, each with `at_rest_s` seconds at rest; datum_mm: where the instrument's zero is taken.
 
     overtravel_mm: of a probe, whose contacts the positions are then: how far beyond each it goes at most; locked: it changes what only
-    the builder may change; of_probe: that is the run-out of the probe, which has a builder's key of its own.
+    the builder may change; of_probe: that is the run-out of the probe, which has a builder's key of its own. new_zero: the axis's zero
+    is taken anew; instrument_zeroed: a person says that the instrument counts from another place than it did.
     """
 
     axis: str
@@ -51,6 +52,8 @@ class Plan:
     locked: bool = False
     overtravel_mm: float | None = None
     of_probe: bool = False
+    new_zero: bool = False
+    instrument_zeroed: bool = False
 
     @property
     def reach_mm(self) -> tuple[float, float] | None:

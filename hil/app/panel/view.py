@@ -201,6 +201,10 @@ class View:
         lines = []
         if plan.moves:
             lines.append(t("plan.enables_homes" if plan.homes else "plan.enables", axis=plan.axis))
+        if plan.new_zero:
+            lines.append(t("plan.new_zero"))
+        if plan.instrument_zeroed:
+            lines.append(t("plan.instrument_zeroed"))
         if plan.datum_mm is not None:
             lines.append(t("plan.datum", position=t.number(plan.datum_mm)))
         for move in plan.moves:

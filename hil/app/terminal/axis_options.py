@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from drivers.errors import InputError
+from hil.app.jobs.of_zero import OfZero
 from hil.app.jobs.plan import Plan, Write, measuring_plan
 from hil.app.terminal.output import add_json_option
 from hil.app.terminal.passwords import KEY, READING, password
@@ -112,12 +113,11 @@ def add_zero_options(parser: argparse.ArgumentParser, *, anew: bool = False) -> 
 
 def tell_zero(args: argparse.Namespace, machine: Machine) -> None:
     """Hand on what the options say. Raises InputError for a zero that is to be new in a campaign of old rows."""
-    anew = getattr(args, "new_zero", False)
-    if anew and args.resume:
-        raise InputError("--new-zero does not go with --resume: the rows so far were measured in the old zero")
+    said = OfZero(anew=getattr(args, "new_zero", False), instrument_zeroed=args.instrument_zeroed)
+    said.check(resume=getattr(args, "resume", False))
     zero = machine.session.zero
     if zero is not None:
-        zero.anew, zero.instrument_zeroed = anew, args.instrument_zeroed
+        zero.anew, zero.instrument_zeroed = said.anew, said.instrument_zeroed
 
 
 def seed(text: str) -> int:

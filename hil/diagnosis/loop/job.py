@@ -9,6 +9,7 @@ from typing import Any
 from drivers.errors import StateError
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Question, Workplace, tell_unchecked
+from hil.app.jobs.of_zero import UNSAID, OfZero
 from hil.app.report.views import label_of
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import SealedStore
@@ -107,7 +108,7 @@ def run_loop(
     return loop
 
 
-def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False) -> Job:
+def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: OfZero = UNSAID) -> Job:
     """For the desk: returns a Looped. The axis is watched while the diagnosis is made; a run that needs a person asks for one."""
 
     def work(place: Workplace) -> Looped:
@@ -116,12 +117,14 @@ def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False) -> Job
         session = machine.session
         before, session.conditions = session.conditions, person.conditions(axis, session.conditions)
         try:
-            loop = run_loop(machine, place.opened_store(), how, place.listener, resume=resume)
+            with zero.told(session):
+                loop = run_loop(machine, place.opened_store(), how, place.listener, resume=resume)
         finally:
             session.conditions = before
         return Looped(loop_stages(loop), loop_is_good(loop))
 
-    return Job(CLOSE_LOOP, loop_plan(axis, turning.exploration, turning.in_motion), work)
+    plan = zero.in_plan(loop_plan(axis, turning.exploration, turning.in_motion))
+    return Job(CLOSE_LOOP, plan, work)
 
 
 def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:

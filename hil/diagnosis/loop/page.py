@@ -9,6 +9,7 @@ from nicegui import ui
 from hil.app.panel.pieces import Latest, Reading, Table
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
+from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, feeds_of, passes_at
@@ -65,6 +66,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
             view.named(field, f"loop.{name}")
         start_button = view.button("loop.start", lambda: start(False))
         resume_button = view.button("loop.resume", lambda: start(True))
+        zero = ZeroSwitches(view, "loop")
 
     async def start(resume: bool) -> None:
         from hil.diagnosis.loop.job import loop_job  # noqa: PLC0415  (the diagnosis is slow to load)
@@ -76,12 +78,14 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
         unfinished = None if kept.value is None else kept.value.unfinished
         if resume and unfinished is not None:
             how, in_motion = unfinished
-        await view.ask_and_run(loop_job(axis, Turning(how, in_motion=in_motion), resume=resume))
+        job = loop_job(axis, Turning(how, in_motion=in_motion), resume=resume, zero=zero.said())
+        await zero.run(view.ask_and_run, job)
 
     def refresh() -> None:
         store = desk.rights.store
         can = view.can_start and view.is_builder and store is not None and store.builder_key is not None
         start_button.set_enabled(can)
+        zero.refresh()
         resume_button.set_enabled(can)
         resume_button.set_visibility(kept.value is not None and kept.value.unfinished is not None)
 

@@ -153,7 +153,7 @@ def test_the_loop_asks_for_its_runs_and_for_its_conditions(axis: AxisConfig, mon
     """Whoever is at a machine is asked in place of nobody, and for the time of the loop alone."""
     asked: list[Question] = []
     there = NoConditions()
-    session = SimpleNamespace(conditions=there)
+    session = SimpleNamespace(conditions=there, zero=None)
 
     def turned(machine: Machine, _store: object, turning: Turning, *_: object, **__: object) -> Loop:
         assert turning.consent is not None
