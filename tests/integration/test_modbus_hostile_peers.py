@@ -24,7 +24,7 @@ from drivers.modbus.plan import Span, Table
 from drivers.modbus.wire import Endpoint, PymodbusWire, Request, RtuEndpoint, TcpEndpoint
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 
-TIMEOUT_S = 0.15
+TIMEOUT_S = 0.4  # a peer is a Python thread: on a busy machine it answers in tenths of a second
 PATIENT_S = 8.0  # a time-out that is not to be waited out
 ROOM_S = 3.0  # for a machine that is busy with other things
 HOLDING = Table.HOLDING

@@ -146,7 +146,7 @@ def serial_pair() -> Iterator[tuple[str, str]]:
 
 
 def _line(path: str) -> RtuEndpoint:
-    return RtuEndpoint(path, 115_200, "N", 1, timeout_s=0.5)
+    return RtuEndpoint(path, 115_200, "N", 1, timeout_s=2.0)
 
 
 @contextmanager
