@@ -402,7 +402,7 @@ class ModbusDrive(ServoDrive):
         if self._stop_shown():
             return
         for write in self.map.quick_stop:
-            self.access.command(write, urgent=True)
+            self.access.command(write, stops=True)
         standstill = Standstill(self.scaling.resolution_load_mm)
         confirm_s = self.way_out.within_s(_CONFIRM_S)
         if not self.orders.becomes(lambda: self._obeys(self._stop_look(), standstill), confirm_s):

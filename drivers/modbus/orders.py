@@ -86,14 +86,9 @@ class Orders:
             self._found.update(self._access.read(new))
 
     def put_back(self) -> None:
-        """Everything that was remembered; what cannot be put back keeps nothing else from it."""
+        """Everything that was remembered, each by a write of its own: what cannot be put back keeps nothing else from it."""
         found, self._found = self._found, {}
-        if not found:
-            return
-        try:
-            self._access.write(found)
-        except BridgeError:
-            undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
+        undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
 
     # -- orders ------------------------------------------------------------------------------------------------------
     def give(self, writes: Sequence[Write]) -> None:
@@ -102,9 +97,14 @@ class Orders:
             self._unless_stopped(partial(self._access.command, write))
 
     def give_stopped(self, writes: Sequence[Write]) -> None:
-        """The same for what takes power off or resets a fault, which a stopped axis does too."""
+        """The same for what resets a fault, which a stopped axis does too."""
         for write in writes:
             self._access.command(write)
+
+    def take_power(self, writes: Sequence[Write]) -> None:
+        """What takes power off, from a stopped axis too; the only orders but the stop that are sent again while unanswered."""
+        for write in writes:
+            self._access.command(write, stops=True)
 
     def write(self, values: Mapping[str, Raw]) -> None:
         """Set-points, on which some drives start. Raises StateError once the axis was told to stop."""
