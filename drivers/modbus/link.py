@@ -64,7 +64,9 @@ class Doubt(Enum):
     """What to do about a write that was not answered."""
 
     READ_BACK = "read back"  # compare
-    STOP = "stop"  # an order that stops the axis or takes its power: sent again until it is answered, the only one that is
+    STOP = (
+        "stop"  # an order that stops the axis or takes its power: sent again until it is answered, the only one that is
+    )
     RAISE = "raise"  # cannot be read back (a start bit that the drive takes back); the caller looks for other evidence
 
 
