@@ -18,7 +18,7 @@ from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, S
 from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.homing import Homing
-from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion, Standstill
+from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion
 from drivers.canopen.node import Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.power import PowerStage
@@ -43,6 +43,7 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.scaling import AxisScaling
+from drivers.standstill import Standstill
 
 WITHOUT_TORQUE = (
     DriveState.NOT_READY,
@@ -238,7 +239,7 @@ class StoppableDrive(ServoDrive):
 
     def _comes_to_rest(self, timeout_s: float) -> bool:
         """Look until it stands, or has no torque; False when neither was shown in time. Raises when nobody answers."""
-        standstill = Standstill(self.scaling.counts_per_load_mm)
+        standstill = Standstill(self.scaling.resolution_load_mm)
         sampler, deadline = self.sampler, self.clock.deadline(timeout_s)
         while True:
             sampler.refresh_somehow()
@@ -248,7 +249,10 @@ class StoppableDrive(ServoDrive):
                 self.looked_at(self._as_sample())
             velocity = sampler.values.get(objects.VELOCITY_ACTUAL)
             stands = standstill.look(
-                sampler.heard_ns, sampler.position_counts, velocity, bool(status & Status.TARGET_REACHED)
+                sampler.heard_ns,
+                self.scaling.load_mm(sampler.position_counts),
+                None if velocity is None else self.scaling.load_mm(velocity),
+                reached=bool(status & Status.TARGET_REACHED),
             )
             if stands or decode_state(status) in WITHOUT_TORQUE:
                 return True

@@ -30,7 +30,7 @@ from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, StreamMap, all_hold
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.orders import POLL_S, Orders, Standstill, hold
+from drivers.modbus.orders import POLL_S, Orders, hold
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
@@ -41,6 +41,7 @@ from drivers.modbus.wear import WearLedger
 from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
+from drivers.standstill import Standstill
 from drivers.undo import undo_all
 
 _CONFIRM_S = 0.5
