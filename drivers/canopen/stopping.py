@@ -23,7 +23,7 @@ from drivers.canopen.node import Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler
-from drivers.canopen.sdo import SdoClient
+from drivers.canopen.sdo import WAY_OUT_S, SdoClient
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.stream_axis import Axis
 from drivers.canopen.sync import SYNC
@@ -43,6 +43,7 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.scaling import AxisScaling
+from drivers.shared_time import SharedTime
 from drivers.standstill import Standstill
 
 WITHOUT_TORQUE = (
@@ -270,6 +271,16 @@ class StoppableDrive(ServoDrive):
                 raise
 
     # -- stopping --------------------------------------------------------------------------------------------------------
+    @property
+    def way_out_s(self) -> float:
+        return WAY_OUT_S
+
+    def share_way_out(self, time: SharedTime) -> None:
+        """Its time runs from now on, beside that of the others; one that answers is not limited."""
+        del time
+        if self._open:
+            self.sdo.way_out.begin()
+
     def send_stop(self) -> None:
         """By event-driven RPDO, or the synchronous one with SYNC, and by SDO. No command enables the axis until `enable` is called."""
         if not self._open:

@@ -41,6 +41,7 @@ from drivers.modbus.wear import WearLedger
 from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
+from drivers.shared_time import SharedTime
 from drivers.standstill import Standstill
 from drivers.undo import undo_all
 
@@ -379,6 +380,13 @@ class ModbusDrive(ServoDrive):
             return not powered or standstill.look(sample.time_ns, sample.position_load_mm, sample.velocity_mm_s)
 
         return self.orders.becomes(stands, timeout_s)
+
+    @property
+    def way_out_s(self) -> float:
+        return self.way_out.budget_s
+
+    def share_way_out(self, time: SharedTime) -> None:
+        self.way_out.share(time)
 
     def send_stop(self) -> None:
         """The map's quick stop, posted: past the lock, the back-off and the exchange under way."""
