@@ -6,7 +6,7 @@ from drivers.clock import NS_PER_S, Clock
 
 
 class SharedTime:
-    """Runs from the first step of any of them that fails: axes that answer have the time they need. budget_s: of the longest of them."""
+    """Runs from the first step that fails: axes that answer have the time they need. budget_s: the longest of theirs."""
 
     def __init__(self, clock: Clock, budget_s: float) -> None:
         self._clock = clock

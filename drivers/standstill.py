@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from drivers.clock import NS_PER_S
 
 STILL_S = 0.2
-"""An axis whose positions have agreed for so long stands, whatever else its drive shows, s; a drive that shows its arrival has by then."""
+"""An axis whose positions have agreed for so long stands, whatever else its drive shows, s. A drive that shows arrivals has by then."""
 AGREED_S = 0.02
 """The same where a drive that has no word for arrival shows a velocity of 0, s: that value may be stuck."""
 STILL_MM = 0.005

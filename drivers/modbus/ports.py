@@ -30,7 +30,8 @@ Check = Callable[[], None]
 _LONGEST_FRAME = 256  # bytes of the longest RTU frame (Modbus over serial line V1.02, 2.3)
 _BITS_PER_CHARACTER = 11  # 2.5.1
 _TURNAROUND_S = 0.02
-"""How long a stop waits for a reply to begin, s. Most drives take 1 to 20 ms; the standard leaves the time-out to the master (2.4.1)."""
+"""How long a stop waits for a reply to begin, s: most drives take 1 to 20 ms. The standard
+leaves the time-out to the master (2.4.1)."""
 
 
 def slices(end_s: float, check: Check) -> Iterator[float]:
@@ -212,6 +213,7 @@ def _as_os_error() -> Iterator[None]:
         raise OSError(str(error)) from error
 
 
+_LOOK_S = 0.0005  # between two looks for a byte
 _MOST_SILENCES = 64  # a line that never falls silent is listened to for so many times the silence asked for
 
 
@@ -325,8 +327,8 @@ class SerialPort(Port):
         self._expect_reply(frame)
 
     def _await_quiet(self, port: serial.Serial) -> None:
-        """Until a reply to the last frame has begun, if it does, and no byte has come for the silent interval; no longer than the longest
-        frame."""
+        """Until a reply to the last frame has begun in its time, and no byte has come for the silent interval; no longer than the
+        longest frame takes."""
         while time.monotonic() < self._reply_due_s and not port.in_waiting:
             time.sleep(0.001)
         end_s = time.monotonic() + self.rest_of_frame_s
@@ -337,11 +339,17 @@ class SerialPort(Port):
 
 
 def _taken(port: serial.Serial, *, wait: bool = False) -> bytes:
-    """What has come in; wait: for the first byte, `IO_SLICE_S` at most."""
+    """What has come in; wait: for the first byte, `IO_SLICE_S` at most.
+
+    Its count is looked at; `select` on a terminal without input waits in Linux for a kernel thread (`tty_buffer_flush_work`), which
+    takes up to 0.8 s where other programs keep all cores busy, whatever its time-out.
+    """
+    end_s = time.monotonic() + IO_SLICE_S
     with _as_os_error():
-        first: bytes = port.read(1) if wait else b""
-        rest: bytes = port.read(port.in_waiting)
-        return first + rest
+        while wait and not port.in_waiting and time.monotonic() < end_s:
+            time.sleep(_LOOK_S)
+        data: bytes = port.read(port.in_waiting)
+        return data
 
 
 def _written(port: serial.Serial, frame: bytes) -> int:

@@ -93,7 +93,7 @@ class RegisterAccess:
             )
 
     def command(self, write: Write, *, stops: bool = False) -> None:
-        """One write of a command. stops: it stops the axis or takes its power, see `Doubt.STOP`; it is sent to a unit in back-off too."""
+        """One write of a command. stops: it stops the axis or takes its power, see `Doubt.STOP`; back-off is ignored."""
         register = self._writable(write.register)
         value = write.value
         if write.mask is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import threading
 import time
 import tty
@@ -53,7 +54,7 @@ class Line:
 
     def broken_off(self) -> float:
         """A request whose wait hears the operator at once, then the stop; when the request was sent."""
-        with pytest.raises(Stopped), self.port.exchange():
+        with pytest.raises(Stopped), self.port.exchange():  # noqa: PT012 - both halves of the exchange
             self.port.send(REQUEST)
             sent_s = time.monotonic()
             self.interrupt = True
@@ -76,7 +77,7 @@ def _line(baud: int) -> Iterator[Line]:
     far, near = os.openpty()
     tty.setraw(near)
     line: Line
-    port = SerialPort(os.ttyname(near), baud, parity="N", stop_bits=1, timeout_s=1.0, check=lambda: line.check())
+    port = SerialPort(os.ttyname(near), baud, parity="N", stop_bits=1, timeout_s=1.0, check=lambda: line.check())  # noqa: PLW0108
     line = Line(port, far)
     port.open(1.0)
     thread = threading.Thread(target=line.listen, daemon=True)
@@ -140,6 +141,33 @@ def test_a_stop_from_another_thread_leaves_while_a_reply_is_awaited(line: Line, 
     thread.join()
     if delay_s is not None:
         assert line.frames()[:3] == [REQUEST, b"reply", STOP]
+
+
+def test_a_stop_is_heard_where_select_of_an_empty_terminal_hangs(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it does for a kernel thread where all cores are busy."""
+    wait = select.select
+
+    def hanging(*lists: list[int]) -> tuple[list[int], ...]:
+        found = wait(*lists[:3], 0.0)
+        if not any(found):
+            time.sleep(0.5)
+        return found
+
+    monkeypatch.setattr(select, "select", hanging)
+    pressed: list[float] = []
+
+    def press() -> None:
+        time.sleep(0.1)
+        line.interrupt = True
+        pressed.append(time.monotonic())
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    with pytest.raises(Stopped):
+        line.port.receive(time.monotonic() + TIMEOUT_S)
+    heard_s = time.monotonic()
+    thread.join()
+    assert heard_s - pressed[0] < 0.2
 
 
 def test_a_free_line_carries_a_stop_at_once(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:

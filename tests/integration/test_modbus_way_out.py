@@ -324,7 +324,7 @@ def test_axes_that_answer_do_not_take_each_others_time() -> None:
     ):
         supervisor = Supervisor([WatchedAxis(rig.drive) for rig in (first, second)])
         supervisor.leave(None)
-        assert not (first.servo.powered or second.servo.powered)
+        assert [rig.servo.powered for rig in (first, second)] == [False, False]
         assert [rig.wire.order.count("posted") for rig in (first, second)] == [0, 0]  # a halt was enough
 
 

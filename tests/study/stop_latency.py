@@ -293,7 +293,7 @@ def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random
     for order in (
         lambda: None,
         rig.drive.quick_stop,
-    ):  # a stop that was destroyed on its way is sent again by whoever sees it confirmed
+    ):  # one that was destroyed on its way is sent again when it is confirmed
         deadline_s = time.monotonic() + SEEN_S
         with suppress(BridgeError):
             order()
