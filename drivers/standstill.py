@@ -1,4 +1,4 @@
-"""Standstill: whether an axis stands, judged from looks in a row, for drives on any wire."""
+"""Standstill: whether an axis stands, and whether what is shown of it is alive, judged from looks in a row, on any wire."""
 
 from __future__ import annotations
 
@@ -8,13 +8,37 @@ from collections.abc import Sequence
 from drivers.clock import NS_PER_S
 
 STILL_S = 0.2
-"""An axis whose positions have agreed for so long stands, whatever else its drive shows, s. A drive that shows arrivals has by then."""
+"""An axis whose positions have agreed for so long stands, whatever its drive shows, s. One that shows arrivals has done so by then."""
 AGREED_S = 0.02
-"""The same where a drive that has no word for arrival shows a velocity of 0, s: that value may be stuck."""
+"""The same where a velocity of 0 is shown by a drive that has no word for arrival, s: it may be stuck."""
 STILL_MM = 0.005
 """Positions of an axis at rest lie within this, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
 STILL_MM_S = 0.5
 """The velocity shown by an axis at rest stays below this, mm/s: noise of an encoder of 0.5 µm, differentiated over 1 ms."""
+
+
+FROZEN_S = 1.0
+"""A drive that has shown one position and one velocity for so long, the velocity above `STILL_MM_S`, shows neither, s."""
+
+
+class FrozenValues:
+    """Whether a drive's values have ceased to be of its axis, judged from looks in a row at one that was told to move."""
+
+    def __init__(self) -> None:
+        self._shown: tuple[float, float] | None = None
+        self._since_ns = 0
+
+    def forget(self) -> None:
+        self._shown = None
+
+    def look(self, time_ns: int, position_mm: float, velocity_mm_s: float | None) -> bool:
+        """True once they contradict each other: it is said to move, and does not."""
+        if velocity_mm_s is None or Standstill.is_slow(velocity_mm_s):
+            self._shown = None
+            return False
+        if self._shown != (position_mm, velocity_mm_s):
+            self._shown, self._since_ns = (position_mm, velocity_mm_s), time_ns
+        return time_ns - self._since_ns >= FROZEN_S * NS_PER_S
 
 
 class Standstill:

@@ -15,13 +15,14 @@ from support.modbus_direct import DirectWire
 
 from drivers.clock import Clock
 from drivers.drive import DriveLimits, DriveState
-from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError
+from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.way_out import WayOut
 from drivers.modbus.wire import Request, TcpEndpoint
 from drivers.scaling import AxisScaling
+from drivers.standstill import FrozenValues
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from sim_backends.clock import SimClock
@@ -261,6 +262,29 @@ def test_a_drive_that_comes_back_is_waited_for_as_ever() -> None:
         assert r.drive.sample().state is DriveState.SWITCH_ON_DISABLED
         assert r.drive.way_out.left_s() == r.drive.way_out.budget_s
         r.drive.close()
+
+
+@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
+def test_values_that_are_frozen_in_motion_are_found_out(name: str) -> None:
+    with moving(name) as r:
+        r.drive.sample()
+        r.strike(frozen)
+        began_ns = r.clock.now_ns()
+        with pytest.raises(ProtocolError, match=r"its values are frozen: it shows 100\.000 mm/s"):
+            r.drive.wait_for(lambda _sample: False, 10.0, "nothing")
+        assert r.clock.now_ns() - began_ns <= 1.1e9
+        assert r.wire.order[-1] == "posted"
+        way_out(r)
+        assert r.clock.now_ns() - began_ns < WITHIN_S * 1e9
+
+
+def test_an_axis_that_stands_or_dwells_in_a_motion_shows_no_frozen_values() -> None:
+    values = FrozenValues()
+    assert not any(values.look(round(each * 1e8), 7.0, 0.0) for each in range(100))
+    assert not any(values.look(round(each * 1e8), 7.0, 0.3) for each in range(100))  # noise
+    assert not any(values.look(round(each * 1e8), 7.0, None) for each in range(100))
+    assert not any(values.look(round(each * 1e8), 7.0 + each, 10.0) for each in range(100))
+    assert [values.look(round(each * 1e8), 7.0, 10.0) for each in range(11)] == [*10 * [False], True]
 
 
 # -- several axes that leave together ------------------------------------------------------------------------------------------
