@@ -96,9 +96,11 @@ class TcpPort(Port):
 
     @property
     def is_open(self) -> bool:
-        return self._socket is not None
+        """Not once the server has hung up, as idle ones do: a write would be lost there, and is sent once only."""
+        return self._socket is not None and not _hung_up(self._socket)
 
     def open(self, within_s: float) -> None:
+        self.close()
         connection = _dialled(self._place, min(self._timeout_s, within_s), self._check)
         # a stop posted beside a request must not wait for that request to be acknowledged (Nagle's algorithm)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
