@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from random import Random
 
 import pytest
 from support.modbus_direct import DirectWire
@@ -285,6 +286,34 @@ def test_an_axis_that_stands_or_dwells_in_a_motion_shows_no_frozen_values() -> N
     assert not any(values.look(round(each * 1e8), 7.0, None) for each in range(100))
     assert not any(values.look(round(each * 1e8), 7.0 + each, 10.0) for each in range(100))
     assert [values.look(round(each * 1e8), 7.0, 10.0) for each in range(11)] == [*10 * [False], True]
+
+
+@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
+def test_a_line_that_loses_one_reply_in_a_hundred_can_be_worked_with(name: str) -> None:
+    """Reads are asked again, writes are read back."""
+    random, lost = Random(7), 0
+
+    def lossy(wire: FaultyWire, request: Request) -> tuple[int, ...]:
+        nonlocal lost
+        wire.clock.sleep_s(0.002)
+        values = wire.honest(request)
+        if random.random() < 0.01:
+            lost += 1
+            raise wire.silence()
+        return values
+
+    with moving(name) as r:
+        r.drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+        r.wire.answer = lossy
+        for target_mm in (10.0, 20.0, 15.0, 30.0, 25.0, 60.0):
+            r.drive.start_move(target_mm, 50.0)
+            sample = r.drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+            assert sample.position_load_mm == pytest.approx(target_mm, abs=0.01)
+        r.drive.disable()
+        assert not r.servo.powered
+        statistics = r.drive.link.statistics
+        assert lost == statistics.no_answers > 3
+        r.drive.close()
 
 
 # -- several axes that leave together ------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 
@@ -34,6 +34,8 @@ from drivers.errors import (
 from drivers.scaling import AxisScaling
 from drivers.standstill import STILL_MM_S, STILL_S, Standstill
 from drivers.undo import undo_all
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
@@ -687,6 +689,22 @@ def test_the_ways_out_of_two_axes_do_not_add_up(kind: CanFaultKind) -> None:
         began_ns = pair.clock.now_ns()
         _leave(*pair.drives)
         assert pair.clock.now_ns() - began_ns <= (WAY_OUT_S + AT_LEAST_S + 2 * LOOKS_S) * 1e9
+
+
+@pytest.mark.parametrize("kind", [SDO_DEAD, K.NODE_DEAD])
+def test_the_ways_out_of_two_axes_that_were_not_stopped_do_not_add_up(kind: CanFaultKind) -> None:
+    """Found dead while they are disabled at the end of a good run."""
+    pair = Pair(CanFault(kind, at_s=FAULT_AT_S))
+    with pair.link:
+        pair.clock.sleep_until_ns(round(FAULT_AT_S * 1e9) + 1_000_000)
+        began_ns = pair.clock.now_ns()
+        supervisor = Supervisor([WatchedAxis(drive) for drive in pair.drives])
+        with suppress(BridgeError):
+            supervisor.leave(None)
+        for drive in pair.drives:
+            with suppress(BridgeError):
+                drive.close()
+        assert pair.clock.now_ns() - began_ns <= (WAY_OUT_S + AT_LEAST_S + LOOKS_S) * 1e9
 
 
 @pytest.mark.parametrize("kind", [SDO_DEAD, K.NODE_DEAD])
