@@ -20,6 +20,7 @@ from drivers.errors import CapabilityError, DriveFaultError, LimitError, MotionT
 from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
+from drivers.shared_time import SharedTime
 from drivers.touch_probe import TouchProbe
 from drivers.undo import undo_all
 
@@ -140,6 +141,16 @@ class ServoDrive(ABC):
         self.scaling = scaling
         self.limits = limits
         self.clock = clock
+
+    # -- leaving together with others ----------------------------------------------------------------------------------
+    @property
+    def way_out_s(self) -> float:
+        """Within which it is stopped, disabled and put back at most where it does not answer, s; 0.0 where nothing is waited for."""
+        return 0.0
+
+    def share_way_out(self, time: SharedTime) -> None:
+        """It leaves together with other axes: what dead ones use up of this time is taken off its own."""
+        del time
 
     # -- connection ------------------------------------------------------------------------------------------------
     @abstractmethod

@@ -6,8 +6,7 @@ the drive's business (`drive`).
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -42,58 +41,6 @@ TARGETS = (objects.TARGET_POSITION, objects.TARGET_VELOCITY, objects.TARGET_TORQ
 
 LOOK_S = 0.01
 """Between two looks at an axis that is coming to rest, s."""
-STILL_LOOKS = 20
-"""So many looks in a row must agree that it stands without bit 10; with `LOOK_S` they span 0.19 s, in which a drive that shows bit 10
-has shown it."""
-STILL_MM = 0.005
-"""Positions of an axis at rest lie within this, mm: over 0.19 s it is 0.026 mm/s, below any speed an axis is homed or moved with."""
-STILL_MM_S = 0.5
-"""606Ch of an axis at rest stays below this, mm/s: what an encoder of 0.5 µm shows as noise, differentiated over 1 ms."""
-
-
-class Standstill:
-    """Whether an axis stands, judged from looks in a row, each given as (ns, counts, counts/s or None, bit 10 of the statusword).
-
-    Three ways lead to a yes: bit 10, with 606Ch and the positions of two looks that agree; 606Ch below its threshold over several
-    looks, with positions that agree; positions alone that stay within a window over several looks. A velocity in other units, or a
-    bit 10 that a drive forgets or shows late, is thus not relied on by itself.
-    """
-
-    def __init__(self, counts_per_mm: float) -> None:
-        self._window = max(2.0, STILL_MM * counts_per_mm)  # two counts: an encoder at rest between two of them
-        self._speed = STILL_MM_S * counts_per_mm
-        self._looks: deque[tuple[int, int, int | None]] = deque(maxlen=STILL_LOOKS)
-
-    @staticmethod
-    def is_slow(velocity_mm_s: float) -> bool:
-        """A velocity that an axis at rest may show."""
-        return abs(velocity_mm_s) <= STILL_MM_S
-
-    def look(self, time_ns: int, position: int, velocity: int | None, reached: bool) -> bool:
-        looks = self._looks
-        looks.append((time_ns, position, velocity))
-        last = list(looks)[-2:]
-        if (
-            reached
-            and len(last) == 2
-            and all(v is None or abs(v) <= self._speed for _, _, v in last)
-            and self._agree(last)
-        ):
-            return True
-        if len(looks) < STILL_LOOKS:
-            return False
-        all_slow = all(seen is not None and abs(seen) <= self._speed for _, _, seen in looks)
-        return _spread(looks) <= self._window or (all_slow and self._agree(looks))
-
-    def _agree(self, looks: Iterable[tuple[int, int, int | None]]) -> bool:
-        """The positions do not contradict a speed below the threshold."""
-        times = [time_ns for time_ns, _, _ in looks]
-        return _spread(looks) <= self._window + self._speed * (times[-1] - times[0]) / NS_PER_S
-
-
-def _spread(looks: Iterable[tuple[int, int, int | None]]) -> int:
-    positions = [position for _, position, _ in looks]
-    return max(positions) - min(positions)
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, S
 from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.homing import Homing
-from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion, Standstill
+from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion
 from drivers.canopen.node import Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler
-from drivers.canopen.sdo import SdoClient
+from drivers.canopen.sdo import WAY_OUT_S, SdoClient
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.stream_axis import Axis
 from drivers.canopen.sync import SYNC
@@ -43,6 +43,8 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.scaling import AxisScaling
+from drivers.shared_time import SharedTime
+from drivers.standstill import Standstill
 
 WITHOUT_TORQUE = (
     DriveState.NOT_READY,
@@ -239,7 +241,7 @@ class StoppableDrive(ServoDrive):
 
     def _comes_to_rest(self, timeout_s: float) -> bool:
         """Look until it stands, or has no torque; False when neither was shown in time. Raises when nobody answers."""
-        standstill = Standstill(self.scaling.counts_per_load_mm)
+        standstill = Standstill(self.scaling.resolution_load_mm)
         sampler, deadline = self.sampler, self.clock.deadline(timeout_s)
         while True:
             sampler.refresh_somehow()
@@ -249,7 +251,10 @@ class StoppableDrive(ServoDrive):
                 self.looked_at(self._as_sample())
             velocity = sampler.values.get(objects.VELOCITY_ACTUAL)
             stands = standstill.look(
-                sampler.heard_ns, sampler.position_counts, velocity, bool(status & Status.TARGET_REACHED)
+                sampler.heard_ns,
+                self.scaling.load_mm(sampler.position_counts),
+                None if velocity is None else self.scaling.load_mm(velocity),
+                reached=bool(status & Status.TARGET_REACHED),
             )
             if stands or decode_state(status) in WITHOUT_TORQUE:
                 return True
@@ -267,6 +272,16 @@ class StoppableDrive(ServoDrive):
                 raise
 
     # -- stopping --------------------------------------------------------------------------------------------------------
+    @property
+    def way_out_s(self) -> float:
+        return WAY_OUT_S
+
+    def share_way_out(self, time: SharedTime) -> None:
+        """Its time runs from now on, beside that of the others; one that answers is not limited."""
+        del time
+        if self._open:
+            self.sdo.way_out.begin()
+
     def send_stop(self) -> None:
         """By event-driven RPDO, or the synchronous one with SYNC, and by SDO. No command enables the axis until `enable` is called."""
         if not self._open:

@@ -21,6 +21,7 @@ from drivers.errors import (
     HeldUnderPowerError,
     InputError,
     MotionTimeoutError,
+    ProtocolError,
     StateError,
     TransportError,
     UndoError,
@@ -30,7 +31,7 @@ from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, StreamMap, all_hold
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.orders import POLL_S, Orders, Standstill, hold
+from drivers.modbus.orders import POLL_S, Orders, hold
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
@@ -41,6 +42,8 @@ from drivers.modbus.wear import WearLedger
 from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
+from drivers.shared_time import SharedTime
+from drivers.standstill import FROZEN_S, FrozenValues, Standstill
 from drivers.undo import undo_all
 
 _CONFIRM_S = 0.5
@@ -81,6 +84,7 @@ class ModbusDrive(ServoDrive):
         self._attained_gone = False  # "homing attained" of the last time, since the start of this one
         self._attained_stands = Standstill(scaling.resolution_load_mm)  # with it shown
         self._running = False  # at a velocity that stands in the drive
+        self._frozen = FrozenValues()
         self.values = DriveValues(name, drive_map, scaling)
         self.way_out = WayOut(clock, limits)
         self.orders = Orders(
@@ -200,14 +204,28 @@ class ModbusDrive(ServoDrive):
         """A fresh sample, all its registers asked for in as few requests as the wire is best served with.
 
         following_error_mm is as the drive gives it. Raises DriveFaultError once when a homing that was started failed, LimitError
-        (with a quick stop) when a velocity run comes to the end of the travel.
+        (with a quick stop) when a velocity run comes to the end of the travel, ProtocolError (with a stop) for values that are frozen
+        while the axis was told to move.
         """
         sample = self._look()
+        self._judge_alive(sample)
         if self._running and sample.state is DriveState.ENABLED:
             velocity_mm_s = sample.velocity_mm_s or 0.0
             lag_mm = math.copysign(sample.following_error_mm or 0.0, velocity_mm_s)  # it brakes from where it should be
             self._watch_travel(sample.position_load_mm + lag_mm, velocity_mm_s)
         return sample
+
+    def _judge_alive(self, sample: DriveSample) -> None:
+        moving = self._homing or self._running or (self.moves.under_way is not None and not sample.target_reached)
+        if not moving or sample.state is not DriveState.ENABLED:
+            self._frozen.forget()
+        elif self._frozen.look(sample.time_ns, sample.position_load_mm, sample.velocity_mm_s):
+            self._frozen.forget()
+            self.send_stop()
+            raise ProtocolError(
+                f"drive {self.name}: its values are frozen: it shows {sample.velocity_mm_s:.3f} mm/s and has stayed at"
+                f" {sample.position_load_mm:.4f} mm for {FROZEN_S:g} s"
+            )
 
     def _look(self) -> DriveSample:
         """A sample, without what a velocity run is watched for."""
@@ -379,6 +397,13 @@ class ModbusDrive(ServoDrive):
 
         return self.orders.becomes(stands, timeout_s)
 
+    @property
+    def way_out_s(self) -> float:
+        return self.way_out.budget_s
+
+    def share_way_out(self, time: SharedTime) -> None:
+        self.way_out.share(time)
+
     def send_stop(self) -> None:
         """The map's quick stop, posted: past the lock, the back-off and the exchange under way."""
         self.orders.stopped = True
@@ -402,7 +427,7 @@ class ModbusDrive(ServoDrive):
         if self._stop_shown():
             return
         for write in self.map.quick_stop:
-            self.access.command(write, urgent=True)
+            self.access.command(write, stops=True)
         standstill = Standstill(self.scaling.resolution_load_mm)
         confirm_s = self.way_out.within_s(_CONFIRM_S)
         if not self.orders.becomes(lambda: self._obeys(self._stop_look(), standstill), confirm_s):

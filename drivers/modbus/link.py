@@ -1,7 +1,9 @@
 """A Modbus line that several drives may share: retries, back-off, silence and doubt, each decided in the open.
 
-- Reads are repeated a stated number of times. A write that was not answered is in doubt: it is read back, and repeated only when that
-  proves that it did not happen.
+- Reads are repeated a stated number of times. A write is never sent twice. One that was not answered is in doubt: it is read back
+  whole, and where that does not show the value its fate is told in the error. A register may be one that acts when it is written, and
+  a request that was delayed may still arrive. The exception is an order that stops the axis or takes its power: twice does what once
+  does, and an axis that goes on is worse.
 - A unit that does not answer is asked again only after a back-off that doubles, so that one dead drive does not stall the others.
 - On a serial line a frame is preceded by the silent interval, and after a time-out by a longer quiet in which a late reply dies out.
   RTU replies carry no number: where a reply still to come could be taken for that of the next request, a read of another length comes
@@ -49,8 +51,7 @@ class LinkPolicy:
     """
 
     read_retries: int = 2
-    write_retries: int = 1
-    urgent_retries: int = 2
+    stop_retries: int = 2
     busy_retries: int = 5
     busy_pause_s: float = 0.02
     backoff_first_s: float = 0.25
@@ -62,8 +63,10 @@ class LinkPolicy:
 class Doubt(Enum):
     """What to do about a write that was not answered."""
 
-    READ_BACK = "read back"  # compare, and repeat only what did not happen
-    REPEAT = "repeat"  # harmless to do twice, and urgent
+    READ_BACK = "read back"  # compare
+    STOP = (
+        "stop"  # an order that stops the axis or takes its power: sent again until it is answered, the only one that is
+    )
     RAISE = "raise"  # cannot be read back (a start bit that the drive takes back); the caller looks for other evidence
 
 
@@ -235,12 +238,14 @@ class ModbusLink:
             if doubt is Doubt.READ_BACK:
                 self._write_resolved(unit, request, table)
                 return
-            repeats = self.policy.urgent_retries if doubt is Doubt.REPEAT else 0
+            repeats = self.policy.stop_retries if doubt is Doubt.STOP else 0
             try:
-                self._attempts(unit, request, repeats, urgent=True, blamed=doubt is Doubt.REPEAT)
+                self._attempts(unit, request, repeats, urgent=True, blamed=doubt is Doubt.STOP)
             except (TransportError, ProtocolError, AbortError) as error:
                 if isinstance(error, AbortError) and error.code != ACKNOWLEDGE:
                     raise
+                if isinstance(error, AbortError) and doubt is Doubt.STOP:
+                    return  # it was taken, and whoever stops looks at what the axis does
                 raise NoAnswerError(f"{error}; whether it was carried out is unknown") from error
 
     def _read(self, unit: int, request: Request, *, urgent: bool, repeats: int | None = None) -> tuple[int, ...]:
@@ -249,29 +254,23 @@ class ModbusLink:
         return self._attempts(unit, request, repeats, urgent=urgent, blamed=repeats > 0)
 
     def _write_resolved(self, unit: int, request: Request, table: Table) -> None:
-        seen: tuple[int, ...] = ()
-        attempts = 0
-        while attempts <= self._repeats(unit, self.policy.write_retries):
-            if attempts > 0:
-                self._count(repeats=1)
-            attempts += 1
-            try:
-                self._attempts(unit, request, 0, urgent=True, blamed=False)
-                return
-            except AbortError as error:
-                if error.code != ACKNOWLEDGE:
-                    raise
-                self._await_carried_out(unit, request, table, error)
-                return
-            except (TransportError, ProtocolError) as error:
-                seen = self._read_back(unit, request, table, error)
-            if seen == request.values:
-                self._count(resolved_writes=1)
-                return
-        raise NoAnswerError(
-            f"Modbus {self.endpoint} unit {unit}, {request}: not answered {attempts} times,"
-            f" not carried out: reads {_listed(seen)}, expected {_listed(request.values)}"
-        )
+        """Sent once. Busy (exception 6) is a refusal: nothing was carried out, and the standard has the client ask again."""
+        try:
+            self._attempts(unit, request, 0, urgent=True, blamed=False)
+            return
+        except AbortError as error:
+            if error.code != ACKNOWLEDGE:
+                raise
+            self._await_carried_out(unit, request, table, error)
+            return
+        except (TransportError, ProtocolError) as error:
+            lost = error
+        seen = self._read_back(unit, request, table, lost)
+        if seen != request.values:
+            raise NoAnswerError(
+                f"{lost}; not carried out, and not sent again: reads {_listed(seen)}, expected {_listed(request.values)}"
+            ) from lost
+        self._count(resolved_writes=1)
 
     def _read_back(self, unit: int, request: Request, table: Table, error: BridgeError) -> tuple[int, ...]:
         try:

@@ -1,4 +1,4 @@
-"""Orders to one Modbus unit that are waited for, what stood in its settings before they were changed, and whether its axis stands.
+"""Orders to one Modbus unit that are waited for, and what stood in its settings before they were changed.
 
 Which orders there are is the register map's business, what they mean the drive's.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from drivers.clock import NS_PER_S, Clock
-from drivers.errors import BridgeError, MotionTimeoutError, NoAnswerError, StateError
+from drivers.clock import Clock
+from drivers.errors import MotionTimeoutError, NoAnswerError, StateError
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import Condition, Write, all_hold
 from drivers.modbus.register_access import RegisterAccess, whole
@@ -17,34 +17,7 @@ from drivers.modbus.way_out import WayOut
 from drivers.undo import undo_all
 
 POLL_S = 0.005
-STILL_S = 0.2
-"""An axis whose position has not changed for so long stands, whatever its velocity register shows, s."""
-AGREED_S = 0.02
-"""The same where the velocity register shows 0, s: the register may be stuck there."""
-STILL_MM = 0.005
-"""Positions of an axis at rest lie within this, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
 Evidence = Callable[[], bool]
-
-
-class Standstill:
-    """Whether an axis stands, judged from looks in a row. count_mm: what the drive tells apart.
-
-    The position has to stay; less long where a velocity of 0 says the same.
-    """
-
-    def __init__(self, count_mm: float) -> None:
-        self._window_mm = max(STILL_MM, 1.5 * count_mm)
-        self._place_mm: float | None = None
-        self._since_ns = 0
-
-    def look(
-        self, time_ns: int, position_mm: float, velocity_mm_s: float | None = None, still_s: float = STILL_S
-    ) -> bool:
-        """True when it stands; still_s: for how long the position has to stay where no velocity agrees."""
-        if self._place_mm is None or abs(position_mm - self._place_mm) > self._window_mm:
-            self._place_mm, self._since_ns = position_mm, time_ns
-            return False
-        return time_ns - self._since_ns >= (AGREED_S if velocity_mm_s == 0.0 else still_s) * NS_PER_S
 
 
 class Orders:
@@ -86,14 +59,9 @@ class Orders:
             self._found.update(self._access.read(new))
 
     def put_back(self) -> None:
-        """Everything that was remembered; what cannot be put back keeps nothing else from it."""
+        """Everything that was remembered, each by a write of its own: what cannot be put back keeps nothing else from it."""
         found, self._found = self._found, {}
-        if not found:
-            return
-        try:
-            self._access.write(found)
-        except BridgeError:
-            undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
+        undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
 
     # -- orders ------------------------------------------------------------------------------------------------------
     def give(self, writes: Sequence[Write]) -> None:
@@ -102,9 +70,14 @@ class Orders:
             self._unless_stopped(partial(self._access.command, write))
 
     def give_stopped(self, writes: Sequence[Write]) -> None:
-        """The same for what takes power off or resets a fault, which a stopped axis does too."""
+        """The same for what resets a fault, which a stopped axis does too."""
         for write in writes:
             self._access.command(write)
+
+    def take_power(self, writes: Sequence[Write]) -> None:
+        """What takes power off, from a stopped axis too; the only orders but the stop that are sent again while unanswered."""
+        for write in writes:
+            self._access.command(write, stops=True)
 
     def write(self, values: Mapping[str, Raw]) -> None:
         """Set-points, on which some drives start. Raises StateError once the axis was told to stop."""

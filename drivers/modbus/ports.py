@@ -1,8 +1,9 @@
 """The socket or serial port under a Modbus wire: every wait is cut into slices in which the operator is heard, and ends in real time.
 
 A stop is *posted*: it leaves without waiting for a reply and without any lock. TCP carries it beside the exchange under way, as
-replies are numbered there. A serial line carries one frame at a time: whoever waits for a reply sends it within a slice, as the unit
-that was asked may be dead, and once more when the line is free, as that unit's reply may have destroyed it.
+replies are numbered there. A serial line carries one frame at a time, and two without silence between them are none: a stop waits for
+the request under way to have left and for its reply, but for no time-out. A unit that has not begun to reply `_TURNAROUND_S` after the
+request may be dead; the stop is then sent, and where an exchange goes on once more at its end, as a late reply may have destroyed it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ Check = Callable[[], None]
 
 _LONGEST_FRAME = 256  # bytes of the longest RTU frame (Modbus over serial line V1.02, 2.3)
 _BITS_PER_CHARACTER = 11  # 2.5.1
-_TURNAROUND_S = 0.02  # what a drive may take to answer a posted stop before the next one is put on its line
+_TURNAROUND_S = 0.02
+"""How long a stop waits for a reply to begin, s: most drives take 1 to 20 ms. The standard
+leaves the time-out to the master (2.4.1)."""
 
 
 def slices(end_s: float, check: Check) -> Iterator[float]:
@@ -93,9 +96,11 @@ class TcpPort(Port):
 
     @property
     def is_open(self) -> bool:
-        return self._socket is not None
+        """Not once the server has hung up, as idle ones do: a write would be lost there, and is sent once only."""
+        return self._socket is not None and not _hung_up(self._socket)
 
     def open(self, within_s: float) -> None:
+        self.close()
         connection = _dialled(self._place, min(self._timeout_s, within_s), self._check)
         # a stop posted beside a request must not wait for that request to be acknowledged (Nagle's algorithm)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -210,6 +215,7 @@ def _as_os_error() -> Iterator[None]:
         raise OSError(str(error)) from error
 
 
+_LOOK_S = 0.0005  # between two looks for a byte
 _MOST_SILENCES = 64  # a line that never falls silent is listened to for so many times the silence asked for
 
 
@@ -228,7 +234,7 @@ class SerialPort(Port):
         self._posted: deque[bytes] = deque()  # stops that wait for the exchange under way
         self._early = 0  # how many of them were sent beside it already
         self._exchanging = False
-        self._stop_answered_s = 0.0  # by when the last posted stop has had its answer
+        self._reply_due_s = 0.0  # by when the reply to the last frame has begun, 0.0: nothing is awaited
 
     @property
     def is_open(self) -> bool:
@@ -255,7 +261,12 @@ class SerialPort(Port):
     def send(self, frame: bytes) -> None:
         port = self._opened()
         _taken(port)  # replies that nobody waits for any more
+        self._expect_reply(frame)  # before: a stop may be posted meanwhile
         self._put(port, frame, self._check)
+        self._expect_reply(frame)
+
+    def _expect_reply(self, frame: bytes) -> None:
+        self._reply_due_s = time.monotonic() + len(frame) * self._character_s + _TURNAROUND_S
 
     def _put(self, port: serial.Serial, frame: bytes, check: Check) -> None:
         for slice_s in slices(time.monotonic() + self._timeout_s, check):
@@ -269,6 +280,7 @@ class SerialPort(Port):
         port = self._opened()
         for slice_s in slices(end_s, self._check):
             if data := _taken(port, wait=slice_s > 0.0):
+                self._reply_due_s = 0.0
                 return data
             self._send_early(port)
         return b""
@@ -301,7 +313,7 @@ class SerialPort(Port):
 
     def _send_early(self, port: serial.Serial) -> None:
         waiting = tuple(self._posted)
-        if len(waiting) > self._early:
+        if len(waiting) > self._early and time.monotonic() >= self._reply_due_s:
             self._send_stop(port, waiting[self._early])
             self._early += 1
 
@@ -314,11 +326,12 @@ class SerialPort(Port):
         with _as_os_error():
             self._await_quiet(port)
             self._put(port, frame, lambda: None)
-        self._stop_answered_s = time.monotonic() + 2 * len(frame) * self._character_s + _TURNAROUND_S
+        self._expect_reply(frame)
 
     def _await_quiet(self, port: serial.Serial) -> None:
-        """Until the last stop was answered and no byte has come for the silent interval; no longer than the longest frame."""
-        while time.monotonic() < self._stop_answered_s and not port.in_waiting:
+        """Until a reply to the last frame has begun in its time, and no byte has come for the silent interval; no longer than the
+        longest frame takes."""
+        while time.monotonic() < self._reply_due_s and not port.in_waiting:
             time.sleep(0.001)
         end_s = time.monotonic() + self.rest_of_frame_s
         seen = -1
@@ -328,11 +341,17 @@ class SerialPort(Port):
 
 
 def _taken(port: serial.Serial, *, wait: bool = False) -> bytes:
-    """What has come in; wait: for the first byte, `IO_SLICE_S` at most."""
+    """What has come in; wait: for the first byte, `IO_SLICE_S` at most.
+
+    Its count is looked at; `select` on a terminal without input waits in Linux for a kernel thread (`tty_buffer_flush_work`), which
+    takes up to 0.8 s where other programs keep all cores busy, whatever its time-out.
+    """
+    end_s = time.monotonic() + IO_SLICE_S
     with _as_os_error():
-        first: bytes = port.read(1) if wait else b""
-        rest: bytes = port.read(port.in_waiting)
-        return first + rest
+        while wait and not port.in_waiting and time.monotonic() < end_s:
+            time.sleep(_LOOK_S)
+        data: bytes = port.read(port.in_waiting)
+        return data
 
 
 def _written(port: serial.Serial, frame: bytes) -> int:

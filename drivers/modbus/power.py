@@ -115,7 +115,7 @@ class PowerStates:
 
     def _walk(self, transition: Transition, verb: str, *, off: bool = False) -> None:
         """off: power goes, which a stop does not forbid, and a fault does as well."""
-        (self._orders.give_stopped if off else self._orders.give)(transition.writes)
+        (self._orders.take_power if off else self._orders.give)(transition.writes)
         state = self._await(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,

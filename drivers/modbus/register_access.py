@@ -92,12 +92,12 @@ class RegisterAccess:
                 single=self.registers.single_writes,
             )
 
-    def command(self, write: Write, *, urgent: bool = False) -> None:
-        """One write of a command; `urgent` ones are repeated without asking what became of the first, and ignore back-off."""
+    def command(self, write: Write, *, stops: bool = False) -> None:
+        """One write of a command. stops: it stops the axis or takes its power, see `Doubt.STOP`; back-off is ignored."""
         register = self._writable(write.register)
         value = write.value
         if write.mask is not None:
-            before = self.integers([register.name], urgent=urgent)[register.name]
+            before = self.integers([register.name], urgent=stops)[register.name]
             value = (before & ~write.mask) | write.value
         self._seen[register.name] = value
         doubt = Doubt.READ_BACK if register.readable and not register.self_clearing else Doubt.RAISE
@@ -106,9 +106,9 @@ class RegisterAccess:
             register.table,
             register.span.start,
             encode(value, register.layout),
-            doubt=Doubt.REPEAT if urgent else doubt,
+            doubt=Doubt.STOP if stops else doubt,
             single=self.registers.single_writes,
-            urgent=urgent,
+            urgent=stops,
         )
 
     def post(self, writes: Sequence[Write]) -> None:

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveLimits
 from drivers.errors import BridgeError
+from drivers.shared_time import SharedTime
 
 _LEAST_S = 6.0
 """Of the 10 s from a fault to the end. The rest is for noticing it (three requests of 1 s on TCP) and what stands beside the drive."""
@@ -31,11 +32,16 @@ class WayOut:
     `_LEAST_S` leaves them, the budget is longer. What counts is the time in the steps, and all time once one has failed, by the clock;
     or what was spent on requests that nobody answered, if that is more, as it passes in real time only. From any thread; waits are
     limited for the thread that is in a step.
+
+    Axes that leave together share one such time (`share`). Where dead ones have used it up, each of the others still has `least_s`, in
+    which an axis brakes and answers.
     """
 
     def __init__(self, clock: Clock, limits: DriveLimits) -> None:
         self._clock = clock
         self.budget_s = max(_LEAST_S, 3.0 + 2.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2)
+        self.least_s = 1.0 + limits.max_velocity_mm_s / limits.max_acceleration_mm_s2
+        self._shared: SharedTime | None = None
         self._thread = threading.local()
         self._begun_ns: int | None = None
         self._counted_ns = 0  # up to here time was counted
@@ -45,6 +51,16 @@ class WayOut:
     def over(self) -> None:
         """A new connection, or an axis that is enabled anew: the next stop begins another."""
         self._begun_ns, self._used_s, self._unanswered_s, self._failed = None, 0.0, 0.0, False
+        self._shared = None
+
+    def share(self, time: SharedTime) -> None:
+        """Begins here, with others; one that is under way and shared already goes on."""
+        if self._inside or (self._recent and self._shared is not None):
+            return
+        if not self._recent:
+            self.over()
+            self._begun_ns = self._clock.now_ns()
+        self._shared = time
 
     @contextmanager
     def step(self, *, last: bool) -> Iterator[None]:
@@ -63,6 +79,8 @@ class WayOut:
             yield
         except BridgeError:
             self._failed = True
+            if self._shared is not None:
+                self._shared.failed(now_ns)
             raise
         finally:
             self._used_s, self._counted_ns = self._spent_s(), self._clock.now_ns()
@@ -85,7 +103,11 @@ class WayOut:
 
     def left_s(self) -> float:
         """Of the budget."""
-        return max(0.0, self.budget_s - max(self._spent_s(), self._unanswered_s))
+        spent_s = max(self._spent_s(), self._unanswered_s)
+        left_s = self.budget_s - spent_s
+        if self._shared is not None:
+            left_s = min(left_s, max(self._shared.left_s(), self.least_s - spent_s))
+        return max(0.0, left_s)
 
     def within_s(self, own_s: float, *, leave_s: float = 0.0) -> float:
         """How long to wait for something that has own_s by itself. leave_s: kept for what comes after it."""
@@ -107,3 +129,5 @@ class WayOut:
         """So much real time went to a request that was not answered."""
         if self._limits_requests():
             self._unanswered_s += waited_s
+            if self._shared is not None:
+                self._shared.unanswered(waited_s)

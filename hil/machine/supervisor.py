@@ -23,6 +23,7 @@ from drivers.errors import (
     MotionTimeoutError,
 )
 from drivers.instrument import Reading
+from drivers.shared_time import SharedTime
 from drivers.undo import Step, undo_all
 from hil.machine.time_out import Motion, likely_reason, what_it_says
 from hil.machine.watched_axis import STALLED_S, WatchedAxis
@@ -99,8 +100,17 @@ class Supervisor:
                 power_off = partial(finish_despite_interrupt, axis.drive.disable)
                 steps.append((f"drive {axis.drive.name} may still be under power", power_off))
         self._found_enabled.clear()
+        self._share_way_out()
         undo_all((*steps, *more), during=error)
         self._stopped_for = None
+
+    def _share_way_out(self) -> None:
+        """From here on the axes are stopped, disabled and put back within one time: the ways out of dead ones do not add up."""
+        drives = [axis.drive for axis in (*self.axes, *self.beside)]
+        if len(drives) > 1:
+            time = SharedTime(self.clock, max(drive.way_out_s for drive in drives))
+            for drive in drives:
+                drive.share_way_out(time)
 
     @contextmanager
     def leaving(self) -> Iterator[None]:
@@ -146,6 +156,7 @@ class Supervisor:
     def stop(self, *, during: BaseException | None = None) -> None:
         """Quick stop of all axes: each is told before any is waited for. What is not confirmed is raised, or added to `during`."""
         axes = (*self.axes, *self.beside)
+        self._share_way_out()
         for axis in axes if len(axes) > 1 else ():
             axis.drive.send_stop()
         undo_all([(f"drive {axis.drive.name} may still move", partial(_stop, axis)) for axis in axes], during=during)

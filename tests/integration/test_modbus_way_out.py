@@ -9,19 +9,23 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from random import Random
 
 import pytest
 from support.modbus_direct import DirectWire
 
 from drivers.clock import Clock
 from drivers.drive import DriveLimits, DriveState
-from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError
+from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.way_out import WayOut
 from drivers.modbus.wire import Request, TcpEndpoint
 from drivers.scaling import AxisScaling
+from drivers.standstill import FrozenValues
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_registers import Face
@@ -156,9 +160,9 @@ def faces(name: str, servo: SimulatedServo) -> Face:
 
 
 @contextmanager
-def moving(name: str, limits: DriveLimits = LIMITS) -> Iterator[Rig]:
+def moving(name: str, limits: DriveLimits = LIMITS, clock: SimClock | None = None) -> Iterator[Rig]:
     """A drive, open, enabled and on its way at full speed."""
-    clock = SimClock()
+    clock = clock or SimClock()
     servo = SimulatedServo(
         Shaft(),
         ServoParameters(
@@ -259,6 +263,122 @@ def test_a_drive_that_comes_back_is_waited_for_as_ever() -> None:
         assert r.drive.sample().state is DriveState.SWITCH_ON_DISABLED
         assert r.drive.way_out.left_s() == r.drive.way_out.budget_s
         r.drive.close()
+
+
+@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
+def test_values_that_are_frozen_in_motion_are_found_out(name: str) -> None:
+    with moving(name) as r:
+        r.drive.sample()
+        r.strike(frozen)
+        began_ns = r.clock.now_ns()
+        with pytest.raises(ProtocolError, match=r"its values are frozen: it shows 100\.000 mm/s"):
+            r.drive.wait_for(lambda _sample: False, 10.0, "nothing")
+        assert r.clock.now_ns() - began_ns <= 1.1e9
+        assert r.wire.order[-1] == "posted"
+        way_out(r)
+        assert r.clock.now_ns() - began_ns < WITHIN_S * 1e9
+
+
+def test_an_axis_that_stands_or_dwells_in_a_motion_shows_no_frozen_values() -> None:
+    values = FrozenValues()
+    assert not any(values.look(round(each * 1e8), 7.0, 0.0) for each in range(100))
+    assert not any(values.look(round(each * 1e8), 7.0, 0.3) for each in range(100))  # noise
+    assert not any(values.look(round(each * 1e8), 7.0, None) for each in range(100))
+    assert not any(values.look(round(each * 1e8), 7.0 + each, 10.0) for each in range(100))
+    assert [values.look(round(each * 1e8), 7.0, 10.0) for each in range(11)] == [*10 * [False], True]
+
+
+@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
+def test_a_line_that_loses_one_reply_in_a_hundred_can_be_worked_with(name: str) -> None:
+    """Reads are asked again, writes are read back."""
+    random, lost = Random(7), 0
+
+    def lossy(wire: FaultyWire, request: Request) -> tuple[int, ...]:
+        nonlocal lost
+        wire.clock.sleep_s(0.002)
+        values = wire.honest(request)
+        if random.random() < 0.01:
+            lost += 1
+            raise wire.silence()
+        return values
+
+    with moving(name) as r:
+        r.drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+        r.wire.answer = lossy
+        for target_mm in (10.0, 20.0, 15.0, 30.0, 25.0, 60.0):
+            r.drive.start_move(target_mm, 50.0)
+            sample = r.drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+            assert sample.position_load_mm == pytest.approx(target_mm, abs=0.01)
+        r.drive.disable()
+        assert not r.servo.powered
+        statistics = r.drive.link.statistics
+        assert lost == statistics.no_answers > 3
+        r.drive.close()
+
+
+# -- several axes that leave together ------------------------------------------------------------------------------------------
+@dataclass
+class Pair:
+    """Two drives, each on a line of its own and both on their way, under one supervisor."""
+
+    rigs: list[Rig]
+    supervisor: Supervisor
+
+    @property
+    def clock(self) -> SimClock:
+        return self.rigs[0].clock
+
+    def leave(self) -> float:
+        """After an error, then closing each; how long it took, s."""
+        began_ns = self.clock.now_ns()
+        error = NoAnswerError("the measurement failed")
+        self.supervisor.stop_for(error)
+        self.supervisor.leave(error)
+        for rig in self.rigs:
+            with suppress(BridgeError):
+                rig.drive.close()
+        return 1e-9 * (self.clock.now_ns() - began_ns)
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    clock = SimClock()
+    with moving("cia402_over_modbus", clock=clock) as first, moving("cia402_over_modbus", clock=clock) as second:
+        rigs = [first, second]
+        yield Pair(rigs, Supervisor([WatchedAxis(rig.drive) for rig in rigs]))
+
+
+@pytest.mark.parametrize("kind", [silent, replies_lost, dead_server], ids=lambda kind: kind.__name__)
+def test_the_ways_out_of_two_dead_axes_do_not_add_up(pair: Pair, kind: Answer) -> None:
+    for rig in pair.rigs:
+        rig.strike(kind)
+    told_ns: list[int] = []
+    for rig in pair.rigs:
+        post = rig.wire.post
+        rig.wire.post = lambda *args, post=post: (told_ns.append(pair.clock.now_ns()), post(*args))[1]  # type: ignore[method-assign]
+    began_ns = pair.clock.now_ns()
+    assert pair.leave() < WITHIN_S
+    assert told_ns[:2] == [began_ns, began_ns]  # both before either was waited for
+
+
+def test_an_axis_that_answers_has_its_time_beside_a_dead_one(pair: Pair) -> None:
+    dead, alive = pair.rigs
+    dead.strike(silent)
+    assert pair.leave() < WITHIN_S
+    assert not alive.servo.powered
+    assert alive.servo.velocity_actual_counts_s == 0.0
+
+
+def test_axes_that_answer_do_not_take_each_others_time() -> None:
+    clock = SimClock()
+    with (
+        moving("cia402_over_modbus", SLOW_LIMITS, clock) as first,
+        moving("cia402_over_modbus", SLOW_LIMITS, clock) as second,
+    ):
+        supervisor = Supervisor([WatchedAxis(rig.drive) for rig in (first, second)])
+        supervisor.leave(None)
+        assert [rig.servo.powered for rig in (first, second)] == [False, False]
+        assert [rig.wire.order.count("posted") for rig in (first, second)] == [0, 0]  # a halt was enough
 
 
 # -- the budget -------------------------------------------------------------------------------------------------------------

@@ -7,6 +7,8 @@ a python-can virtual bus, a loopback port, a pseudo-terminal. `--write` puts bot
 from __future__ import annotations
 
 import argparse
+import itertools
+import math
 import multiprocessing
 import sys
 import threading
@@ -35,7 +37,8 @@ from drivers.errors import BridgeError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
+from drivers.modbus.ports import Check
+from drivers.modbus.wire import Endpoint, PymodbusWire, Request, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
@@ -50,6 +53,8 @@ PAGE = Path(__file__).parents[2] / "hil" / "docs" / "stopping.md"
 SIMULATED = (("canopen", False), ("canopen", True), ("modbus-tcp", False))
 LIMITS = DriveLimits(-300.0, 300.0, 200.0, 2000.0)
 NODE = 5
+SEEN_S = 1.0
+"""For a stop to come to a drive, before it is confirmed."""
 READY_S = 20.0
 """For a drive to be had again after the stop before."""
 
@@ -66,15 +71,57 @@ def simulated_row(face: str, sdo_dead: bool, verb: str, moments: int, pool: Proc
     return f"| {wire} | {verb} | {len(under)} | {worst_ms:.1f} ms{'' if face == 'canopen' else f', {requests} requests before it'} |"
 
 
+class CountedWire(PymodbusWire):
+    """Notes when each request began and ended, and when posted stops left, s."""
+
+    def __init__(self, endpoint: Endpoint, check: Check) -> None:
+        super().__init__(endpoint, check)
+        self.requests: list[tuple[float, float]] = []
+        self.left: list[float] = []
+        stops: set[bytes] = set()
+        post, written = self._port.post, getattr(self._port, "_put", None)
+
+        def posted(frames: Sequence[bytes]) -> None:
+            stops.update(frames)
+            if written is None:
+                self.left.append(time.monotonic())
+            post(frames)
+
+        def put(port: Any, frame: bytes, check: Check) -> None:
+            if frame in stops:
+                self.left.append(time.monotonic())
+            written(port, frame, check)  # type: ignore[misc]
+
+        self._port.post = posted  # type: ignore[method-assign]
+        if written is not None:
+            self._port._put = put  # type: ignore[attr-defined]
+
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
+        began_s = time.monotonic()
+        try:
+            return super().exchange(unit, request, within_s)
+        finally:
+            self.requests.append((began_s, time.monotonic()))
+
+    def before_stop(self, pressed_s: float) -> tuple[float, int]:
+        """Of the first stop after this moment: how long until it left, and the requests that were under way or begun meanwhile."""
+        left_s = min(when for when in self.left if when >= pressed_s)
+        return left_s - pressed_s, sum(began < left_s and ended > pressed_s for began, ended in self.requests)
+
+
 # -- wall time ---------------------------------------------------------------------------------------------------------------
 @dataclass
 class Rig:
-    """One drive over a real wire in real threads. dead(True): answers are lost from now on; seen: when stops came to the wire, s."""
+    """One drive over a real wire in real threads. dead(True): answers are lost from now on; seen: when stops came to the wire, s.
+
+    On Modbus `seen` is when the drive was told.
+    """
 
     drive: ServoDrive
     stop: Stop
     dead: Callable[[bool], None]
     seen: list[float] = field(default_factory=list)
+    wire: CountedWire | None = None  # of Modbus
 
 
 def _servo() -> SimulatedServo:
@@ -117,13 +164,14 @@ def modbus_rig(*, serial: bool) -> Iterator[Rig]:
     face = Cia402Registers(servo, parameters={(0x6098, 0): 37, (0x6085, 0): 20_000_000})
     with rtu_slave({7: face}, WallClock()) if serial else tcp_server({7: face}, WallClock()) as (server, place):
         endpoint = RtuEndpoint(str(place), 115_200, "N") if serial else TcpEndpoint("127.0.0.1", int(place))
-        link = ModbusLink(endpoint, clock)
+        wire = CountedWire(endpoint, clock.check_interrupt)
+        link = ModbusLink(endpoint, clock, make_wire=lambda _endpoint: wire)
         scaling = AxisScaling(SMALL_SERVO.counts_per_rev, 10.0)
         drive = ModbusDrive(
             "X", scaling, LIMITS, clock, link=link, unit=7, drive_map=load_drive_map("cia402_over_modbus")
         )
         silent = WireFault(WireFaultKind.NO_REPLY, count=1 << 30)
-        rig = Rig(drive, stop, lambda dead: server.faults.add(silent) if dead else server.faults.clear())
+        rig = Rig(drive, stop, lambda dead: server.faults.add(silent) if dead else server.faults.clear(), wire=wire)
         for order in ("quick_stop", "halt", "power_off"):
             _tap(rig, servo, order)
         ended = threading.Event()
@@ -209,8 +257,17 @@ def _make_ready(rig: Rig) -> None:
             time.sleep(0.05)
 
 
-def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random: Random) -> float | None:
-    """Latency of one stop in s; None where the work ended by itself before it."""
+@dataclass(frozen=True)
+class Latency:
+    """Until the stop left and until it was seen at the drive (on CAN the same), s; requests of Modbus that it waited for."""
+
+    left_s: float
+    seen_s: float
+    requests: int
+
+
+def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random: Random) -> Latency | None:
+    """None where the work ended by itself before it."""
     _make_ready(rig)
     pressed: list[float] = []
 
@@ -233,26 +290,46 @@ def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random
         pass  # with the answers lost a wait may have ended first
     rig.drive.send_stop()
     presser.join()
-    after = [when for when in rig.seen if when >= pressed[0]]
-    return after[0] - pressed[0] if heard and after else None
+    for order in (
+        lambda: None,
+        rig.drive.quick_stop,
+    ):  # one that was destroyed on its way is sent again when it is confirmed
+        deadline_s = time.monotonic() + SEEN_S
+        with suppress(BridgeError):
+            order()
+        while not (after := [when for when in rig.seen if when >= pressed[0]]) and time.monotonic() < deadline_s:
+            time.sleep(0.001)
+        if after:
+            break
+    if not (heard and after):
+        return None
+    seen_s = after[0] - pressed[0]
+    return Latency(seen_s, seen_s, 0) if rig.wire is None else _of_modbus(rig.wire, pressed[0], seen_s)
+
+
+def _of_modbus(wire: CountedWire, pressed_s: float, seen_s: float) -> Latency:
+    left_s, requests = wire.before_stop(pressed_s)
+    return Latency(left_s, seen_s, requests)
 
 
 def wall_row(wire: str, name: str, *, dead: bool, moments: int) -> str:
-    random, found = Random(f"{wire} {name} {dead}"), []
+    random = Random(f"{wire} {name} {dead}")
+    found: list[Latency] = []
     with WIRES[wire]() as rig:
         try:
             while len(found) < moments:
-                latency_s = one_stop(rig, WORKS[name], dead=dead, random=random)
-                found += [] if latency_s is None else [latency_s]
+                latency = one_stop(rig, WORKS[name], dead=dead, random=random)
+                found += [] if latency is None else [latency]
         finally:
             rig.dead(False)
             rig.stop.rearm()
             with suppress(BridgeError, StoppedByOperator):
                 rig.drive.close()
     answers = ("SDO" if wire == "CANopen" else "answers") + (" dead" if dead else " alive")
-    ordered = sorted(found)
-    median_ms, worst_ms = 1e3 * ordered[len(ordered) // 2], 1e3 * ordered[-1]
-    return f"| {wire}, {answers} | {name} | {len(found)} | {median_ms:.1f} ms | {worst_ms:.1f} ms |"
+    left, seen = sorted(each.left_s for each in found), sorted(each.seen_s for each in found)
+    times = " | ".join(f"{1e3 * one_s:.1f} ms" for one_s in (left[len(left) // 2], left[-1], seen[-1]))
+    requests = "" if wire == "CANopen" else max(each.requests for each in found)
+    return f"| {wire}, {answers} | {name} | {len(found)} | {times} | {requests} |"
 
 
 def _busy() -> None:
@@ -280,10 +357,12 @@ WALL_HEAD = """
 ## In real time, both cores loaded
 
 Real threads, two processes that only compute. The stop is pressed in a thread of its own. "Dead": SDO requests (on Modbus: replies)
-are lost from up to 50 ms before the stop. On RTU a request that was begun is waited for.
+are lost from up to 50 ms before the stop. "Requests": the most that were under way, or were begun, between the stop and its frame.
+"At the drive" includes the simulated drive's own threads. On RTU the reply that is under way is waited for, but no time-out of a dead
+unit: the request's own time on the line and 20 ms.
 
-| wire | work | stops | median | worst |
-| --- | --- | --- | --- | --- |
+| wire | work | stops | leaves, median | worst | at the drive, worst | requests |
+| --- | --- | --- | --- | --- | --- | --- |
 """
 
 
@@ -306,7 +385,7 @@ def _in_real_time(args: argparse.Namespace) -> Iterator[str]:
     for process in load:
         process.start()
     try:
-        for wire in WIRES:
+        for wire in args.wire or WIRES:
             for dead in (False, True):
                 for name in WORKS:
                     if args.verb is None or name in args.verb:
@@ -321,11 +400,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--moments", type=int, default=200)
     parser.add_argument("--verb", action="append", choices=[*VERBS, *WORKS])
+    parser.add_argument("--wire", action="append", choices=WIRES)
     parser.add_argument("--only", choices=("simulated", "wall"))
     parser.add_argument("--write", action="store_true", help=f"write {PAGE.name} as well")
     args = parser.parse_args(arguments)
     parts = [HEAD]
-    for line in (*_simulated(args), *_in_real_time(args)):
+    for line in itertools.chain(_simulated(args), _in_real_time(args)):
         parts.append(line + "\n")
         print(line, flush=True)
     if args.write:

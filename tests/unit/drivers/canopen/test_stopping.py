@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +16,7 @@ from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
-from drivers.canopen.motion import LOOK_S, STILL_LOOKS, STILL_MM_S, Standstill
+from drivers.canopen.motion import LOOK_S
 from drivers.canopen.power import PowerTimes
 from drivers.canopen.sdo import AT_LEAST_S, WAY_OUT_S, SdoClient
 from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
@@ -32,7 +32,10 @@ from drivers.errors import (
     StateError,
 )
 from drivers.scaling import AxisScaling
+from drivers.standstill import STILL_MM_S, STILL_S, Standstill
 from drivers.undo import undo_all
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
@@ -365,6 +368,9 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
     assert rig.bench.slave.profile.state is DriveState.QUICK_STOP
 
 
+STILL_LOOKS = round(STILL_S / LOOK_S)
+
+
 # -- standstill -------------------------------------------------------------------------------------------------------------
 
 
@@ -372,9 +378,11 @@ def _looks(
     positions: Callable[[int], int], velocity: Callable[[int], int | None], reached: Callable[[int], bool]
 ) -> int | None:
     """The number of the look that says "stands", at 10 000 counts/mm and `LOOK_S` apart; None of a hundred."""
-    standstill = Standstill(10_000.0)
+    standstill = Standstill(1e-4)
     for look in range(100):
-        if standstill.look(round(look * LOOK_S * 1e9), positions(look), velocity(look), reached(look)):
+        counts_per_s = velocity(look)
+        velocity_mm_s = None if counts_per_s is None else 1e-4 * counts_per_s
+        if standstill.look(round(look * LOOK_S * 1e9), 1e-4 * positions(look), velocity_mm_s, reached=reached(look)):
             return look
     return None
 
@@ -384,14 +392,14 @@ def _looks(
     [
         (lambda n: 0, lambda n: 0, lambda n: True, 1),  # bit 10, and what agrees with it
         (lambda n: 0, lambda n: None, lambda n: True, 1),  # no 606Ch
-        (lambda n: 0, lambda n: 0, lambda n: False, STILL_LOOKS - 1),  # bit 10 never rises
-        (lambda n: n % 2, lambda n: 90_000, lambda n: False, STILL_LOOKS - 1),  # 606Ch in other units: positions
-        (lambda n: 90 * (n % 2), lambda n: 4_000, lambda n: False, STILL_LOOKS - 1),  # hunts by 9 µm, 606Ch is low
+        (lambda n: 0, lambda n: 0, lambda n: False, STILL_LOOKS),  # bit 10 never rises
+        (lambda n: n % 2, lambda n: 90_000, lambda n: False, STILL_LOOKS),  # 606Ch in other units: positions
+        (lambda n: 90 * (n % 2), lambda n: 4_000, lambda n: False, STILL_LOOKS),  # hunts by 9 µm, 606Ch is low
         (lambda n: 1000 * n, lambda n: 100_000, lambda n: True, None),  # bit 10 of a velocity that was reached
         (lambda n: 1000 * n, lambda n: 3, lambda n: True, None),  # 606Ch in other units contradicts the positions
         (lambda n: 1000 * n, lambda n: None, lambda n: True, None),
         (lambda n: 10 * n, lambda n: None, lambda n: False, None),  # creeps with 0.1 mm/s
-        (lambda n: 1000 * min(n, 30), lambda n: None, lambda n: False, 30 + STILL_LOOKS - 1),
+        (lambda n: 1000 * min(n, 30), lambda n: None, lambda n: False, 30 + STILL_LOOKS),
     ],
 )
 def test_standstill(
@@ -437,7 +445,7 @@ def test_an_axis_that_never_shows_its_arrival_is_disabled_by_its_positions(make:
 
 def _restless(monkeypatch: pytest.MonkeyPatch) -> CanOpenSettings:
     """An axis that is never seen at rest."""
-    monkeypatch.setattr(Standstill, "look", lambda *_: False)
+    monkeypatch.setattr(Standstill, "look", lambda *_, **__: False)
     return CanOpenSettings(power=PowerTimes(stop_s=0.5))
 
 
@@ -681,6 +689,22 @@ def test_the_ways_out_of_two_axes_do_not_add_up(kind: CanFaultKind) -> None:
         began_ns = pair.clock.now_ns()
         _leave(*pair.drives)
         assert pair.clock.now_ns() - began_ns <= (WAY_OUT_S + AT_LEAST_S + 2 * LOOKS_S) * 1e9
+
+
+@pytest.mark.parametrize("kind", [SDO_DEAD, K.NODE_DEAD])
+def test_the_ways_out_of_two_axes_that_were_not_stopped_do_not_add_up(kind: CanFaultKind) -> None:
+    """Found dead while they are disabled at the end of a good run."""
+    pair = Pair(CanFault(kind, at_s=FAULT_AT_S))
+    with pair.link:
+        pair.clock.sleep_until_ns(round(FAULT_AT_S * 1e9) + 1_000_000)
+        began_ns = pair.clock.now_ns()
+        supervisor = Supervisor([WatchedAxis(drive) for drive in pair.drives])
+        with suppress(BridgeError):
+            supervisor.leave(None)
+        for drive in pair.drives:
+            with suppress(BridgeError):
+                drive.close()
+        assert pair.clock.now_ns() - began_ns <= (WAY_OUT_S + AT_LEAST_S + LOOKS_S) * 1e9
 
 
 @pytest.mark.parametrize("kind", [SDO_DEAD, K.NODE_DEAD])

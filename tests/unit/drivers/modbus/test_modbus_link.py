@@ -139,16 +139,19 @@ def test_an_unanswered_write_that_happened_is_not_repeated() -> None:
     assert r.link.statistics.resolved_writes == 1
 
 
-def test_an_unanswered_write_is_repeated_only_when_it_is_proven_not_to_have_happened() -> None:
-    r = rig(no_answer(), (0, 0), ())
-    r.link.write(1, HOLDING, 10, (3, 4))
-    assert [request.function.is_write for request in r.wire.requests] == [True, False, True]
-
-
-def test_a_write_that_never_happens_says_so() -> None:
-    r = rig(no_answer(), (0, 0), no_answer(), (0, 9))
-    with pytest.raises(NoAnswerError, match="not carried out: reads 0, 9, expected 3, 4"):
+@pytest.mark.parametrize("lost", [NoAnswerError("no answer"), LinkLostError("gone"), ProtocolError("echoes 7")])
+def test_a_write_that_was_lost_is_told_and_never_sent_again(lost: BaseException) -> None:
+    r = rig(lost, no_answer(), (3, 9))  # the read-back is asked again
+    with pytest.raises(NoAnswerError, match="not carried out, and not sent again: reads 3, 9, expected 3, 4"):
         r.link.write(1, HOLDING, 10, (3, 4))
+    assert [request.function.is_write for request in r.wire.requests] == [True, False, False]
+    assert r.wire.requests[-1].count == 2  # the whole value
+
+
+def test_a_busy_unit_has_refused_a_write_so_it_is_sent_when_it_has_time() -> None:
+    r = rig(AbortError("busy", 6), ())
+    r.link.write(1, HOLDING, 10, (3, 4))
+    assert [request.function.is_write for request in r.wire.requests] == [True, True]
 
 
 def test_a_write_that_cannot_be_read_back_stays_in_doubt() -> None:
@@ -179,13 +182,13 @@ def test_a_start_bit_is_never_sent_twice() -> None:
     assert len(r.wire.asked) == 1
 
 
-def test_an_urgent_write_is_repeated_without_asking_and_ignores_backoff() -> None:
+def test_a_stop_is_the_one_write_that_is_sent_again_and_ignores_backoff() -> None:
     r = rig(*[no_answer()] * 2, no_answer(), ())
     with pytest.raises(NoAnswerError):
         read(r.link)
     with pytest.raises(NoAnswerError, match="not tried again"):
         read(r.link)
-    r.link.write(1, HOLDING, 10, (2,), doubt=Doubt.REPEAT, urgent=True)
+    r.link.write(1, HOLDING, 10, (2,), doubt=Doubt.STOP, urgent=True)
     assert [request.function.is_write for request in r.wire.requests] == [False, False, True, True]
 
 
