@@ -237,6 +237,8 @@ class WatchedAxis:
     def _take(self, readings: Sequence[Reading], *, compared: bool) -> None:
         homing = self.motion is not None and self.motion.target_mm is None
         fastest_mm_s = self._readings_mm_s() if readings else 0.0
+        if not compared:
+            self._agreement.forget_rest()
         for reading in readings:
             if reading.status is not ReadingStatus.GOOD:
                 raise self._lost(reading.status.value)
