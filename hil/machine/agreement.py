@@ -202,7 +202,8 @@ class Agreement:
             return (
                 f"jumped by {step_mm:.3f} mm against a motor that {'travelled' if travel_mm > STANDS_MM else 'stands'}: it saw"
                 f" {position_mm - rest.reading_mm:.3f} mm while the motor travelled {now.motor_mm - rest.motor_mm:.3f} mm from rest to"
-                f" rest, allowed is a difference of {allowed_mm:.3f} mm ([instrument] instrument_agrees_within_um, [axis] largest_reversal_um)"
+                f" rest, allowed is a difference of {allowed_mm:.3f} mm"
+                " ([instrument] instrument_agrees_within_um, [axis] largest_reversal_um)"
             )
         rest.apart = 0
         if travel_mm > STANDS_MM or reading.time_ns - rest.time_ns > RATE_OVER_S * NS_PER_S:

@@ -10,7 +10,7 @@ from itertools import cycle
 
 from hostile.peer import Kinds, Peer
 
-from drivers.errors import FollowingErrorError, LinkLostError, MeasurementLostError, ProtocolError
+from drivers.errors import FollowingErrorError, LinkLostError, MeasurementLostError, ProtocolError, UnprovenError
 from sim_backends.bench import Bench
 
 LOST = (MeasurementLostError, LinkLostError, ProtocolError)
@@ -87,14 +87,21 @@ def _(peer: InstrumentPeer) -> None:
     peer.rewrite = freeze
 
 
-@kinds("jumps by 1.58 m", *WRONG, passes=True)
+@kinds("jumps by 1.58 m", *WRONG)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 5_000_000)
 
 
-@kinds("jumps by 1 mm", *WRONG, passes=True)
+@kinds("jumps by 1 mm", *WRONG)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 3160)
+
+
+@kinds("is 0.45 mm beside the truth for 4 s", *WRONG, UnprovenError)
+def _(peer: InstrumentPeer) -> None:
+    """Within the 0.7 mm that a whole travel may differ by."""
+    back_ns = peer.clock.now_ns() + 4_000_000_000
+    _displacement(peer, lambda counts: counts + (0.45 / COUNT_MM if peer.clock.now_ns() < back_ns else 0.0))
 
 
 @kinds("replays its past", *LOST, FollowingErrorError)

@@ -126,7 +126,7 @@ def test_a_step_within_the_stated_difference_is_none_of_a_motor_that_stands(
     jump_mm: float, jump_after_s: float
 ) -> None:
     machine = ToyMachine()
-    with pytest.raises(MeasurementLostError, match="jumped by .* stands"), toy_session(machine) as session:
+    with pytest.raises(MeasurementLostError, match=r"jumped by .* stands"), toy_session(machine) as session:
         session.prepare()
         session.move_to(50.0)
         session.watch(0.2)
@@ -136,7 +136,7 @@ def test_a_step_within_the_stated_difference_is_none_of_a_motor_that_stands(
 
 def test_nor_is_a_step_on_the_way_from_one_rest_to_the_next() -> None:
     machine = ToyMachine()
-    with pytest.raises(MeasurementLostError, match="jumped by .* travelled"), toy_session(machine) as session:
+    with pytest.raises(MeasurementLostError, match=r"jumped by .* travelled"), toy_session(machine) as session:
         session.prepare()
         machine.trouble = Trouble(jump_at_s=machine.now_s + 0.3, jump_mm=0.45)
         session.move_to(50.0)
