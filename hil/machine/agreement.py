@@ -219,7 +219,11 @@ class Agreement:
         if not times or from_ns < times[0]:
             return None
         places = self._places_mm[bisect_right(times, from_ns) - 1 : bisect_left(times, to_ns) + 1]
-        beyond_mm = max(0, to_ns - times[-1]) / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
+        beyond_ns = max(0, to_ns - times[-1])
+        late_ns = times[-1] - times[-2] if len(times) > 1 else 0
+        if beyond_ns and late_ns > 2 * DATED_WITHIN_S * NS_PER_S:
+            beyond_ns += late_ns  # the host was held up: the last position may be as old as its look before
+        beyond_mm = beyond_ns / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
         return min(places) - beyond_mm, max(places) + beyond_mm
 
     def _told(self, now: _Pair, before: _Pair, allowed_mm: float) -> str:

@@ -150,6 +150,11 @@ class WatchedAxis:
         return "" if self.instrument is None else self.instrument.name
 
     @property
+    def steady_mm(self) -> float:
+        """What the instrument may change by while the axis stands."""
+        return self._agreement.limits.steady_mm
+
+    @property
     def _speed_mm_s(self) -> float:
         return self._stream_mm_s if self.motion is None else self.motion.speed_mm_s
 

@@ -87,17 +87,18 @@ def _(peer: InstrumentPeer) -> None:
     peer.rewrite = freeze
 
 
-@kinds("jumps by 1.58 m", *WRONG)
+# What steps once, before the datum is taken, shifts a zero that nobody has yet: rows are right, and are looked at.
+@kinds("jumps by 1.58 m", *WRONG, passes=True)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 5_000_000)
 
 
-@kinds("jumps by 1 mm", *WRONG)
+@kinds("jumps by 1 mm", *WRONG, passes=True)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 3160)
 
 
-@kinds("is 0.45 mm beside the truth for 4 s", *WRONG, UnprovenError)
+@kinds("is 0.45 mm beside the truth for 4 s", *WRONG, UnprovenError, passes=True)
 def _(peer: InstrumentPeer) -> None:
     """Within the 0.7 mm that a whole travel may differ by."""
     back_ns = peer.clock.now_ns() + 4_000_000_000

@@ -14,11 +14,11 @@ from support.toy_axis import MEASUREMENT, ToyDrive, ToyInstrument, ToyMachine, T
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from drivers.errors import MeasurementLostError, MotionTimeoutError, OverspeedError, SafetyError
-from drivers.instrument import Reading
+from drivers.instrument import Reading, ReadingStatus
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.set_points import SetPointSettings
-from hil.machine.agreement import AgreementLimits
+from hil.machine.agreement import Agreement, AgreementLimits
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import geometric_axis
@@ -132,6 +132,36 @@ def test_a_step_within_the_stated_difference_is_none_of_a_motor_that_stands(
         session.watch(0.2)
         machine.trouble = Trouble(jump_at_s=machine.now_s + jump_after_s, jump_mm=jump_mm)
         session.watch(jump_after_s + 0.25)
+
+
+@pytest.mark.parametrize("readings", [1, 2, 3])
+def test_few_readings_of_which_some_are_beside_the_others_become_no_row(readings: int) -> None:
+    """No rule for outliers holds for eight readings; two of them would make 112 µm of 450."""
+    machine = ToyMachine()
+    beside = pytest.raises(MeasurementLostError, match=r"jumped by|readings of one position differ by 0\.450 mm")
+    with beside, toy_session(machine, reading_s=0.08, dwell_s=0.3) as session:
+        session.prepare()
+        session.move_to(50.0)
+        machine.trouble = Trouble(jump_at_s=machine.now_s + 0.385 - 0.01 * readings, jump_mm=0.45)
+        session.read_position()
+
+
+@pytest.mark.parametrize(("held_up_s", "jump_mm", "good"), [(0.3, 0.0, True), (0.0, 0.0, True), (0.3, 60.0, False)])
+def test_a_host_that_is_held_up_makes_no_jump(held_up_s: float, jump_mm: float, good: bool) -> None:
+    """A motor position that was there at once, and is dated only when the host comes round to it; 100 mm/s."""
+    agreement = Agreement(AgreementLimits(latency_s=0.01), 100.0)
+
+    def look(taken_s: float, dated_s: float, since_s: float, jump_mm: float = 0.0) -> str | None:
+        agreement.motor_at(round(dated_s * NS_PER_S), 100.0 * taken_s)
+        seen_s = dated_s - 0.02
+        reading = Reading(
+            round(dated_s * NS_PER_S), ReadingStatus.GOOD, 100.0 * seen_s + jump_mm, 1, 0, round(since_s * NS_PER_S)
+        )
+        return agreement.compare(reading, 100.0)
+
+    for number in range(1, 20):
+        assert look(0.05 * number, 0.05 * number, 0.05 * (number - 1)) is None
+    assert (look(1.0, 1.0 + held_up_s, 0.95, jump_mm) is None) is good
 
 
 def test_nor_is_a_step_on_the_way_from_one_rest_to_the_next() -> None:
