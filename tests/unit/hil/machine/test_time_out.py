@@ -76,12 +76,12 @@ def test_a_homing_that_goes_to_and_fro_is_not_waited_for(swing_mm: float) -> Non
         assert machine.told("quick stop")
 
 
-@pytest.mark.parametrize("speed_mm_s", [0.02, 20.0])
+@pytest.mark.parametrize("speed_mm_s", [0.02, 6.0])
 def test_a_homing_may_creep_and_turn_around_twice(speed_mm_s: float) -> None:
     machine = ToyMachine()
     with toy_session(machine) as session:
         session.supervisor.enable()
-        ends_mm = [40.0 - 7.3 * speed_mm_s, 40.0 - 6.3 * speed_mm_s, 40.0 - 7.8 * speed_mm_s]
+        ends_mm = [40.0 - 6.3 * speed_mm_s, 40.0 - 4.7 * speed_mm_s, 40.0 - 6.3 * speed_mm_s]
 
         def lead(_sample: DriveSample) -> None:
             machine.velocity_mm_s = speed_mm_s
@@ -92,3 +92,12 @@ def test_a_homing_may_creep_and_turn_around_twice(speed_mm_s: float) -> None:
 
         session.supervisor.home(look=lead)
         assert machine.homed
+
+
+def test_a_rest_before_a_motion_is_none_of_it() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        session.move_to(50.0)
+        session.watch(STALLED_S + 1.0)
+        session.move_to(60.0)
