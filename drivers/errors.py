@@ -119,6 +119,10 @@ class CorrectionBoundError(SafetyError):
     """A correction is larger, or changes more per mm, than the axis file allows; it is not used."""
 
 
+class UnprovenError(SafetyError):
+    """Runs with a correction in force do not show what it was computed from; it is not used."""
+
+
 class MotionTimeoutError(SafetyError):
     """A motion did not end in its time."""
 

@@ -54,6 +54,8 @@ WITHOUT_TORQUE = (
     DriveState.FAULT,
 )
 """States in which a drive does not move its axis."""
+HALT_TAKEN_S = 1.0
+"""From a halt to the beginning of its ramp, and a load that rings after it, s."""
 STOP_SHOWN_S = 0.1
 """How long a drive may take to leave operation enabled after it confirmed the quick stop command, s: ten slow control cycles."""
 
@@ -221,7 +223,7 @@ class StoppableDrive(ServoDrive):
                     self._send(RUN | Control.HALT, by_sdo=False)  # SDO may be dead, and its answer is waited for
                 self.motion.halt()
                 halted = True
-            if self._comes_to_rest(self.settings.power.stop_s):
+            if self._comes_to_rest(self._halting_s if halted else self.settings.power.stop_s):
                 return True
         except BridgeError:  # the halt is not confirmed
             pass
@@ -238,6 +240,15 @@ class StoppableDrive(ServoDrive):
                 self.clock.sleep_s(self._braking_s)
                 self._braking_awaited = True
             return False
+
+    @property
+    def _halting_s(self) -> float:
+        """What a halt from the axis's highest speed may take by a ramp three times flatter than the axis's. An axis that goes on for
+        longer does not obey it, as where another master moves it: it is quick-stopped."""
+        limits = self.limits
+        return min(
+            HALT_TAKEN_S + 3.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2, self.settings.power.stop_s
+        )
 
     def _comes_to_rest(self, timeout_s: float) -> bool:
         """Look until it stands, or has no torque; False when neither was shown in time. Raises when nobody answers."""

@@ -1,4 +1,4 @@
-"""Calibration, system A: measure, compute, store, prove, revise what lies outside, until everything lies inside (JP4875672B2).
+"""Calibration, system A: measure, compute, prove, store, revise what lies outside, until everything lies inside (JP4875672B2).
 
 The procedure depends on its rows alone: taken up after an interruption, it replays those on disk to the same tables and goes on with
 the first row missing.
@@ -6,9 +6,13 @@ the first row missing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from drivers.errors import UnprovenError
 from hil.axis.axis_file import CorrectionConfig
 from hil.correction.compensation import Compensation
 from hil.correction.tables import (
@@ -76,8 +80,9 @@ def calibrate(
 
     straightness: a straightness correction that is stored and put into force together with the tables
 
-    Leaves the tables in force in the session. Raises InputError, before any table is stored, when the band is narrower than the
-    machine's repeatability, and CorrectionBoundError, before it is stored, for a table beyond the axis's bound.
+    Leaves the tables in force in the session. Raises, before a table is stored: InputError when the band is narrower than the
+    machine's repeatability, CorrectionBoundError for a table beyond the axis's bound, and UnprovenError for one whose proof
+    contradicts it (`check_proof`): nothing is in force then, and the campaign is finished.
     """
     how = session.how
     session.compensation = None
@@ -94,10 +99,16 @@ def calibrate(
         stored = as_stored(tables, correction)
         compensation = Compensation(stored)
         compensation.check(session.steering.bound, "correction computed from these runs not used")
-        store(stored)
         session.compensation = compensation
         records = measure(session, campaign, f"round-{number}", steps, listener, comment=f"tables {stored.digest()}")
         outside = _outside(records, correction.band)
+        try:
+            check_proof(before, records, correction.band)
+        except UnprovenError:
+            session.compensation = None
+            campaign.finish()
+            raise
+        store(stored)
         rounds.append(Round(records, stored, tuple(outside)))
         listener(Event(f"round-{number}", _verdict(outside, correction.band)))
         if correction.band is None or not outside or number == correction.max_rounds:
@@ -109,6 +120,70 @@ def calibrate(
 def check_band(records: Records, band: Band) -> None:
     """Refuse a band narrower than the repeatability seen in these runs; InputError with both figures."""
     band.check_repeatability(section_means(records).pooled_std_um)
+
+
+CONTRADICTS_SHARE = 0.5
+"""A correction that leaves more than this of an error at a section did not correct that error."""
+CHANGES_UM, CHANGES_SHARE = 20.0, 0.25
+"""… unless no more is left than a machine may change by between two passes: 2 K of a metre of steel at 11.7 µm/(m·K), or this share
+of its worst error, as of a machine that has effects besides those of position."""
+NOISE_STD = 3.0
+
+
+def check_proof(before: Records, proof: Records, band: Band | None) -> None:
+    """Whether tables made from `before` did what they were made for, by the runs with them in force. Inside the band they did.
+
+    Raises UnprovenError where the mean errors are no smaller in all, by more than twice their uncertainty, or where the error of a
+    section is still there: then one of its rows is wrong, in either pass, or the machine has changed. Errors count from the band.
+    """
+    was, left = _sections(before, band), _sections(proof, band)
+    if not any(left.values()) and band is not None:
+        return
+    spread_um = _spread_um(before, band) * math.sqrt(len(was) / len(before) + len(left) / len(proof))
+    worst_um = max(abs(error_um) for error_um in was.values())
+    for (target_mm, direction), error_um in sorted(left.items(), key=lambda one: -abs(one[1])):
+        was_um = was[target_mm, direction]
+        may_um = max(CHANGES_UM, CHANGES_SHARE * worst_um) + NOISE_STD * spread_um
+        if abs(error_um) > max(CONTRADICTS_SHARE * abs(was_um), may_um):
+            raise UnprovenError(
+                f"tables not used: their proof contradicts the runs they are made from at {target_mm:g} mm"
+                f" ({'+' if direction > 0 else '−'}), where {error_um:+.1f} µm are left of {was_um:+.1f} µm; a pass is wrong there,"
+                " or the machine changes: measure again"
+            )
+    was_rms_um, left_rms_um = (_rms_um([errors[where] for where in left]) for errors in (was, left))
+    if not left_rms_um + 2.0 * spread_um / math.sqrt(len(left)) < was_rms_um:
+        raise UnprovenError(
+            f"tables not used: in force they leave {left_rms_um:.2f} µm (root mean square) of {was_rms_um:.2f} µm, which is no better"
+            f" than before by more than its uncertainty of {2.0 * spread_um / math.sqrt(len(left)):.2f} µm"
+        )
+
+
+def _sections(records: Records, band: Band | None) -> dict[tuple[float, int], float]:
+    """How far the mean of each section and direction is from the band, without one from 0, µm."""
+    low_um, high_um = (0.0, 0.0) if band is None else (band.low_um, band.high_um)
+    means = section_means(records)
+    return {
+        (target_mm, sign): error_um - min(max(error_um, low_um), high_um)
+        for sign, errors_um in ((1, means.plus_um), (-1, means.minus_um))
+        for target_mm, error_um in zip(means.target_mm.tolist(), errors_um.tolist(), strict=True)
+        if not math.isnan(error_um)
+    }
+
+
+def _spread_um(records: Records, band: Band | None) -> float:
+    """Standard deviation of a run about the mean of its section: the median of all sections, which one wrong row does not widen. 0.0
+    of a single run."""
+    spreads = [
+        float(np.std(errors_um, ddof=1))
+        for target_mm, sign in _sections(records, band)
+        if len(errors_um := records.error_um[(abs(records.target_mm - target_mm) < 1e-6) & (records.direction == sign)])
+        > 1
+    ]
+    return float(np.median(spreads)) if spreads else 0.0
+
+
+def _rms_um(errors_um: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(errors_um))))
 
 
 def as_stored(tables: TableSet, correction: CorrectionConfig) -> TableSet:

@@ -41,7 +41,7 @@ def run_calibration(
     resume: bool = False,
     recording: str = "",
 ) -> Calibration:
-    """Prepare and calibrate; each set of tables is sealed before it is used.
+    """Prepare and calibrate; each set of tables is sealed once it is proven.
 
     recording: file name of what is replayed, if anything is; store: None then, the tables of a recording are kept nowhere.
     """

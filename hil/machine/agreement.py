@@ -30,6 +30,13 @@ FASTER_SHARE = 0.2
 """By which a speed may exceed the one asked for: more overshoot than a velocity loop is left with by any tuning rule in use."""
 RATE_OVER_S = 1.0
 """Readings are compared with those of up to so long before to judge how fast the instrument sees the load move."""
+STANDS_MM = 0.01
+"""Of the motor: one that stayed within this stands. A position loop trembles by a count or two, which are µm."""
+STEADY_SHARE = 0.1
+"""Of `within_um`, by which `reading - motor` may change within a second of a motor that stands, and besides what travel and reversal
+explain from one rest to the next: 50 µm, above errors that repeat with a lead (5 µm), the noise of a display, a load that settles."""
+APART = 3
+"""So many readings of a motor that stands, one after the other, are a jump. Fewer are outliers, which an average leaves out."""
 _KEEP_S = 10.0
 _STANDS_SHARE = 0.1
 """A travel of less than this share of the other one is told as standing still."""
@@ -47,6 +54,11 @@ class AgreementLimits:
     def slack_mm(self) -> float:
         """What the two travels may differ by, however short: within a reversal the load may wait."""
         return (self.within_um + self.largest_reversal_um) / 1000.0
+
+    @property
+    def steady_mm(self) -> float:
+        """What they may differ by more at a rest than a second or one motion before."""
+        return STEADY_SHARE * self.within_um / 1000.0
 
     @property
     def lags_s(self) -> tuple[float, float]:
@@ -70,6 +82,18 @@ class _Pair:
         return (self.low_mm + self.high_mm) / 2.0
 
 
+@dataclass
+class _Rest:
+    """A reading of a motor that stood, and between which positions the motor has been since, mm."""
+
+    time_ns: int
+    reading_mm: float
+    motor_mm: float
+    low_mm: float
+    high_mm: float
+    apart: int = 0  # readings at rest, the latest, that disagree with it
+
+
 class Agreement:
     """Of one axis. fastest_mm_s: the axis file's largest velocity."""
 
@@ -82,6 +106,7 @@ class Agreement:
         self._least: _Pair | None = None  # the one whose reading − motor can at most be the smallest
         self._most: _Pair | None = None  # the one whose reading − motor is at least the largest
         self._travel_mm = (0.0, 0.0)
+        self._rest: _Rest | None = None
 
     def forget(self) -> None:
         """Either zero is a new one from now on: travel counts from the next reading."""
@@ -89,6 +114,11 @@ class Agreement:
         self._places_mm.clear()
         self._recent.clear()
         self._least = self._most = None
+        self.forget_rest()
+
+    def forget_rest(self) -> None:
+        """Somebody may reach into the machine: what was read at rest says nothing of what is read at the next."""
+        self._rest = None
 
     def motor_at(self, time_ns: int, position_mm: float) -> None:
         """Where the motor was; what is not later than the position before it is not used."""
@@ -127,6 +157,9 @@ class Agreement:
         if span is None:
             return None
         (low_mm, high_mm), position_mm = span, _position(reading)
+        wrong = self._at_rest(reading, low_mm, high_mm)
+        if wrong is not None:
+            return wrong
         least = _Pair(position_mm, low_mm, high_mm, position_mm - low_mm)
         most = _Pair(position_mm, low_mm, high_mm, position_mm - high_mm)
         if self._least is None or self._most is None:
@@ -143,6 +176,40 @@ class Agreement:
             return None
         return self._told(most, self._least if self._most is most else self._most, allowed_mm)
 
+    def _at_rest(self, reading: Reading, low_mm: float, high_mm: float) -> str | None:
+        """What is wrong between readings of a motor that stands: where it is, is known then whatever the moments are known to.
+
+        On its way between two rests the load may lose up to a reversal, and the travel's share.
+        """
+        rest, position_mm = self._rest, _position(reading)
+        if rest is not None:
+            rest.low_mm, rest.high_mm = min(rest.low_mm, low_mm), max(rest.high_mm, high_mm)
+        if high_mm - low_mm > STANDS_MM:
+            return None
+        now = _Rest(reading.time_ns, position_mm, (low_mm + high_mm) / 2.0, low_mm, high_mm)
+        if rest is None:
+            self._rest = now
+            return None
+        travel_mm = rest.high_mm - rest.low_mm
+        allowed_mm = self.limits.steady_mm + SHARE_OF_TRAVEL * travel_mm
+        if travel_mm > STANDS_MM:
+            allowed_mm += min(travel_mm, self.limits.largest_reversal_um / 1000.0)
+        step_mm = position_mm - rest.reading_mm - (now.motor_mm - rest.motor_mm)
+        if abs(step_mm) > allowed_mm:
+            rest.apart += 1
+            if rest.apart < APART:
+                return None
+            return (
+                f"jumped by {step_mm:.3f} mm against a motor that {'travelled' if travel_mm > STANDS_MM else 'stands'}: it saw"
+                f" {position_mm - rest.reading_mm:.3f} mm while the motor travelled {now.motor_mm - rest.motor_mm:.3f} mm from rest to"
+                f" rest, allowed is a difference of {allowed_mm:.3f} mm"
+                " ([instrument] instrument_agrees_within_um, [axis] largest_reversal_um)"
+            )
+        rest.apart = 0
+        if travel_mm > STANDS_MM or reading.time_ns - rest.time_ns > RATE_OVER_S * NS_PER_S:
+            self._rest = now
+        return None
+
     def _motor_between(self, reading: Reading, speed_mm_s: float) -> tuple[float, float] | None:
         """The smallest and largest position of the motor while the sample may have been taken."""
         least_s, most_s = self.limits.lags_s
@@ -152,7 +219,11 @@ class Agreement:
         if not times or from_ns < times[0]:
             return None
         places = self._places_mm[bisect_right(times, from_ns) - 1 : bisect_left(times, to_ns) + 1]
-        beyond_mm = max(0, to_ns - times[-1]) / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
+        beyond_ns = max(0, to_ns - times[-1])
+        late_ns = times[-1] - times[-2] if len(times) > 1 else 0
+        if beyond_ns and late_ns > 2 * DATED_WITHIN_S * NS_PER_S:
+            beyond_ns += late_ns  # the host was held up: the last position may be as old as its look before
+        beyond_mm = beyond_ns / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
         return min(places) - beyond_mm, max(places) + beyond_mm
 
     def _told(self, now: _Pair, before: _Pair, allowed_mm: float) -> str:

@@ -14,7 +14,7 @@ from drivers.clock import NS_PER_S
 from drivers.errors import MeasurementLostError, MotionTimeoutError
 from drivers.instrument import Reading
 from hil.axis.axis_file import MeasurementConfig
-from hil.figures.reading import Average, average, creep
+from hil.figures.reading import Average, average, creep, outliers
 from hil.machine.supervisor import Supervisor
 from hil.records.rows import Floats
 
@@ -57,8 +57,15 @@ def _fresh(supervisor: Supervisor, reading_s: float, arrived_ns: int) -> list[Re
 
 
 def _averaged(supervisor: Supervisor, readings: Sequence[Reading]) -> Average:
+    axis, positions_mm = supervisor.axes[0], _positions(readings)
+    kept_mm = positions_mm[~outliers(positions_mm)]
+    if float(np.ptp(kept_mm)) > axis.steady_mm:  # of few readings none is left out
+        raise MeasurementLostError(
+            f"instrument {axis.instrument_name}: readings of one position differ by {float(np.ptp(kept_mm)):.3f} mm, expected at most"
+            f" {axis.steady_mm:g} mm while the axis stands ([instrument] instrument_agrees_within_um)"
+        )
     try:
-        return average(_positions(readings))
+        return average(positions_mm)
     except MeasurementLostError as error:
         raise MeasurementLostError(f"instrument {supervisor.axes[0].instrument_name}: {error}") from error
 

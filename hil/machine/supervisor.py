@@ -223,8 +223,8 @@ class Supervisor:
                     look(sample)
                 if condition(sample):
                     return sample
-                if axis.stalled:
-                    raise self._not_over(axis, sample, f"{what} not over, and the axis has stood for {STALLED_S:g} s")
+                if stalled := axis.stalled:
+                    raise self._not_over(axis, sample, f"{what} not over, and the axis {stalled} for {STALLED_S:g} s")
                 if deadline.expired:
                     raise self._not_over(axis, sample, f"{what} not over within {timeout_s:.1f} s")
                 self.clock.sleep_s(slice_s)

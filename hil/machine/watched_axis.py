@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
@@ -33,6 +34,9 @@ STALLED_S = 5.0
 """An axis that was told to move and stands for so long does not go on: brakes open and homings turn around in a second or two."""
 STANDS_WITHIN_MM = 0.001
 """An axis that stands changes by no more: the slowest move that is told, 1 µm in 5 s, is none of any machine tool."""
+TO_AND_FRO = 5.0
+"""… and so does one whose way is so many times as long as the stretch it stays within: a homing turns around twice, at a switch or a
+pulse, and goes three times over a stretch at most. One that another master moves, or that hunts, goes on for ever."""
 _FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
@@ -66,7 +70,7 @@ class WatchedAxis:
         self._place = Place(drive.limits)
         self._stream_mm_s = 0.0  # of set-points, the fastest so far
         self._speeds: deque[tuple[int, float]] = deque()  # of motions that are over, and when they were
-        self._stood: tuple[int, float] | None = None  # since when, and where
+        self._lately: deque[tuple[int, float]] = deque()  # of the motor, over `STALLED_S` of a motion
         self._path: deque[tuple[int, float]] = deque()  # of the motor, over the last second of a motion
         self._numbered = 0  # of the instrument's samples, those that were lost too
         self.begin()
@@ -98,7 +102,7 @@ class WatchedAxis:
         homing = motion.target_mm is None
         self._overspeed.forget()
         self._path.clear()
-        self._stood = None
+        self._lately.clear()
         self.motion = motion
         try:
             yield
@@ -146,6 +150,11 @@ class WatchedAxis:
         return "" if self.instrument is None else self.instrument.name
 
     @property
+    def steady_mm(self) -> float:
+        """What the instrument may change by while the axis stands."""
+        return self._agreement.limits.steady_mm
+
+    @property
     def _speed_mm_s(self) -> float:
         return self._stream_mm_s if self.motion is None else self.motion.speed_mm_s
 
@@ -168,11 +177,17 @@ class WatchedAxis:
         return (to_mm - from_mm) * NS_PER_S / (to_ns - from_ns)
 
     @property
-    def stalled(self) -> bool:
-        """A motion is under way, and the motor has stood for `STALLED_S`."""
-        if self.motion is None or self._stood is None:
-            return False
-        return self.drive.clock.now_ns() - self._stood[0] >= STALLED_S * NS_PER_S
+    def stalled(self) -> str:
+        """What the motor has done for `STALLED_S` of the motion under way, where it got nowhere; "" where it did, and at rest."""
+        lately = self._lately
+        if self.motion is None or not lately or self.drive.clock.now_ns() - lately[0][0] < STALLED_S * NS_PER_S:
+            return ""
+        places_mm = [place_mm for _, place_mm in lately]
+        range_mm = max(places_mm) - min(places_mm)
+        if range_mm <= STANDS_WITHIN_MM:
+            return "has stood"
+        way_mm = sum(abs(to_mm - from_mm) for from_mm, to_mm in pairwise(places_mm))
+        return "has gone to and fro" if way_mm >= TO_AND_FRO * range_mm else ""
 
     # -- looking -----------------------------------------------------------------------------------------------------
     def look(self) -> tuple[DriveSample, Sequence[Reading]]:
@@ -237,6 +252,8 @@ class WatchedAxis:
     def _take(self, readings: Sequence[Reading], *, compared: bool) -> None:
         homing = self.motion is not None and self.motion.target_mm is None
         fastest_mm_s = self._readings_mm_s() if readings else 0.0
+        if not compared:
+            self._agreement.forget_rest()
         for reading in readings:
             if reading.status is not ReadingStatus.GOOD:
                 raise self._lost(reading.status.value)
@@ -254,8 +271,9 @@ class WatchedAxis:
     def _judge_speed(self, sample: DriveSample) -> None:
         """Of the motor in a motion under way."""
         motion = self.motion
-        if self._stood is None or abs(sample.position_load_mm - self._stood[1]) > STANDS_WITHIN_MM:
-            self._stood = sample.time_ns, sample.position_load_mm
+        self._lately.append((sample.time_ns, sample.position_load_mm))
+        while len(self._lately) > 1 and sample.time_ns - self._lately[1][0] >= STALLED_S * NS_PER_S:
+            self._lately.popleft()
         while self._path and sample.time_ns - self._path[0][0] > OVER_S * NS_PER_S:
             self._path.popleft()
         self._path.append((sample.time_ns, sample.position_load_mm))

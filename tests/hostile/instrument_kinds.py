@@ -10,7 +10,7 @@ from itertools import cycle
 
 from hostile.peer import Kinds, Peer
 
-from drivers.errors import FollowingErrorError, LinkLostError, MeasurementLostError, ProtocolError
+from drivers.errors import FollowingErrorError, LinkLostError, MeasurementLostError, ProtocolError, UnprovenError
 from sim_backends.bench import Bench
 
 LOST = (MeasurementLostError, LinkLostError, ProtocolError)
@@ -87,6 +87,7 @@ def _(peer: InstrumentPeer) -> None:
     peer.rewrite = freeze
 
 
+# What steps once, before the datum is taken, shifts a zero that nobody has yet: rows are right, and are looked at.
 @kinds("jumps by 1.58 m", *WRONG, passes=True)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 5_000_000)
@@ -95,6 +96,13 @@ def _(peer: InstrumentPeer) -> None:
 @kinds("jumps by 1 mm", *WRONG, passes=True)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 3160)
+
+
+@kinds("is 0.45 mm beside the truth for 4 s", *WRONG, UnprovenError, passes=True)
+def _(peer: InstrumentPeer) -> None:
+    """Within the 0.7 mm that a whole travel may differ by."""
+    back_ns = peer.clock.now_ns() + 4_000_000_000
+    _displacement(peer, lambda counts: counts + (0.45 / COUNT_MM if peer.clock.now_ns() < back_ns else 0.0))
 
 
 @kinds("replays its past", *LOST, FollowingErrorError)

@@ -27,7 +27,7 @@ def _(peer: Peer) -> None:
     peer.instead("cyclic_position", lambda *_: None)
 
 
-@kinds("it moves the wrong way", *MOTION, disobeys_mm=20.0)
+@kinds("it moves the wrong way", *MOTION)
 def _(peer: Peer) -> None:
     servo, move, cyclic = peer.servo, peer.servo.move_absolute, peer.servo.cyclic_position
     here = servo.position_actual_counts
@@ -35,7 +35,7 @@ def _(peer: Peer) -> None:
     peer.instead("cyclic_position", lambda target: cyclic(2 * here - target))
 
 
-@kinds("it goes twice as far", *MOTION, disobeys_mm=20.0)
+@kinds("it goes twice as far", *MOTION)
 def _(peer: Peer) -> None:
     servo, move, cyclic = peer.servo, peer.servo.move_absolute, peer.servo.cyclic_position
     here = servo.position_actual_counts
@@ -43,7 +43,8 @@ def _(peer: Peer) -> None:
     peer.instead("cyclic_position", lambda target: cyclic(2 * target - here))
 
 
-@kinds("it runs away", *MOTION, disobeys_mm=40.0)
+# 120 mm/s: a look every 50 ms, and 7.2 mm of braking at 1000 mm/s²
+@kinds("it runs away", *MOTION, disobeys_mm=13.2)
 def _(peer: Peer) -> None:
     move = peer.servo.move_velocity
 
@@ -54,7 +55,7 @@ def _(peer: Peer) -> None:
     peer.instead("cyclic_position", run)
 
 
-@kinds("it moves three times as fast", *MOTION, disobeys_mm=20.0)
+@kinds("it moves three times as fast", *MOTION)
 def _(peer: Peer) -> None:
     move = peer.servo.move_absolute
     peer.instead("move_absolute", lambda target, v, a: move(target, 3 * v, 3 * a))
@@ -72,7 +73,7 @@ def _(peer: Peer) -> None:
     peer.servo.schedule((Fault(FaultKind.JAM, peer.clock.now_ns() * 1e-9 + 0.001, 1e6),))
 
 
-@kinds("quick stop is ignored", StoppedByOperator, stop_after_s=0.3, coasts=True, disobeys_mm=5.0)
+@kinds("quick stop is ignored", StoppedByOperator, stop_after_s=0.3, coasts=True)
 def _(peer: Peer) -> None:
     peer.strike()
     peer.instead("quick_stop", lambda *_: None)
@@ -84,7 +85,6 @@ def _(peer: Peer) -> None:
     HeldUnderPowerError,
     stop_after_s=0.3,
     coasts=True,
-    disobeys_mm=5.0,
 )
 def _(peer: Peer) -> None:
     peer.strike()

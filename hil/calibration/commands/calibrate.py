@@ -1,4 +1,4 @@
-"""`hil calibrate`: measure an axis, compute its tables, store them sealed, prove them, revise until inside the band."""
+"""`hil calibrate`: measure an axis, compute its tables, prove them, store them sealed, revise until inside the band."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ example:
   hil calibrate X.toml --record machine.csv drive and instrument, recorded together
   hil calibrate X.toml --replay machine.csv the same again from the recording: nothing is connected, no table is stored
 
-Exit status 1: sections stayed outside the band; they are named.
+Exit status 1: sections stayed outside the band, and are named; or the proof contradicts the tables, and nothing is stored.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "calibrate",
-        description="Calibrate an axis by system A: measure every section both ways, compute and store the tables, prove them.",
+        description="Calibrate an axis by system A: measure every section both ways, compute the tables, prove and store them.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -19,6 +19,7 @@ from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.motion import LOOK_S
 from drivers.canopen.power import PowerTimes
 from drivers.canopen.sdo import AT_LEAST_S, WAY_OUT_S, SdoClient
+from drivers.canopen.stopping import HALT_TAKEN_S
 from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
@@ -440,6 +441,18 @@ def test_an_axis_that_never_shows_its_arrival_is_disabled_by_its_positions(make:
     asked_ns = rig.clock.now_ns()
     drive.disable()
     assert rig.clock.now_ns() - asked_ns < 1e9
+    rig.assert_without_power_at_rest()
+
+
+def test_an_axis_that_goes_on_after_a_halt_is_quick_stopped_when_its_ramp_should_be_over(make: MakeRig) -> None:
+    rig = make()
+    drive = rig.moving(20.0)
+    rig.servo.halt = lambda *_: None  # type: ignore[method-assign]
+    asked_ns = rig.clock.now_ns()
+    drive.disable()
+    limits = drive.limits
+    allowed_s = HALT_TAKEN_S + 3.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2
+    assert allowed_s < (rig.clock.now_ns() - asked_ns) * 1e-9 < allowed_s + 0.5
     rig.assert_without_power_at_rest()
 
 

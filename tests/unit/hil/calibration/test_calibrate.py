@@ -8,15 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.toy_axis import LIMITS, MEASUREMENT, ToyMachine, Trouble, toy_session
+from support.toy_axis import LIMITS, MEASUREMENT, ToyDrive, ToyInstrument, ToyMachine, Trouble, toy_session
 
 from drivers.drive import DriveState
-from drivers.errors import InputError
+from drivers.errors import InputError, UnprovenError
 from hil.axis.axis_file import CorrectionConfig
-from hil.calibration.calibrate import Calibration, calibrate
+from hil.calibration.calibrate import Calibration, calibrate, check_proof
 from hil.calibration.verify import verify
 from hil.correction.tables import Band, SingleTable, TableMode, TableSet, section_means, straightness_table
-from hil.records.journal import Campaign
+from hil.machine.agreement import AgreementLimits
+from hil.machine.events import Event
+from hil.machine.session import AxisSession
+from hil.records.journal import FINISHED, Campaign
 from hil.records.rows import Records, read_csv
 
 BAND = Band(6.0, 7.0)
@@ -150,6 +153,96 @@ def test_a_band_narrower_than_the_repeatability_is_refused_before_anything_is_st
     assert stored == []
     assert len(read_csv(tmp_path / "measure.csv")) == 2 * MEASUREMENT.runs * len(MEASUREMENT.targets_mm)
     assert not (tmp_path / "round-1.csv").exists()
+
+
+# -- a proof that contradicts --------------------------------------------------------------------------------------------
+def rows(error_um: dict[tuple[float, int], list[float]]) -> Records:
+    """Runs of an axis, by the errors of each section and direction."""
+    flat = [(target, sign, run, um) for (target, sign), runs in error_um.items() for run, um in enumerate(runs, 1)]
+    target_mm, direction, run, um = map(np.array, zip(*flat, strict=True))
+    return Records.of(
+        {
+            "run": run.astype(float),
+            "direction": direction.astype(float),
+            "target_mm": target_mm,
+            "measured_mm": target_mm + um / 1000.0,
+            "command_mm": target_mm,
+        }
+    )
+
+
+def errors_of(*um: float, runs: int = 2, noise_um: float = 0.0, seed: int = 1) -> dict[tuple[float, int], list[float]]:
+    """At 0, 30, 60 … mm, each both ways."""
+    random_um = np.random.default_rng(seed)
+    return {
+        (30.0 * at, sign): list(one + noise_um * random_um.normal(size=runs))
+        for at, one in enumerate(um)
+        for sign in (1, -1)
+    }
+
+
+@pytest.mark.parametrize("runs", [1, 2, 5])
+def test_a_step_of_the_instrument_in_one_row_is_left_over_by_the_proof(runs: int) -> None:
+    before, proof = errors_of(0.0, 10.0, 25.0, runs=runs), errors_of(0.1, 0.2, -0.1, runs=runs)
+    check_proof(rows(before), rows(proof), None)
+    before[30.0, 1][0] += 450.0
+    for left in proof[30.0, 1], proof[30.0, -1]:
+        was, left[:] = list(left), [one - 450.0 / runs for one in left]
+        with pytest.raises(UnprovenError, match=r"contradicts .* at 30 mm \([+−]\)"):
+            check_proof(rows(before), rows(proof), None)
+        left[:] = was
+
+
+def test_what_is_left_by_heat_and_noise_contradicts_nothing() -> None:
+    before = rows(errors_of(0.0, 40.0, 100.0, 160.0))
+    check_proof(before, rows(errors_of(0.0, 10.0, 20.0, 39.0)), None)
+    with pytest.raises(UnprovenError, match=r"at 30 mm .* \+41\.0 µm are left of \+40\.0"):
+        check_proof(before, rows(errors_of(0.0, 41.0, 20.0, 39.0)), None)
+    small = rows(errors_of(0.0, 2.0, 30.0))
+    check_proof(small, rows(errors_of(0.0, 19.0, 0.0)), None)
+    with pytest.raises(UnprovenError, match=r"at 30 mm"):
+        check_proof(small, rows(errors_of(0.0, 21.0, 0.0)), None)
+    noisy = rows(errors_of(0.0, 2.0, 90.0, runs=3, noise_um=20.0))
+    check_proof(noisy, rows(errors_of(0.0, 40.0, 0.0, runs=3)), None)
+
+
+def test_a_proof_is_better_by_more_than_its_uncertainty_or_none() -> None:
+    for seed in range(20):
+        before = rows(errors_of(0.1, -0.1, 0.1, runs=5, noise_um=1.0, seed=seed))
+        with pytest.raises(UnprovenError, match="no better than before by more than its uncertainty"):
+            check_proof(before, before, None)
+        check_proof(before, rows(errors_of(6.5, 6.2, 6.9, runs=5)), BAND)
+    before = rows(errors_of(2.0, -2.0, 2.0, runs=5, noise_um=1.0))
+    check_proof(before, rows(errors_of(0.1, -0.1, 0.1, runs=5)), None)
+    with pytest.raises(UnprovenError, match=r"leave 1\.\d\d µm"):
+        check_proof(before, rows(errors_of(1.7, -1.7, 1.7, runs=5)), None)
+
+
+def test_errors_count_from_the_band() -> None:
+    before = rows(errors_of(6.5, 37.0, 0.0))
+    check_proof(before, rows(errors_of(6.5, 20.0, 6.5)), BAND)
+    with pytest.raises(UnprovenError, match=r"at 30 mm \(\+\), where \+25\.0 µm are left of \+30\.0"):
+        check_proof(before, rows(errors_of(6.5, 32.0, 6.5)), BAND)
+
+
+def test_tables_whose_proof_contradicts_them_are_neither_stored_nor_in_force(tmp_path: Path) -> None:
+    """The reading is 0.45 mm beside the truth while the first run is at 61 mm, let pass by what the axis file states."""
+    machine, stored = ToyMachine(), []
+    loose = AgreementLimits(5000.0)
+    session = AxisSession(ToyDrive(machine), ToyInstrument(machine), MEASUREMENT, agreement=loose)
+    campaign = Campaign(tmp_path / "one", {"kind": "calibrate"}, resume=False)
+
+    def listener(event: Event) -> None:
+        if event.stage == "measure" and event.done in (2, 3):
+            machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=0.45 if event.done == 2 else 0.0)
+
+    with session:
+        session.prepare()
+        with pytest.raises(UnprovenError, match="contradicts"):
+            calibrate(session, campaign, PLAIN, stored.append, listener)
+        assert session.compensation is None
+    assert stored == []
+    assert (tmp_path / "one" / FINISHED).exists(), "--resume would only come to the same"
 
 
 def test_sections_that_stay_outside_are_named_after_the_last_round(tmp_path: Path) -> None:

@@ -14,11 +14,11 @@ from support.toy_axis import MEASUREMENT, ToyDrive, ToyInstrument, ToyMachine, T
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from drivers.errors import MeasurementLostError, MotionTimeoutError, OverspeedError, SafetyError
-from drivers.instrument import Reading
+from drivers.instrument import Reading, ReadingStatus
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.set_points import SetPointSettings
-from hil.machine.agreement import AgreementLimits
+from hil.machine.agreement import Agreement, AgreementLimits
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import geometric_axis
@@ -67,7 +67,7 @@ def test_a_jump_at_rest_becomes_no_row() -> None:
     for jump_mm in (1.0, -1.0):
         machine = ToyMachine()
         with (
-            pytest.raises(MeasurementLostError, match=r"jumped by -?1\.0\d\d mm: it saw"),
+            pytest.raises(MeasurementLostError, match=r"jumped by -?1\.0\d\d mm.*: it saw"),
             toy_session(machine) as session,
         ):
             session.prepare()
@@ -83,12 +83,12 @@ def test_a_jump_that_is_smaller_than_what_the_axis_file_states_is_let_pass_and_n
         session = AxisSession(ToyDrive(machine), ToyInstrument(machine), MEASUREMENT, agreement=limits)
         with session:
             session.prepare()
-            machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=0.6)
+            machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=0.25)
             session.move_to(50.0)
             if good:
                 session.read_position()
             else:
-                with pytest.raises(MeasurementLostError, match=r"allowed is a difference of 0\.40\d mm"):
+                with pytest.raises(MeasurementLostError, match=r"travelled.* allowed is a difference of 0\.13\d mm"):
                     session.read_position()
 
 
@@ -102,16 +102,98 @@ def test_a_direction_that_is_the_wrong_way_round_is_caught_in_the_first_move_aft
     assert machine.motor_mm < -2.0 + 0.25 * 50.0, "the way to the reference had just begun"
 
 
-def test_play_within_the_stated_reversal_is_waited_for() -> None:
-    for play_mm, expected in (
-        (0.6, nullcontext()),
-        (0.9, pytest.raises(MeasurementLostError, match="stands still")),
-    ):
-        with expected, toy_session(ToyMachine(play_mm=play_mm, wave_um=0.0)) as session:
-            session.prepare()
-            session.move_to(50.0)
-            session.move_to(20.0)
-            session.read_position()
+@pytest.mark.parametrize(
+    ("play_mm", "reversal_um", "words"),
+    [(0.19, 200.0, ""), (0.6, 600.0, ""), (0.6, 200.0, "jumped by .* travelled"), (0.9, 200.0, "stands still")],
+)
+def test_play_within_the_stated_reversal_is_waited_for(play_mm: float, reversal_um: float, words: str) -> None:
+    machine = ToyMachine(play_mm=play_mm, wave_um=0.0)
+    limits = AgreementLimits(largest_reversal_um=reversal_um)
+    session = AxisSession(ToyDrive(machine), ToyInstrument(machine), MEASUREMENT, agreement=limits)
+    with pytest.raises(MeasurementLostError, match=words) if words else nullcontext(), session:
+        session.prepare()
+        session.move_to(50.0)
+        session.move_to(20.0)
+        session.read_position()
+        session.move_to(19.9)
+        session.move_to(20.1)
+        session.read_position()
+
+
+@pytest.mark.parametrize("jump_mm", [0.45, -0.45, 0.07])
+@pytest.mark.parametrize("jump_after_s", [0.06, 0.13, 0.4])
+def test_a_step_within_the_stated_difference_is_none_of_a_motor_that_stands(
+    jump_mm: float, jump_after_s: float
+) -> None:
+    machine = ToyMachine()
+    with pytest.raises(MeasurementLostError, match=r"jumped by .* stands"), toy_session(machine) as session:
+        session.prepare()
+        session.move_to(50.0)
+        session.watch(0.2)
+        machine.trouble = Trouble(jump_at_s=machine.now_s + jump_after_s, jump_mm=jump_mm)
+        session.watch(jump_after_s + 0.25)
+
+
+@pytest.mark.parametrize("readings", [1, 2, 3])
+def test_few_readings_of_which_some_are_beside_the_others_become_no_row(readings: int) -> None:
+    """No rule for outliers holds for eight readings; two of them would make 112 µm of 450."""
+    machine = ToyMachine()
+    beside = pytest.raises(MeasurementLostError, match=r"jumped by|readings of one position differ by 0\.450 mm")
+    with beside, toy_session(machine, reading_s=0.08, dwell_s=0.3) as session:
+        session.prepare()
+        session.move_to(50.0)
+        machine.trouble = Trouble(jump_at_s=machine.now_s + 0.385 - 0.01 * readings, jump_mm=0.45)
+        session.read_position()
+
+
+@pytest.mark.parametrize(("held_up_s", "jump_mm", "good"), [(0.3, 0.0, True), (0.0, 0.0, True), (0.3, 60.0, False)])
+def test_a_host_that_is_held_up_makes_no_jump(held_up_s: float, jump_mm: float, good: bool) -> None:
+    """A motor position that was there at once, and is dated only when the host comes round to it; 100 mm/s."""
+    agreement = Agreement(AgreementLimits(latency_s=0.01), 100.0)
+
+    def look(taken_s: float, dated_s: float, since_s: float, jump_mm: float = 0.0) -> str | None:
+        agreement.motor_at(round(dated_s * NS_PER_S), 100.0 * taken_s)
+        seen_s = dated_s - 0.02
+        reading = Reading(
+            round(dated_s * NS_PER_S), ReadingStatus.GOOD, 100.0 * seen_s + jump_mm, 1, 0, round(since_s * NS_PER_S)
+        )
+        return agreement.compare(reading, 100.0)
+
+    for number in range(1, 20):
+        assert look(0.05 * number, 0.05 * number, 0.05 * (number - 1)) is None
+    assert (look(1.0, 1.0 + held_up_s, 0.95, jump_mm) is None) is good
+
+
+def test_nor_is_a_step_on_the_way_from_one_rest_to_the_next() -> None:
+    machine = ToyMachine()
+    with pytest.raises(MeasurementLostError, match=r"jumped by .* travelled"), toy_session(machine) as session:
+        session.prepare()
+        machine.trouble = Trouble(jump_at_s=machine.now_s + 0.3, jump_mm=0.45)
+        session.move_to(50.0)
+        assert machine.now_s > machine.trouble.jump_at_s + 0.2, "it was on its way"
+        session.read_position()
+
+
+def test_what_drifts_slowly_while_the_motor_stands_is_heat() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        session.watch(0.5)
+        for _ in range(20):
+            machine.trouble.jump_at_s = machine.now_s
+            machine.trouble.jump_mm += 0.01
+            session.watch(0.4)
+
+
+def test_whoever_reaches_into_the_machine_may_move_the_load() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        session.watch(0.5)
+        with session.without_power():
+            machine.trouble = Trouble(jump_at_s=machine.now_s, jump_mm=0.4)
+            session.watch(0.5)
+        session.read_position()
 
 
 def test_many_small_jumps_are_one_large_one() -> None:

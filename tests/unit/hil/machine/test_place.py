@@ -62,3 +62,33 @@ def test_an_axis_that_another_master_moves_is_stopped() -> None:
             session.watch(5.0)
         assert machine.told("quick stop")
         assert AT_REST_MM < machine.motor_mm - rests_mm < 15.0, "50 mm/s, and a look at rest every 0.2 s"
+
+
+def test_after_a_new_zero_an_axis_may_stand_outside_its_travel() -> None:
+    place = Place(TRAVEL)
+    assert place.look(50.0, moving=False) is None
+    place.forget()
+    assert place.look(-6.3, moving=False) is None
+
+
+def test_an_axis_without_power_may_be_moved_by_hand() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        session.watch(0.2)
+        with session.without_power():
+            session.watch(0.2)
+            machine.motor_mm = machine.target_mm = machine.nut_mm = 7.0
+            session.watch(0.4)
+
+
+def test_where_a_stream_ends_the_axis_may_rest() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        session.watch(0.2)
+        with session.axis.following() as found:
+            machine.target_mm += 5.0
+            session.clock.sleep_s(1.0)
+            found(session.clock.now_ns(), machine.motor_mm, 50.0)
+        session.watch(0.4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -55,3 +56,48 @@ def test_an_axis_that_stands_is_not_waited_for_until_its_move_may_be_over() -> N
             session.move_to(100.0, 2.0)
         assert machine.now_s < machine.trouble.stuck_at_s + STALLED_S + 0.5
         assert machine.told("quick stop")
+
+
+@pytest.mark.parametrize("swing_mm", [0.002, 0.8])
+def test_a_homing_that_goes_to_and_fro_is_not_waited_for(swing_mm: float) -> None:
+    """As where another master drives it back onto the switch it comes from; the time-out of this homing is 134 s."""
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.supervisor.enable()
+
+        def pull(sample: DriveSample) -> None:
+            machine.target_mm = 40.0 - math.copysign(swing_mm, sample.position_load_mm - 40.0)
+            machine.homing = False
+
+        began_s = machine.now_s
+        with pytest.raises(MotionTimeoutError, match="homing not over, and the axis has gone to and fro for 5 s"):
+            session.supervisor.home(look=pull)
+        assert machine.now_s < began_s + STALLED_S + 1.0
+        assert machine.told("quick stop")
+
+
+@pytest.mark.parametrize("speed_mm_s", [0.02, 6.0])
+def test_a_homing_may_creep_and_turn_around_twice(speed_mm_s: float) -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.supervisor.enable()
+        ends_mm = [40.0 - 6.3 * speed_mm_s, 40.0 - 4.7 * speed_mm_s, 40.0 - 6.3 * speed_mm_s]
+
+        def lead(_sample: DriveSample) -> None:
+            machine.velocity_mm_s = speed_mm_s
+            machine.target_mm = ends_mm[0]
+            machine.homing = len(ends_mm) == 1
+            if abs(machine.motor_mm - ends_mm[0]) < 1e-9 and len(ends_mm) > 1:
+                del ends_mm[0]
+
+        session.supervisor.home(look=lead)
+        assert machine.homed
+
+
+def test_a_rest_before_a_motion_is_none_of_it() -> None:
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        session.move_to(50.0)
+        session.watch(STALLED_S + 1.0)
+        session.move_to(60.0)

@@ -280,7 +280,7 @@ def test_the_benchs_drive_has_no_place_that_another_could_reach(tmp_path: Path) 
         pass
 
 
-@pytest.mark.parametrize(("within_um", "good"), [(500.0, True), (50.0, False)])
+@pytest.mark.parametrize(("within_um", "good"), [(4000.0, True), (500.0, False), (50.0, False)])
 def test_what_the_instrument_may_differ_by_comes_from_the_axis_file(
     within_um: float, good: bool, lay_out: LayOut
 ) -> None:
