@@ -10,7 +10,8 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout
-from hil.app.terminal.axis_options import add_axis_arguments, add_in_motion_options, feeds, passes_of
+from hil.app.terminal.axis_options import add_axis_arguments
+from hil.app.terminal.measuring_options import add_in_motion_options, feeds, passes_of
 from hil.app.terminal.output import print_table, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, load_axis

@@ -20,6 +20,7 @@ from hil.app.terminal.axis_options import (
 from hil.app.terminal.output import number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
+from hil.axis.zero import zero_keeper
 from hil.correction.compensation import Compensation
 from hil.correction.formats.common import tables_only
 from hil.correction.store import compensation_in_force
@@ -47,7 +48,7 @@ from hil.drive_table.proof import TOLERANCE_UM, Proof, Way, prove_by_drive, prov
 from hil.machine.events import Listener
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import Machine, connected, connected_drive, described_table, predicted_table_s, zero_keeper
+from hil.machine.wiring import Machine, connected, connected_drive, described_table, predicted_table_s
 from hil.records.journal import Campaign
 from hil.records.zero import read_zero
 

@@ -28,13 +28,13 @@ from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis
+from hil.axis.zero import zero_keeper
 from hil.machine.axis_place import held_axis, modbus_endpoint
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
 from hil.machine.instruments import instrument, with_instrument
 from hil.machine.session import AxisSession
 from hil.machine.signals import ending_by_signals, stopped_by_signals
-from hil.records.zero import ZeroKeeper
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
@@ -301,20 +301,6 @@ def _of_axis(axis: DriveAxis, drive: Drive) -> Drive:
     drive.falls_without_power = axis.falls_without_power
     zero_keeper(axis).guard(drive)
     return drive
-
-
-def zero_keeper(axis: DriveAxis) -> ZeroKeeper:
-    """Of the axis's zero, as its file says."""
-    if not isinstance(axis, AxisConfig):
-        return ZeroKeeper(axis.zero_path, axis.name, axis.path, absolute_encoder=axis.absolute_encoder)
-    return ZeroKeeper(
-        axis.zero_path,
-        axis.name,
-        axis.path,
-        within_um=axis.measurement.reference_within_um,
-        absolute_encoder=axis.absolute_encoder,
-        instrument=axis.instrument.kind,
-    )
 
 
 def bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:

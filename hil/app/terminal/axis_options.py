@@ -5,88 +5,21 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from drivers.errors import InputError
 from hil.app.jobs.of_zero import OfZero
 from hil.app.jobs.plan import Plan, Write, measuring_plan
 from hil.app.terminal.output import add_json_option
 from hil.app.terminal.passwords import KEY, READING, password
-from hil.axis.axis_file import AxisConfig, InstrumentConfig
-from hil.calibration.in_motion import InMotion
+from hil.axis.axis_file import AxisConfig
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore
-from hil.diagnosis.loop.jobs.plan import feeds_of
 from hil.effects import ALL, Effect
-from hil.machine.conditions import Conditions
 from hil.machine.measure import Step
-from hil.machine.replay import recorded, replayed
-from hil.machine.wiring import Machine, connected
 
-
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """`--record` and `--replay`."""
-    recording = parser.add_mutually_exclusive_group()
-    recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
-    recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")
-
-
-def recording_name(args: argparse.Namespace) -> str:
-    """File name of what is replayed; empty where nothing is."""
-    return Path(args.replay).name if args.replay else ""
-
-
-@contextmanager
-def machine_of(args: argparse.Namespace, axis: AxisConfig, conditions: Conditions | None = None) -> Iterator[Machine]:
-    """The connected axis, recorded where that is asked for, or the axis of a recording."""
-    if args.replay:
-        with replayed(axis, Path(args.replay)) as machine:
-            yield machine
-        return
-    with connected(axis, conditions=conditions) as machine, ExitStack() as stack:
-        if args.record:
-            stack.enter_context(recorded(machine, Path(args.record)))
-        yield machine
-
-
-def add_in_motion_options(parser: argparse.ArgumentParser) -> None:
-    """`--stretch` and `--period`."""
-    usual = InMotion(())
-    parser.add_argument(
-        "--stretch",
-        metavar="MM",
-        type=float,
-        default=usual.stretch_mm,
-        help=f"of constant velocity in each pass (default {usual.stretch_mm:g})",
-    )
-    parser.add_argument(
-        "--period",
-        metavar="S",
-        type=float,
-        default=usual.period_s,
-        help=f"of the set-points in motion (default {usual.period_s:g})",
-    )
-
-
-def feeds(text: str) -> tuple[float, ...]:
-    """At least two feeds, as argparse takes them."""
-    try:
-        return feeds_of(text)
-    except InputError as error:
-        raise argparse.ArgumentTypeError(error.what) from error
-
-
-def passes_of(args: argparse.Namespace, at: tuple[float, ...], instrument: InstrumentConfig) -> InMotion:
-    """The passes that a command line asks for, with the instrument's latency and trigger as the axis file has them."""
-    return InMotion(
-        at,
-        stretch_mm=args.stretch,
-        period_s=args.period,
-        latency_s=instrument.latency_s,
-        trigger_input=instrument.trigger_input,
-    )
+if TYPE_CHECKING:  # the drivers take longer to load than a dry run needs
+    from hil.machine.wiring import Machine
 
 
 def add_axis_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,9 +11,9 @@ from typing import Any
 
 from drivers.errors import BridgeError, InputError, LocalError
 from hil.axis.axis_file import AxisConfig, load_axis
+from hil.axis.zero import zero_keeper
 from hil.calibration.explore import Exploration
 from hil.figures.history import REPLAY, FoundCampaign
-from hil.machine.wiring import zero_keeper
 from hil.records.journal import FINISHED, Campaign, check_resumable
 from hil.records.zero import FILE, ZeroError, read_zero, what_shows_it
 

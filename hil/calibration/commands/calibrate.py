@@ -9,14 +9,12 @@ from drivers.errors import InputError
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
-    add_recording_options,
     add_zero_options,
-    machine_of,
     open_store,
     print_plan,
-    recording_name,
     tell_zero,
 )
+from hil.app.terminal.measuring_options import add_recording_options, machine_of, recording_name
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.summary import print_stages

@@ -9,16 +9,14 @@ from hil.app.jobs.figures import error_figures
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
-    add_recording_options,
     add_zero_options,
     load_stored,
-    machine_of,
     open_store,
     print_plan,
-    recording_name,
     seed,
     tell_zero,
 )
+from hil.app.terminal.measuring_options import add_recording_options, machine_of, recording_name
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import add_effects_option, read_effects

@@ -9,17 +9,19 @@ from typing import Any
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
-    add_in_motion_options,
     add_password_options,
-    add_recording_options,
     add_zero_options,
+    open_store,
+    print_dry_run,
+    tell_zero,
+)
+from hil.app.terminal.measuring_options import (
+    add_in_motion_options,
+    add_recording_options,
     feeds,
     machine_of,
-    open_store,
     passes_of,
-    print_dry_run,
     recording_name,
-    tell_zero,
 )
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress

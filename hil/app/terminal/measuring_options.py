@@ -1,0 +1,79 @@
+"""What verbs that measure share: recording and playing recordings, and the passes in motion."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from drivers.errors import InputError
+from hil.axis.axis_file import AxisConfig, InstrumentConfig
+from hil.calibration.in_motion import InMotion
+from hil.diagnosis.loop.jobs.plan import feeds_of
+from hil.machine.conditions import Conditions
+from hil.machine.replay import recorded, replayed
+from hil.machine.wiring import Machine, connected
+
+
+def add_recording_options(parser: argparse.ArgumentParser) -> None:
+    """`--record` and `--replay`."""
+    recording = parser.add_mutually_exclusive_group()
+    recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
+    recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")
+
+
+def recording_name(args: argparse.Namespace) -> str:
+    """File name of what is replayed; empty where nothing is."""
+    return Path(args.replay).name if args.replay else ""
+
+
+@contextmanager
+def machine_of(args: argparse.Namespace, axis: AxisConfig, conditions: Conditions | None = None) -> Iterator[Machine]:
+    """The connected axis, recorded where that is asked for, or the axis of a recording."""
+    if args.replay:
+        with replayed(axis, Path(args.replay)) as machine:
+            yield machine
+        return
+    with connected(axis, conditions=conditions) as machine, ExitStack() as stack:
+        if args.record:
+            stack.enter_context(recorded(machine, Path(args.record)))
+        yield machine
+
+
+def add_in_motion_options(parser: argparse.ArgumentParser) -> None:
+    """`--stretch` and `--period`."""
+    usual = InMotion(())
+    parser.add_argument(
+        "--stretch",
+        metavar="MM",
+        type=float,
+        default=usual.stretch_mm,
+        help=f"of constant velocity in each pass (default {usual.stretch_mm:g})",
+    )
+    parser.add_argument(
+        "--period",
+        metavar="S",
+        type=float,
+        default=usual.period_s,
+        help=f"of the set-points in motion (default {usual.period_s:g})",
+    )
+
+
+def feeds(text: str) -> tuple[float, ...]:
+    """At least two feeds, as argparse takes them."""
+    try:
+        return feeds_of(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(error.what) from error
+
+
+def passes_of(args: argparse.Namespace, at: tuple[float, ...], instrument: InstrumentConfig) -> InMotion:
+    """The passes that a command line asks for, with the instrument's latency and trigger as the axis file has them."""
+    return InMotion(
+        at,
+        stretch_mm=args.stretch,
+        period_s=args.period,
+        latency_s=instrument.latency_s,
+        trigger_input=instrument.trigger_input,
+    )
