@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, fields
 from enum import Enum
+from typing import Annotated, Any
 
 from drivers.errors import InputError, ProtocolError
 from drivers.scaling import AxisScaling
+from drivers.toml_types import Limits, SchemaError, Text, one_of
 
 UNITS = ("counts", "rev", "um", "mm")
 """What positions and values may be kept in: of the encoder, revolutions of the motor, or travel of the load."""
+
+COLUMNS = ("plus", "minus", "position")
 
 _UM_PER_MM = 1000.0
 
@@ -123,6 +128,50 @@ class TableDescription:
             for raw in values:
                 if quantity is not None and not quantity.low <= raw <= quantity.high:
                     raise InputError(f"{self.name}: {column} {raw}, allowed is {quantity.low} to {quantity.high} (raw)")
+
+
+_SIGNS = "1 (a positive value is added) or -1 (it is subtracted)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableHead:
+    """What a map of any wire says of a table."""
+
+    name: Text
+    points: int
+    nodes: Nodes
+    interpolation: Interpolation
+    outside: Outside
+    directions: Directions
+    sign: Annotated[int, one_of(1, -1), Limits(description=_SIGNS)]
+
+    def needs(self) -> dict[str, bool]:
+        """Columns, then single numbers: whether such a table has it."""
+        return {
+            "plus": True,
+            "minus": self.directions is Directions.BOTH,
+            "position": self.nodes is Nodes.EXPLICIT,
+            "count": True,
+            "origin": self.nodes is Nodes.EQUIDISTANT,
+            "step": self.nodes is Nodes.EQUIDISTANT,
+            "backlash": self.directions is Directions.BACKLASH,
+        }
+
+    def named(self, holder: Any, expected: str, without: Collection[str] = ()) -> dict[str, Any]:
+        """What stands where, by key. Raises SchemaError for what is lacking, and for what such a table has no use for."""
+        found = {key: getattr(holder, key) for key in (*self.needs(), "applied")}
+        for key, needed in self.needs().items():
+            used = needed and key not in without
+            if used and found[key] is None:
+                raise SchemaError("", f"lacks {key}, expected {expected}")
+            if not used and found[key] is not None:
+                raise SchemaError(key, f"has no use with nodes {self.nodes.value}, directions {self.directions.value}")
+        return {key: each for key, each in found.items() if each is not None}
+
+    def description_of(self, **more: Any) -> TableDescription:
+        """The description, with the fields that a subclass knows."""
+        common = {field.name: getattr(self, field.name) for field in fields(TableHead)}
+        return TableDescription(**common, **more)
 
 
 @dataclass(frozen=True)

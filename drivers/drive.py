@@ -21,6 +21,7 @@ from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 from drivers.shared_time import SharedTime
+from drivers.toml_types import Number, Positive
 from drivers.touch_probe import TouchProbe
 from drivers.undo import undo_all
 
@@ -59,10 +60,10 @@ class Capability(Enum):
 class DriveLimits:
     """What the axis file allows; a target outside is refused, never clipped. mm, mm/s, mm/s²."""
 
-    travel_min_mm: float
-    travel_max_mm: float
-    max_velocity_mm_s: float
-    max_acceleration_mm_s2: float
+    travel_min_mm: Number
+    travel_max_mm: Number
+    max_velocity_mm_s: Positive
+    max_acceleration_mm_s2: Positive
 
     def check_target(self, position_load_mm: float) -> None:
         """Raise LimitError unless the position lies within the travel (NaN lies nowhere)."""

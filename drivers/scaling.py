@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import Annotated
 
 from drivers.errors import InputError
+from drivers.toml_types import Limits, Positive, Ratio, Sign
 
 
 @dataclass(frozen=True)
@@ -23,10 +25,10 @@ class AxisScaling:
     direction: +1 or -1, the sign of load motion for rising counts
     """
 
-    encoder_counts_per_motor_rev: int
-    feed_mm_per_shaft_rev: float
-    motor_revs_per_shaft_rev: Fraction = Fraction(1)
-    direction: int = 1
+    encoder_counts_per_motor_rev: Annotated[int, Limits(ge=1, le=2**40, description="a whole number > 0")]
+    feed_mm_per_shaft_rev: Positive
+    motor_revs_per_shaft_rev: Ratio = Fraction(1)
+    direction: Sign = 1
 
     def __post_init__(self) -> None:
         if self.encoder_counts_per_motor_rev <= 0:

@@ -17,20 +17,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from drivers.canopen.objects import DataType, Entry
-from drivers.correction_table import (
-    UNITS,
-    Directions,
-    Interpolation,
-    Nodes,
-    Outside,
-    Quantity,
-    TableDescription,
-)
+from drivers.correction_table import COLUMNS, UNITS, Quantity, TableDescription, TableHead
 from drivers.errors import InputError
-from drivers.strict_toml import Document, Section, positive, sign, take_enum, text, whole
+from drivers.toml_schema import Document, either
+from drivers.toml_types import Limits, Positive, SchemaError, Text, Via, one_of
 
 SUBINDICES = 254
 _OBJECT = re.compile(r"(?P<index>[0-9A-Fa-f]{4})h(:(?P<subindex>[0-9A-Fa-f]{2}))?")
@@ -81,119 +74,160 @@ def load_table_map(name_or_path: str | Path) -> TableMap:
             raise InputError(f"is neither a file nor a shipped table map ({', '.join(sorted(shipped))})", path=path)
         path = shipped[str(name_or_path)]
     document = Document.read(path)
-    root = document.root()
-    found = _Reader(document, root.child("table"), root.child("objects")).read()
-    root.finish()
-    return found
+    table, objects = document.load(_Table, "table"), document.load(_Objects, "objects")
+    document.finish()
+    with document.blaming("objects"):
+        places = _places(table, objects)
+    for column, first in places.columns.items():
+        if (last := first.subindex + table.points - 1) > SUBINDICES:
+            raise document.fail(f"objects.{column}", f"ends at sub-index {last}, expected {SUBINDICES} at most")
+    scalars, types = places.scalars, places.types
+    with document.blaming("table", "position"):
+        position = table.position.quantity(types["position"] if "position" in types else scalars["origin"].type)
+    with document.blaming("table", "value"):
+        value = table.value.quantity(types["plus"])
+    description = table.description_of(
+        position=position,
+        value=value,
+        step=_as(position, scalars.get("step")),
+        backlash=_as(value, scalars.get("backlash")),
+        wears=table.memory == "eeprom",
+        shows_applied="applied" in scalars,
+    )
+    switch, record = objects.enable, objects.record
+    entry = switch.entry("enable")
+    return TableMap(path, description, places.columns, places.domain, record, scalars, entry, switch.on, switch.off)
 
 
-class _Reader:
-    """Reads [table] and [objects] against each other."""
+# -- the file ----------------------------------------------------------------------------------------------------------
+def _object(written: str, _: Document) -> tuple[int, int]:
+    match = _OBJECT.fullmatch(written)
+    if match is None:
+        raise ValueError
+    index = int(match["index"], 16)
+    if not 0x2000 <= index < 0x6000:
+        raise InputError("expected an object of the maker's, 2000h to 5FFFh")
+    return index, int(match["subindex"] or "0", 16)
 
-    def __init__(self, document: Document, table: Section, objects: Section) -> None:
-        self._document = document
-        self._table = table
-        self._objects = objects
 
-    def read(self) -> TableMap:
-        table, objects = self._table, self._objects
-        form = table.take("form", _one_of("array", "domain"), "array or domain")
-        nodes = take_enum(table, "nodes", Nodes)
-        directions = take_enum(table, "directions", Directions)
-        wanted = ["plus"]
-        wanted += ["minus"] if directions is Directions.BOTH else []
-        wanted += ["position"] if nodes is Nodes.EXPLICIT else []
-        columns: dict[str, Entry] = {}
-        record: tuple[tuple[str, DataType], ...] = ()
-        domain: Entry | None = None
-        if form == "array":
-            columns = {column: self._entry(objects.child(column), column) for column in wanted}
-            types = {column: entry.type for column, entry in columns.items()}
-        else:
-            domain = Entry(*objects.take("domain", _object, "an object such as 2320h"), DataType.DOMAIN, "table")
-            record = objects.take("record", _record, 'a list such as ["position:i32", "plus:i16"]')
-            types = dict(record)
-            if sorted(types) != sorted(wanted) or len(record) != len(wanted):
-                raise objects.fail("record", f"has {', '.join(types)}, expected each of {', '.join(wanted)} once")
-        scalars = self._scalars(form, nodes, directions)
-        switch = objects.child("enable")
-        on = switch.take("on", whole(0, 2**32), "a whole number", 1)
-        off = switch.take("off", whole(0, 2**32), "a whole number", 0)
-        if on == off:
-            raise switch.fail("on", f"is {on}, as off is, expected two different values")
-        enable = self._entry(switch, "enable")
-        objects.finish()
-        if types["plus"] is not types.get("minus", types["plus"]):
-            raise self._document.fail("objects.minus", "is of another type than plus, expected the same")
-        points = table.take("points", whole(1, _MOST_POINTS), f"a whole number, 1 to {_MOST_POINTS}")
-        for column, first in columns.items():
-            if first.subindex + points - 1 > SUBINDICES:
-                raise self._document.fail(
-                    f"objects.{column}",
-                    f"ends at sub-index {first.subindex + points - 1}, expected {SUBINDICES} at most",
-                )
-        position = scalars["origin"].type if nodes is Nodes.EQUIDISTANT else types["position"]
-        description = self._description(
-            points, nodes, directions, {"position": position, "value": types["plus"]}, scalars
-        )
-        return TableMap(self._document.path, description, columns, domain, record, scalars, enable, on, off)
+def _type(name: str, _: Document) -> DataType:
+    if name not in _TYPES:
+        raise ValueError
+    return _TYPES[name]
 
-    def _description(
-        self,
-        points: int,
-        nodes: Nodes,
-        directions: Directions,
-        types: Mapping[str, DataType],
-        scalars: Mapping[str, Entry],
-    ) -> TableDescription:
-        table = self._table
-        places = self._quantity("position", types["position"])
-        values = self._quantity("value", types["value"])
-        description = TableDescription(
-            name=table.take("name", text, "a name"),
-            points=points,
-            nodes=nodes,
-            interpolation=take_enum(table, "interpolation", Interpolation),
-            outside=take_enum(table, "outside", Outside),
-            directions=directions,
-            sign=table.take("sign", sign, "1 (a positive value is added) or -1 (it is subtracted)"),
-            position=places,
-            value=values,
-            step=_as(places, scalars.get("step")),
-            backlash=_as(values, scalars.get("backlash")),
-            wears=table.take("memory", _one_of("ram", "eeprom"), "ram or eeprom", "ram") == "eeprom",
-            shows_applied="applied" in scalars,
-        )
-        table.take("description", text, "a sentence", "")
-        table.finish()
-        return description
 
-    def _scalars(self, form: str, nodes: Nodes, directions: Directions) -> dict[str, Entry]:
-        required = [
-            *(["count"] if form == "array" else []),
-            *(["origin", "step"] if nodes is Nodes.EQUIDISTANT else []),
-            *(["backlash"] if directions is Directions.BACKLASH else []),
-        ]
-        optional = ["applied"] if "applied" in self._objects else []
-        return {name: self._entry(self._objects.child(name), name) for name in required + optional}
+def _record(written: tuple[str, ...], document: Document) -> tuple[tuple[str, DataType], ...]:
+    columns = (item.partition(":") for item in written)
+    return tuple((name, _type(kind, document)) for name, _, kind in columns)
 
-    def _entry(self, section: Section, name: str) -> Entry:
-        index, subindex = section.take("object", _object, "an object such as 2310h:01")
-        kind = section.take("type", _type, " or ".join(_TYPES))
-        section.finish()
-        return Entry(index, subindex, kind, name)
 
-    def _quantity(self, name: str, kind: DataType) -> Quantity:
-        section = self._table.child(name)
+Number = Annotated[tuple[int, int], Via(Text, _object, "an object such as 2310h:01")]
+Type = Annotated[DataType, Via(Text, _type, either(_TYPES))]
+Switched = Annotated[int, Limits(ge=0, le=2**32)]
+
+
+@dataclass(frozen=True)
+class _Object:
+    object: Number
+    type: Type
+
+    def entry(self, name: str) -> Entry:
+        return Entry(*self.object, self.type, name)
+
+
+@dataclass(frozen=True)
+class _Switch(_Object):
+    on: Switched = 1
+    off: Switched = 0
+
+    def __post_init__(self) -> None:
+        if self.on == self.off:
+            raise SchemaError("on", f"is {self.on}, as off is, expected two different values")
+
+
+@dataclass(frozen=True)
+class _Objects:
+    """[objects]"""
+
+    enable: _Switch
+    plus: _Object | None = None
+    minus: _Object | None = None
+    position: _Object | None = None
+    count: _Object | None = None
+    origin: _Object | None = None
+    step: _Object | None = None
+    backlash: _Object | None = None
+    applied: _Object | None = None
+    domain: Number | None = None
+    record: Annotated[
+        tuple[tuple[str, DataType], ...], Via(tuple[Text, ...], _record, 'a list such as ["position:i32", "plus:i16"]')
+    ] = ()
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """[table.position] and [table.value]"""
+
+    unit: Annotated[str, one_of(*UNITS)]
+    scale: Positive = 1.0
+    low: int | None = None
+    high: int | None = None
+
+    def quantity(self, kind: DataType) -> Quantity:
+        """In the range of a type, or less."""
         low, high = bounds(kind)
-        quantity = Quantity(
-            section.take("unit", _one_of(*UNITS), " or ".join(UNITS)),
-            section.take("scale", positive, "a number > 0", 1.0),
-            section.take("low", whole(low, high), f"a whole number {low} to {high}", low),
-            section.take("high", whole(low, high), f"a whole number {low} to {high}", high),
+        for key, value in (("low", self.low), ("high", self.high)):
+            if value is not None and not low <= value <= high:
+                raise SchemaError(key, f"is {value}, expected a whole number {low} to {high}")
+        return Quantity(
+            self.unit, self.scale, low if self.low is None else self.low, high if self.high is None else self.high
         )
-        section.finish()
-        return quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Table(TableHead):
+    """[table]"""
+
+    points: Annotated[int, Limits(ge=1, le=_MOST_POINTS)]
+    form: Annotated[str, one_of("array", "domain")]
+    position: _Quantity
+    value: _Quantity
+    memory: Annotated[str, one_of("ram", "eeprom")] = "ram"
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the parts of a table stand, and the types of its columns."""
+
+    columns: dict[str, Entry]
+    domain: Entry | None
+    scalars: dict[str, Entry]
+    types: dict[str, DataType]
+
+
+def _places(table: _Table, objects: _Objects) -> _Places:
+    """Hold [table] and [objects] against each other."""
+    in_domain = table.form == "domain"
+    named = table.named(objects, "a table", without=(*COLUMNS, "count") if in_domain else ())
+    scalars = {key: each.entry(key) for key, each in named.items()}
+    columns = {key: scalars.pop(key) for key in COLUMNS if key in scalars}
+    types = {key: entry.type for key, entry in columns.items()}
+    domain: Entry | None = None
+    if in_domain:
+        if objects.domain is None:
+            raise SchemaError("", "lacks domain, expected an object such as 2320h")
+        domain = Entry(*objects.domain, DataType.DOMAIN, "table")
+        types = dict(objects.record)
+        wanted = [key for key, needed in table.needs().items() if needed and key in COLUMNS]
+        if sorted(types) != sorted(wanted) or len(objects.record) != len(wanted):
+            what = f"has {', '.join(types)}, expected each of {', '.join(wanted)} once"
+            raise SchemaError("record", what)
+    elif objects.domain is not None or objects.record:
+        raise SchemaError("domain" if objects.domain else "record", "has no use in a table of form array")
+    if types["plus"] is not types.get("minus", types["plus"]):
+        raise SchemaError("minus", "is of another type than plus, expected the same")
+    return _Places(columns, domain, scalars, types)
 
 
 def bounds(kind: DataType) -> tuple[int, int]:
@@ -205,36 +239,3 @@ def bounds(kind: DataType) -> tuple[int, int]:
 def _as(quantity: Quantity, entry: Entry | None) -> Quantity | None:
     """The same unit, in the range of another object."""
     return None if entry is None else Quantity(quantity.unit, quantity.scale, *bounds(entry.type))
-
-
-def _one_of(*choices: str) -> Any:
-    def convert(value: Any) -> str:
-        if value not in choices:
-            raise ValueError
-        return str(value)
-
-    return convert
-
-
-def _object(value: Any) -> tuple[int, int]:
-    match = _OBJECT.fullmatch(text(value))
-    if match is None:
-        raise ValueError
-    index = int(match["index"], 16)
-    if not 0x2000 <= index < 0x6000:
-        raise InputError("expected an object of the maker's, 2000h to 5FFFh")
-    return index, int(match["subindex"] or "0", 16)
-
-
-def _type(value: Any) -> DataType:
-    if text(value) not in _TYPES:
-        raise ValueError
-    return _TYPES[value]
-
-
-def _record(value: Any) -> tuple[tuple[str, DataType], ...]:
-    columns = []
-    for item in value:
-        name, _, kind = text(item).partition(":")
-        columns.append((name, _type(kind)))
-    return tuple(columns)

@@ -13,7 +13,7 @@
     [[drive.touch_probe]]  one for each input that latches positions, with [drive.touch_probe.positive] and .negative for its edges
 
 A *condition* is {register, mask, value} or {register, bit, set}; a *write* is the same, and one with a mask changes those bits only.
-Values are raw. `drivers.modbus.map_loader` reads these from the file and refuses what cannot work.
+Values are raw. `drivers.modbus.map_loader` reads these from the file and refuses what cannot work together.
 """
 
 from __future__ import annotations
@@ -22,10 +22,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
+from typing import Annotated
 
 from drivers.drive import DriveState
-from drivers.modbus.register_map import RegisterMap
-from drivers.modbus.table_map import TableBlocks
+from drivers.modbus.map_roles import (
+    Condition,
+    ConditionRow,
+    Conditions,
+    Named,
+    SomeConditions,
+    SomeWrites,
+    Writes,
+    WriteTable,
+    role,
+)
+from drivers.modbus.register_map import Register, RegisterMap
+from drivers.modbus.table_map import TableBlocks, TableSection, table_blocks
+from drivers.toml_schema import Document
+from drivers.toml_types import Key, Limits, Positive, SchemaError, Via, not_empty
 from drivers.touch_probe import Edge
 
 FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
@@ -35,27 +49,26 @@ ACCELERATION_UNITS = ("counts/s2", "rpm/s", "rev/s2")
 TORQUE_UNITS = ("percent", "permille")
 
 
-@dataclass(frozen=True)
-class Condition:
-    """Holds when (raw & mask) == value; mask None means the whole value. `negate` turns it round."""
-
-    register: str
-    mask: int | None
-    value: int
-    negate: bool = False
-
-    def holds(self, raw: int) -> bool:
-        seen = raw if self.mask is None else raw & self.mask
-        return (seen == self.value) is not self.negate
+_SHOWN_STATES = [state.value for state in DriveState if state is not DriveState.UNKNOWN]
 
 
-@dataclass(frozen=True)
-class Write:
-    """Write the raw value; with a mask, only the bits of the mask."""
+def _shown_state(state: DriveState, _: Document) -> DriveState:
+    if state is DriveState.UNKNOWN:
+        raise ValueError
+    return state
 
-    register: str
-    mask: int | None
-    value: int
+
+def _readable(register: Register, _: Document) -> str:
+    if not register.readable:
+        raise SchemaError("", f"is {register.name!r}, expected registers that can be read")
+    return register.name
+
+
+State = Annotated[DriveState, _shown_state, Limits(description=", ".join(_SHOWN_STATES))]
+States = Annotated[tuple[State, ...], not_empty]
+Position = Annotated[str, role(POSITION_UNITS)]
+Acceleration = Annotated[str, role(ACCELERATION_UNITS, written=True)]
+AnyNumber = Annotated[str, role(None)]
 
 
 @dataclass(frozen=True)
@@ -64,14 +77,22 @@ class StateRule:
     state: DriveState
 
 
+@dataclass(frozen=True, kw_only=True)
+class _StateRow(ConditionRow):
+    state: State
+
+
+ShownState = Annotated[StateRule, Via(_StateRow, lambda row, _: StateRule(row.condition(), row.state))]
+
+
 @dataclass(frozen=True)
 class Transition:
     """From one of these states, after these writes (in this order), the drive comes to one of those."""
 
-    sources: tuple[DriveState, ...]
-    writes: tuple[Write, ...]
-    targets: tuple[DriveState, ...]
-    timeout_s: float
+    sources: Annotated[States, Key("from")]
+    writes: Annotated[SomeWrites, Key("write")]
+    targets: Annotated[States, Key("to")]
+    timeout_s: Positive = 1.0
 
 
 class Handshake(Enum):
@@ -82,25 +103,39 @@ class Handshake(Enum):
     ON_WRITE = "on write"  # writing the target starts the move
 
 
+_NEEDED = {
+    Handshake.SET_POINT_BIT: ("idle", "start", "accepted", "release", "released", "reached"),
+    Handshake.TRIGGER: ("start", "accepted", "reached"),
+    Handshake.ON_WRITE: (),
+}
+
+
 @dataclass(frozen=True)
 class MoveMap:
     """A profile move. `window` is in the target register's unit: `reached` is believed only that close to the target."""
 
     handshake: Handshake
-    target: str
-    velocity: str
-    acceleration: str | None
-    deceleration: str | None
-    mode: tuple[Write, ...]
-    mode_shown: tuple[Condition, ...]
-    idle: tuple[Condition, ...]
-    start: tuple[Write, ...]
-    accepted: tuple[Condition, ...]
-    release: tuple[Write, ...]
-    released: tuple[Condition, ...]
-    reached: tuple[Condition, ...]
-    window: float | None
-    timeout_s: float
+    target: Annotated[str, role(POSITION_UNITS, written=True)]
+    velocity: Annotated[str, role(VELOCITY_UNITS, written=True)]
+    acceleration: Acceleration | None = None
+    deceleration: Acceleration | None = None
+    mode: Writes = ()
+    mode_shown: Conditions = ()
+    idle: Conditions = ()
+    start: Writes = ()
+    accepted: Conditions = ()
+    release: Writes = ()
+    released: Conditions = ()
+    reached: Conditions = ()
+    window: Positive | None = None
+    timeout_s: Positive = 0.5
+
+    def __post_init__(self) -> None:
+        for key in _NEEDED[self.handshake]:
+            if not getattr(self, key):
+                raise SchemaError("", f"lacks {key}, expected a list of tables")
+        if self.handshake is Handshake.ON_WRITE and self.window is None:
+            raise SchemaError("", "lacks window, which a move started by its target alone is judged by")
 
 
 @dataclass(frozen=True)
@@ -110,74 +145,85 @@ class HomingMap:
     method, home_position: the registers that decide what becomes the zero, where the map names them
     """
 
-    mode: tuple[Write, ...]
-    mode_shown: tuple[Condition, ...]
-    start: tuple[Write, ...]
-    accepted: tuple[Condition, ...]
-    release: tuple[Write, ...]
-    applies: tuple[Condition, ...]
-    attained: tuple[Condition, ...]
-    failed: tuple[Condition, ...]
-    timeout_s: float
-    method: str | None = None
-    home_position: str | None = None
+    start: SomeWrites
+    attained: SomeConditions
+    mode: Writes = ()
+    mode_shown: Conditions = ()
+    accepted: Conditions = ()
+    release: Writes = ()
+    applies: Conditions = ()
+    failed: Conditions = ()
+    timeout_s: Positive = 0.5
+    method: AnyNumber | None = None
+    home_position: Position | None = None
 
 
 @dataclass(frozen=True)
 class RunMap:
     """Profile velocity: the (signed) target is followed from when the mode is shown, after `start` where that is needed."""
 
-    target: str
-    acceleration: str | None
-    deceleration: str | None
-    mode: tuple[Write, ...]
-    mode_shown: tuple[Condition, ...]
-    start: tuple[Write, ...]
-    timeout_s: float
+    target: Annotated[str, role(VELOCITY_UNITS, written=True, signed=True)]
+    acceleration: Acceleration | None = None
+    deceleration: Acceleration | None = None
+    mode: Writes = ()
+    mode_shown: Conditions = ()
+    start: Writes = ()
+    timeout_s: Positive = 0.5
 
 
 @dataclass(frozen=True)
 class StreamMap:
     """A set-point register that the drive follows as it is written, cycle by cycle, no faster than least_period_s."""
 
-    target: str
-    mode: tuple[Write, ...]
-    mode_shown: tuple[Condition, ...]
-    start: tuple[Write, ...]
-    least_period_s: float
-    timeout_s: float
+    target: Annotated[str, role(POSITION_UNITS, written=True, signed=True)]
+    least_period_s: Positive
+    mode: Writes = ()
+    mode_shown: Conditions = ()
+    start: Writes = ()
+    timeout_s: Positive = 0.5
 
 
 @dataclass(frozen=True)
 class EdgeMap:
     """One edge of a probe: written before `on` to have it latched, shown as latched by, and where its values stand."""
 
-    arm: tuple[Write, ...]
-    latched: tuple[Condition, ...]
-    position: str
-    stamp: str | None
-    count: str | None
+    latched: SomeConditions
+    position: Position
+    arm: Writes = ()
+    stamp: AnyNumber | None = None
+    count: AnyNumber | None = None
 
 
 @dataclass(frozen=True)
 class ProbeMap:
     """One probe input: `off` forgets edges and latches, then edges, `continuous` where every edge is wanted, and `on`."""
 
-    number: int
-    off: tuple[Write, ...]
-    on: tuple[Write, ...]
-    continuous: tuple[Write, ...]
-    armed: tuple[Condition, ...]
-    edges: Mapping[Edge, EdgeMap]
+    number: Annotated[int, Limits(ge=1, le=16, description="the number of the input, 1 to 16")]
+    off: SomeWrites
+    on: SomeWrites
+    positive: EdgeMap | None = None
+    negative: EdgeMap | None = None
+    continuous: Writes = ()
+    armed: Conditions = ()
+
+    def __post_init__(self) -> None:
+        if not self.edges:
+            raise SchemaError("", "lacks positive and negative, expected at least one edge")
+
+    @property
+    def edges(self) -> Mapping[Edge, EdgeMap]:
+        """Those that it latches."""
+        both = {Edge.POSITIVE: self.positive, Edge.NEGATIVE: self.negative}
+        return {edge: found for edge, found in both.items() if found is not None}
 
 
 @dataclass(frozen=True)
 class StoreMap:
     """Saving parameters to the drive's own memory."""
 
-    writes: tuple[Write, ...]
-    done: tuple[Condition, ...]
-    timeout_s: float
+    writes: Annotated[SomeWrites, Key("write")]
+    done: Conditions = ()
+    timeout_s: Positive = 5.0
 
 
 @dataclass(frozen=True)
@@ -190,39 +236,58 @@ class Ratio:
 
 
 @dataclass(frozen=True)
+class _RatioRow:
+    register: AnyNumber
+    per: AnyNumber | None = None
+
+
+def _ratio(value: float | _RatioRow, _: Document) -> Ratio:
+    return Ratio(None, value.register, value.per) if isinstance(value, _RatioRow) else Ratio(Fraction(str(value)))
+
+
+Stated = Annotated[Ratio | None, Via(Positive | _RatioRow, _ratio, "a number > 0, or {register, per}")]
+
+
+@dataclass(frozen=True)
 class ScalingMap:
     """Where the drive states its own units; None where it does not."""
 
-    encoder_counts_per_motor_rev: Ratio | None
-    motor_revs_per_shaft_rev: Ratio | None
-    feed_mm_per_shaft_rev: Ratio | None
+    encoder_counts_per_motor_rev: Stated = None
+    motor_revs_per_shaft_rev: Stated = None
+    feed_mm_per_shaft_rev: Stated = None
 
 
 @dataclass(frozen=True)
 class DriveMap:
     """A drive model as a servo drive."""
 
-    registers: RegisterMap
-    position: str
-    velocity: str | None
-    torque: str | None
-    following_error: str | None
-    fault_code: str | None
-    states: tuple[StateRule, ...]
-    enable: tuple[Transition, ...]
-    disable: tuple[Transition, ...]
-    reset_fault: tuple[Transition, ...]
-    quick_stop: tuple[Write, ...]
-    halt: tuple[Write, ...]
+    registers: Annotated[RegisterMap, Key("")]
+    position: Position
+    states: Annotated[tuple[ShownState, ...], Key("state"), not_empty]
+    enable: Annotated[tuple[Transition, ...], not_empty]
+    disable: Annotated[tuple[Transition, ...], not_empty]
+    reset_fault: Annotated[tuple[Transition, ...], not_empty]
+    quick_stop: WriteTable
+    halt: WriteTable
     move: MoveMap
-    homing: HomingMap | None
-    run: RunMap | None
-    stream: StreamMap | None
-    probes: tuple[ProbeMap, ...]
-    store: StoreMap | None
-    scaling: ScalingMap
-    table: TableBlocks | None = None
-    identity: tuple[str, ...] = ()
+    velocity: Annotated[str, role(VELOCITY_UNITS)] | None = None
+    torque: Annotated[str, role(TORQUE_UNITS)] | None = None
+    following_error: Position | None = None
+    fault_code: AnyNumber | None = None
+    homing: HomingMap | None = None
+    run: RunMap | None = None
+    stream: StreamMap | None = None
+    probes: Annotated[tuple[ProbeMap, ...], Key("touch_probe")] = ()
+    store: StoreMap | None = None
+    scaling: ScalingMap = ScalingMap()
+    table: Annotated[TableBlocks | None, Key("correction_table"), Via(TableSection, table_blocks)] = None
+    identity: tuple[Annotated[str, Via(Named, _readable)], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.run is not None and self.velocity is None:
+            raise SchemaError("run", "needs drive.velocity, which says when a run has to be stopped")
+        if len({probe.number for probe in self.probes}) != len(self.probes):
+            raise SchemaError("touch_probe", "has two probes of one number")
 
     def sampled(self) -> tuple[str, ...]:
         """Names of all registers that one sample needs."""

@@ -1,110 +1,163 @@
-"""Reads what every part of a register map's [drive] consists of: names of registers in a role, conditions and writes.
+"""What every part of a register map's [drive] consists of: registers in a role, conditions and writes.
 
-Refused with file, line and key: a name that does not exist, reading what is write-only, writing what is read-only, a unit that a role
-cannot have, motion kept in EEPROM, a mask or value that does not fit.
+The document's context is the `RegisterMap` they speak of. Refused: a name that does not exist, reading what is write-only, writing
+what is read-only, a unit that a role cannot have, motion kept in EEPROM, a mask or value that does not fit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
 from drivers.modbus.codec import RegisterType
-from drivers.modbus.drive_map import Condition, Write
-from drivers.modbus.register_map import Memory, Register, RegisterMap
-from drivers.strict_toml import Document, Section, text, whole
+from drivers.modbus.register_map import Memory, Register
+from drivers.toml_schema import Document
+from drivers.toml_types import Limits, SchemaError, Text, Via, not_empty, one_of
 
 
-class RoleReader:
-    """Reads sections of [drive] against the registers they speak of."""
+@dataclass(frozen=True)
+class Condition:
+    """Holds when (raw & mask) == value; mask None means the whole value. `negate` turns it round."""
 
-    def __init__(self, document: Document, registers: RegisterMap) -> None:
-        self.document = document
-        self.registers = registers
+    register: str
+    mask: int | None
+    value: int
+    negate: bool = False
 
-    # -- roles -------------------------------------------------------------------------------------------------------
-    def register(self, section: Section, key: str) -> Register:
-        name = section.take(key, text, "the name of a register")
-        if name not in self.registers.registers:
-            raise section.fail(key, f"is {name!r}, expected the name of a register in [registers]")
-        return self.registers.registers[name]
+    def holds(self, raw: int) -> bool:
+        seen = raw if self.mask is None else raw & self.mask
+        return (seen == self.value) is not self.negate
 
-    def _checked(self, section: Section, key: str, register: Register, units: tuple[str, ...] | None) -> str:
+
+@dataclass(frozen=True)
+class Write:
+    """Write the raw value; with a mask, only the bits of the mask."""
+
+    register: str
+    mask: int | None
+    value: int
+
+
+# -- roles -------------------------------------------------------------------------------------------------------------
+def _named(name: str, document: Document) -> Register:
+    if name not in document.context.registers:
+        raise SchemaError("", f"is {name!r}, expected the name of a register in [registers]")
+    return document.context[name]  # type: ignore[no-any-return]
+
+
+Named = Annotated[Register, Via(Text, _named), Limits(description="the name of a register")]
+
+
+def _usable(register: Register, *, written: bool, what: str) -> None:
+    if not (register.writable if written else register.readable):
+        raise SchemaError("", f"is {register.name!r}, which is {'read' if written else 'write'} only")
+    if written and register.memory is Memory.EEPROM:
+        raise SchemaError("", f"is {register.name!r}, which is kept in EEPROM; {what} would wear it out")
+
+
+def role(units: tuple[str, ...] | None, *, written: bool = False, signed: bool = False) -> Via:
+    """The name of a register with a number in one of these units (None: any), to be read or to be written while the axis moves."""
+
+    def check(register: Register, _: Document) -> str:
+        _usable(register, written=written, what="motion")
+        kind = register.layout.type
         if units is not None and register.unit not in units:
-            raise section.fail(
-                key, f"is {register.name!r} in {register.unit or 'no unit'!r}, expected a unit of {', '.join(units)}"
-            )
-        if register.layout.type in (RegisterType.STRING, RegisterType.BIT):
-            raise section.fail(key, f"is {register.name!r} of type {register.layout.type.value}, expected a number")
+            unit = register.unit or "no unit"
+            raise SchemaError("", f"is {register.name!r} in {unit!r}, expected a unit of {', '.join(units)}")
+        if kind in (RegisterType.STRING, RegisterType.BIT):
+            raise SchemaError("", f"is {register.name!r} of type {kind.value}, expected a number")
+        if signed and kind.is_integer and kind.bounds[0] == 0:
+            raise SchemaError("", f"is {register.name!r} of type {kind.value}, which has no sign")
         return register.name
 
-    def role(self, section: Section, key: str, units: tuple[str, ...] | None, *, written: bool = False) -> str:
-        register = self.register(section, key)
-        if written and not register.writable:
-            raise section.fail(key, f"is {register.name!r}, which is read only")
-        if not written and not register.readable:
-            raise section.fail(key, f"is {register.name!r}, which is write only")
-        if written and register.memory is Memory.EEPROM:
-            raise section.fail(key, f"is {register.name!r}, which is kept in EEPROM; motion would wear it out")
-        return self._checked(section, key, register, units)
+    return Via(Named, check)
 
-    def optional_role(
-        self, section: Section, key: str, units: tuple[str, ...] | None, *, written: bool = False
-    ) -> str | None:
-        return self.role(section, key, units, written=written) if key in section else None
 
-    # -- conditions and writes -----------------------------------------------------------------------------------------
-    def _masked(
-        self, section: Section, *, value_key: str = "value", writing: bool = False
-    ) -> tuple[Register, int | None, int]:
-        register = self.register(section, "register")
-        if writing and not register.writable:
-            raise section.fail("register", f"is {register.name!r}, which is read only")
-        if not writing and not register.readable:
-            raise section.fail("register", f"is {register.name!r}, which is write only")
+# -- conditions and writes -----------------------------------------------------------------------------------------
+def _whole(written: bool) -> Callable[[Register, Document], Register]:
+    def check(register: Register, _: Document) -> Register:
         if not register.layout.type.is_integer:
-            raise section.fail(
-                "register", f"is {register.name!r} of type {register.layout.type.value}, no whole number"
-            )
-        if writing and register.memory is Memory.EEPROM:
-            raise section.fail("register", f"is {register.name!r}, which is kept in EEPROM; commands would wear it out")
+            what = f"is {register.name!r} of type {register.layout.type.value}, no whole number"
+            raise SchemaError("", what)
+        _usable(register, written=written, what="commands")
+        return register
+
+    return check
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Masked:
+    """A whole value, the bits of a mask, or one named bit."""
+
+    register: Register
+    bit: Text | None = None
+    set: Annotated[int, one_of(0, 1)] | None = None
+    mask: Annotated[int, Limits(ge=1, description="a mask")] | None = None
+    value: int | None = None
+
+    def masked(self, key: str, value: int | None) -> tuple[str, int | None, int]:
+        """Register, mask and value."""
+        register, mask = self.register, self.mask
         low, high = register.layout.type.bounds
-        if "bit" in section:
-            bit = section.take("bit", text, "the name of a bit")
-            if bit not in register.bits:
+        if self.bit is not None:
+            if self.bit not in register.bits:
                 names = ", ".join(register.bits) or "none"
-                raise section.fail("bit", f"is {bit!r}, expected a bit of {register.name} ({names})")
-            mask = 1 << register.bits[bit]
-            value = mask * section.take("set", whole(0, 1), "0 or 1", 1)
-            return register, mask, value
-        masked = section.take("mask", whole(1, (1 << 64) - 1), "a mask", None)
-        value = section.take(value_key, whole(low, high), f"a whole number {low} to {high}")
-        if masked is not None and (masked & ~high or low < 0):
-            raise section.fail(
-                "mask", f"is {masked:#x}, which does not fit {register.name} ({register.layout.type.value})"
-            )
-        if masked is not None and value & ~masked:
-            raise section.fail(value_key, f"is {value:#x}, which has bits outside the mask {masked:#x}")
-        if masked is not None and writing and not register.readable:
-            raise section.fail("mask", f"needs {register.name} to be readable, to keep its other bits")
-        return register, masked, value
+                raise SchemaError("bit", f"is {self.bit!r}, expected a bit of {register.name} ({names})")
+            if mask is not None or value is not None:
+                raise SchemaError("bit", "stands beside a mask or value, expected one of them")
+            bit = 1 << register.bits[self.bit]
+            return register.name, bit, bit * (1 if self.set is None else self.set)
+        if self.set is not None:
+            raise SchemaError("set", "is for a named bit, and there is none")
+        if value is None:
+            raise SchemaError("", f"lacks {key}, expected a whole number {low} to {high}")
+        if not low <= value <= high:
+            raise SchemaError(key, f"is {value}, expected a whole number {low} to {high}")
+        if mask is not None and (mask & ~high or low < 0):
+            what = f"is {mask:#x}, which does not fit {register.name} ({register.layout.type.value})"
+            raise SchemaError("mask", what)
+        if mask is not None and value & ~mask:
+            raise SchemaError(key, f"is {value:#x}, which has bits outside the mask {mask:#x}")
+        return register.name, mask, value
 
-    def _condition(self, section: Section) -> Condition:
-        negate = "not_value" in section
-        register, mask, value = self._masked(section, value_key="not_value" if negate else "value")
-        section.finish()
-        return Condition(register.name, mask, value, negate)
 
-    def conditions(self, section: Section, key: str, *, required: bool = False) -> tuple[Condition, ...]:
-        return tuple(self._condition(each) for each in section.children(key, required=required))
+Whole = Annotated[Named, _whole(False)]
+"""A register of whole numbers that can be read."""
 
-    def _write(self, section: Section) -> Write:
-        register, mask, value = self._masked(section, writing=True)
-        section.finish()
-        return Write(register.name, mask, value)
 
-    def writes(self, section: Section, key: str, *, required: bool = False) -> tuple[Write, ...]:
-        return tuple(self._write(each) for each in section.children(key, required=required))
+@dataclass(frozen=True, kw_only=True)
+class ConditionRow(_Masked):
+    register: Whole
+    not_value: int | None = None
 
-    def writes_of(self, section: Section, key: str) -> tuple[Write, ...]:
-        child = section.child(key)
-        writes = self.writes(child, "write", required=True)
-        child.finish()
-        return writes
+    def condition(self) -> Condition:
+        if self.not_value is None:
+            return Condition(*self.masked("value", self.value))
+        if self.value is not None or self.bit is not None:
+            raise SchemaError("not_value", "stands beside a value or bit, expected one of them")
+        return Condition(*self.masked("not_value", self.not_value), negate=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _WriteRow(_Masked):
+    register: Annotated[Named, _whole(True)]
+
+    def write(self) -> Write:
+        name, mask, value = self.masked("value", self.value)
+        if self.bit is None and mask is not None and not self.register.readable:
+            raise SchemaError("mask", f"needs {name} to be readable, to keep its other bits")
+        return Write(name, mask, value)
+
+
+@dataclass(frozen=True)
+class _WriteTable:
+    write: SomeWrites
+
+
+Conditions = tuple[Annotated[Condition, Via(ConditionRow, lambda row, _: row.condition())], ...]
+Writes = tuple[Annotated[Write, Via(_WriteRow, lambda row, _: row.write())], ...]
+SomeConditions = Annotated[Conditions, not_empty]
+SomeWrites = Annotated[Writes, not_empty]
+WriteTable = Annotated[tuple[Write, ...], Via(_WriteTable, lambda table, _: table.write)]
+"""A table with nothing but `write`."""

@@ -11,7 +11,8 @@ from functools import partial
 from drivers.clock import Clock
 from drivers.errors import MotionTimeoutError, NoAnswerError, StateError
 from drivers.modbus.codec import Raw
-from drivers.modbus.drive_map import Condition, Write, all_hold
+from drivers.modbus.drive_map import all_hold
+from drivers.modbus.map_roles import Condition, Write
 from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.way_out import WayOut
 from drivers.undo import undo_all

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from drivers.errors import CapabilityError, InputError
 from drivers.modbus.codec import Raw, decode, encode
-from drivers.modbus.drive_map import Condition, Write
 from drivers.modbus.link import Doubt, ModbusLink
+from drivers.modbus.map_roles import Condition, Write
 from drivers.modbus.plan import ReadPlan, Span, group_writes, plan_reads
 from drivers.modbus.register_map import Register, RegisterMap
 from drivers.modbus.wire import Request

@@ -18,12 +18,13 @@ from enum import Enum
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated
 
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout, Order, Raw, RegisterType, decode, encode
 from drivers.modbus.plan import MAX_READ_REGISTERS, MAX_WRITE_REGISTERS, Span, Table
-from drivers.strict_toml import REQUIRED, Document, Section, flag, interval, number, text, whole
+from drivers.toml_schema import Document, either
+from drivers.toml_types import Limits, SchemaError, Text, Via
 
 Value = int | float | str
 """A value after scale and offset; an int where the type is an integer, the scale 1 and the offset 0."""
@@ -181,136 +182,159 @@ def find_map(name_or_path: str | Path) -> Path:
     raise InputError(f"is neither a file nor a shipped register map ({', '.join(sorted(shipped))})", path=path)
 
 
-def parse_registers(document: Document, root: Section) -> RegisterMap:
-    """[map] and [registers] of an open document; takes both out of `root`."""
-    head = root.child("map")
-    name = head.take("name", text, "a name")
-    description = head.take("description", text, "a sentence", "")
-    defaults = _Defaults(
-        base=head.take("address_base", AddressBase, _choices(AddressBase)),
-        word_order=head.take("word_order", Order, _choices(Order)),
-        byte_order=head.take("byte_order", Order, _choices(Order), Order.BIG),
-        wear_budget=head.take("eeprom_write_budget", whole(0, 10**9), "a whole number >= 0", 100),
-    )
-    frame = {
-        "gaps_readable": head.take("gaps_readable", flag, "true or false", True),
-        "single_writes": head.take("single_writes", flag, "true or false", True),
-        "max_read": head.take("max_read_registers", whole(4, MAX_READ_REGISTERS), "4 to 125", MAX_READ_REGISTERS),
-        "max_write": head.take("max_write_registers", whole(4, MAX_WRITE_REGISTERS), "4 to 123", MAX_WRITE_REGISTERS),
-        "response_s": head.take("response_time_s", number, "seconds", 0.003),
-    }
-    head.finish()
-    registers: dict[str, Register] = {}
-    holder = root.child("registers")
-    for each, section in holder.named():
-        registers[each] = _register(each, section, defaults)
-    if not registers:
-        raise document.fail("registers", "is empty, expected at least one register")
-    _refuse_overlaps(document, registers)
-    return RegisterMap(document.path, name, description, MappingProxyType(registers), **frame)  # type: ignore[arg-type]
+def _finite(value: float, _: Document) -> float:
+    if not math.isfinite(value):
+        raise ValueError
+    return value
+
+
+def _not_zero(value: float, _: Document) -> float:
+    if value == 0:
+        raise ValueError
+    return value
+
+
+def _written_address(value: int | str, _: Document) -> int:
+    address = int(value, 10) if isinstance(value, str) else value  # TOML has no number 00001
+    if not 0 <= address <= 999_999:
+        raise ValueError
+    return address
+
+
+def _limits(value: tuple[float, float], _: Document) -> tuple[float, float]:
+    if not value[0] <= value[1]:
+        raise ValueError
+    return value
+
+
+Finite = Annotated[float, _finite, Limits(description="a number")]
+Budget = Annotated[int, Limits(ge=0, le=10**9, description="a whole number >= 0")]
 
 
 @dataclass(frozen=True)
-class _Defaults:
-    """What [map] says for all registers that do not say otherwise."""
+class _Head:
+    """[map]: frames, and what holds for all registers that do not say otherwise."""
 
-    base: AddressBase
+    name: Text
+    address_base: AddressBase
     word_order: Order
-    byte_order: Order
-    wear_budget: int
+    byte_order: Order = Order.BIG
+    description: str = ""
+    eeprom_write_budget: Budget = 100
+    gaps_readable: bool = True
+    single_writes: bool = True
+    max_read_registers: Annotated[int, Limits(ge=4, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
+    max_write_registers: Annotated[int, Limits(ge=4, le=MAX_WRITE_REGISTERS)] = MAX_WRITE_REGISTERS
+    response_time_s: Finite = 0.003
 
 
-def _register(name: str, section: Section, defaults: _Defaults) -> Register:
-    table = section.take("table", Table, _choices(Table), None)
-    table, start = _address(section, defaults.base, table)
-    kind = section.take("type", RegisterType, _choices(RegisterType), RegisterType.BIT if table.is_bits else REQUIRED)
-    if table.is_bits is not (kind is RegisterType.BIT):
-        raise section.fail("type", f"is {kind.value}, which table {table.value} cannot hold")
-    layout = Layout(
-        kind,
-        section.take("word_order", Order, _choices(Order), defaults.word_order),
-        section.take("byte_order", Order, _choices(Order), defaults.byte_order),
-        section.take("length", whole(1, MAX_WRITE_REGISTERS), "1 to 123 registers", 1)
-        if kind is RegisterType.STRING
-        else 0,
+@dataclass(frozen=True)
+class _Row:
+    """[registers.NAME] as it is written."""
+
+    address: Annotated[int, Via(int | str, _written_address, "a whole number")]
+    table: Table | None = None
+    type: RegisterType | None = None
+    word_order: Order | None = None
+    byte_order: Order | None = None
+    length: Annotated[int, Limits(ge=1, le=MAX_WRITE_REGISTERS, description="1 to 123 registers")] | None = None
+    scale: Annotated[float, _finite, _not_zero, Limits(description="a number other than 0")] = 1.0
+    offset: Finite = 0.0
+    unit: Text = ""
+    access: Access | None = None
+    limits: Annotated[tuple[float | None, float | None], Via(tuple[Finite, Finite], _limits, "[low, high]")] = (
+        None,
+        None,
     )
-    default = Access.RW if table.is_writable else Access.RO
-    access = section.take("access", Access, _choices(Access), default)
+    memory: Memory = Memory.RAM
+    wear_budget: Budget | None = None
+    self_clearing: bool = False
+    bits: dict[Text, Annotated[int, Limits(ge=0, le=15, description="a bit number, 0 to 15")]] = field(
+        default_factory=dict
+    )
+    description: str = ""
+
+
+def parse_registers(document: Document) -> RegisterMap:
+    """[map] and [registers] of an open document."""
+    head = document.load(_Head, "map")
+    registers: dict[str, Register] = {}
+    for name, row in document.load(dict[str, _Row], "registers").items():
+        with document.blaming("registers", name):
+            registers[name] = _register(name, row, head)
+    if not registers:
+        raise document.fail("registers", "is empty, expected at least one register")
+    _refuse_overlaps(document, registers)
+    return RegisterMap(
+        document.path,
+        head.name,
+        head.description,
+        MappingProxyType(registers),
+        gaps_readable=head.gaps_readable,
+        single_writes=head.single_writes,
+        max_read=head.max_read_registers,
+        max_write=head.max_write_registers,
+        response_s=head.response_time_s,
+    )
+
+
+def _register(name: str, row: _Row, head: _Head) -> Register:
+    table, start = _address(row, head.address_base)
+    kind = row.type or (RegisterType.BIT if table.is_bits else None)
+    if kind is None:
+        raise SchemaError("", f"lacks type, expected {either(each.value for each in RegisterType)}")
+    if table.is_bits is not (kind is RegisterType.BIT):
+        raise SchemaError("type", f"is {kind.value}, which table {table.value} cannot hold")
+    if row.length is not None and kind is not RegisterType.STRING:
+        raise SchemaError("length", f"belongs to the type string, this is {kind.value}")
+    if row.bits and kind is not RegisterType.BITS:
+        raise SchemaError("bits", f"belongs to the type bits, this is {kind.value}")
+    access = row.access or (Access.RW if table.is_writable else Access.RO)
     if access is not Access.RO and not table.is_writable:
-        raise section.fail("access", f"is {access.value}, but table {table.value} is read only")
-    memory = section.take("memory", Memory, _choices(Memory), Memory.RAM)
-    limits = section.take("limits", interval, "[low, high]", (None, None))
-    register = Register(
+        raise SchemaError("access", f"is {access.value}, but table {table.value} is read only")
+    length = (row.length or 1) if kind is RegisterType.STRING else 0
+    layout = Layout(kind, row.word_order or head.word_order, row.byte_order or head.byte_order, length)
+    if start + layout.words > 0x10000:
+        what = f"leaves the 65536 registers, it takes {layout.words} from {start} (0-based)"
+        raise SchemaError("address", what)
+    return Register(
         name=name,
         table=table,
-        span=_span(section, start, layout.words),
+        span=Span(start, layout.words),
         layout=layout,
-        scale=section.take("scale", _not_zero, "a number other than 0", 1.0),
-        offset=section.take("offset", number, "a number", 0.0),
-        unit=section.take("unit", text, "a unit", ""),
+        scale=row.scale,
+        offset=row.offset,
+        unit=row.unit,
         access=access,
-        minimum=limits[0],
-        maximum=limits[1],
-        memory=memory,
-        wear_budget=section.take("wear_budget", whole(0, 10**9), "a whole number >= 0", defaults.wear_budget),
-        self_clearing=section.take("self_clearing", flag, "true or false", False),
-        bits=section.take("bits", _bit_names, "a table of name = bit number, 0 to 15", MappingProxyType({})),
-        description=section.take("description", text, "a sentence", ""),
+        minimum=row.limits[0],
+        maximum=row.limits[1],
+        memory=row.memory,
+        wear_budget=head.eeprom_write_budget if row.wear_budget is None else row.wear_budget,
+        self_clearing=row.self_clearing,
+        bits=MappingProxyType(row.bits),
+        description=row.description,
     )
-    if register.bits and kind is not RegisterType.BITS:
-        raise section.fail("bits", f"belongs to the type bits, this is {kind.value}")
-    section.finish()
-    return register
 
 
-def _address(section: Section, base: AddressBase, table: Table | None) -> tuple[Table, int]:
+def _address(row: _Row, base: AddressBase) -> tuple[Table, int]:
     """The table and the 0-based PDU address of what the manual calls `address`."""
-    written = section.take("address", _written_address, "a whole number")
+    written, table = row.address, row.table
     if base in (AddressBase.PDU0, AddressBase.ONE):
         if table is None:
-            raise section.document.fail(section.place, f"lacks table, expected {_choices(Table)}")
+            raise SchemaError("", f"lacks table, expected {either(each.value for each in Table)}")
         start = written - (base is AddressBase.ONE)
         if not 0 <= start <= 0xFFFF:
-            raise section.fail("address", f"is {written}, expected {written - start} to {0xFFFF + written - start}")
+            raise SchemaError("address", f"is {written}, expected {written - start} to {0xFFFF + written - start}")
         return table, start
     digits = 10_000 if base is AddressBase.MODICON5 else 100_000
     leading, within = divmod(written, digits)
     highest = 9_999 if base is AddressBase.MODICON5 else 65_536
     if leading not in _MODICON_TABLES or not 1 <= within <= highest:
-        raise section.fail("address", f"is {written}, expected a {base.value} address such as {4 * digits + 1}")
+        raise SchemaError("address", f"is {written}, expected a {base.value} address such as {4 * digits + 1}")
     stated = _MODICON_TABLES[leading]
     if table not in (None, stated):
-        raise section.fail("table", f"is {table.value}, but address {written} is of table {stated.value}")
+        raise SchemaError("table", f"is {table.value}, but address {written} is of table {stated.value}")
     return stated, within - 1
-
-
-def _written_address(value: Any) -> int:
-    if isinstance(value, str):  # TOML has no number 00001
-        return int(value, 10)
-    return whole(0, 999_999)(value)
-
-
-def _span(section: Section, start: int, words: int) -> Span:
-    if start + words > 0x10000:
-        raise section.fail("address", f"leaves the 65536 registers, it takes {words} from {start} (0-based)")
-    return Span(start, words)
-
-
-def _not_zero(value: Any) -> float:
-    if number(value) == 0:
-        raise ValueError
-    return float(value)
-
-
-def _bit_names(value: Any) -> Mapping[str, int]:
-    if not isinstance(value, dict):
-        raise TypeError
-    bits = {text(name): whole(0, 15)(bit) for name, bit in value.items()}
-    return MappingProxyType(bits)
-
-
-def _choices(kind: type[Enum]) -> str:
-    return " or ".join(member.value for member in kind)
 
 
 def _refuse_overlaps(document: Document, registers: Mapping[str, Register]) -> None:
@@ -320,7 +344,7 @@ def _refuse_overlaps(document: Document, registers: Mapping[str, Register]) -> N
         before = furthest.get(register.table)
         if before is not None and register.span.start < before.span.end:
             raise document.fail(
-                f"registers.{register.name}.address",
+                ("registers", register.name, "address"),
                 f"overlaps {before.name}: both take the {register.table.value} at {register.span.start} (0-based)",
             )
         furthest[register.table] = register

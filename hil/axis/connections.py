@@ -5,13 +5,12 @@ What may go in: data and its checks. Concrete drives are made from it by `hil.ma
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from hil.axis import reader
-from hil.axis.reader import Table
+from drivers.toml_schema import Document, either, shown
+from drivers.toml_types import Count, File, Limits, Number, Positive, Text, Via, one_of
 
 BENCH_MACHINES = ("ideal", "geometric", "typical", "worn")
 """Simulated axes of the bench: without error; pitch and backlash only; with what a workshop adds (heat, lost motion, screw cyclic);
@@ -25,17 +24,44 @@ BENCH_TABLES = ("simulated_array", "simulated_domain")
 
 GUARD_S = 2.0
 """How long a drive on a machine goes on without hearing us, unless its axis file says otherwise."""
-_HOMING_METHODS = (-128, 127)  # 6098h is a signed byte; negative ones are the maker's
+
+_MAPS = ("cia402_over_modbus", "vendor_style")
+_KEYS = {
+    "canopen": "interface channel bitrate node_id sdo_timeout_s sample_timeout_s heartbeat_s guard_s eds homing correction_table",
+    "modbus": "register_map url unit baud",
+    "bench": "machine seed face homing correction_table",
+    "bench over Modbus": "machine seed face register_map",
+}
+_NEEDS = {"canopen": ["node_id"], "modbus": ["register_map", "url"]}
+
+
+def _period(seconds: float, _: Document) -> float | None:
+    if seconds != 0 and not 0.01 <= seconds <= 60.0:
+        raise ValueError
+    return seconds or None
+
+
+def _map_file(name: str, document: Document) -> str:
+    """A file beside the axis file; what is none may be the name of a shipped map."""
+    beside = document.path.resolve().parent / name
+    return str(beside) if beside.is_file() or Path(name).suffix else name
+
+
+Period = Annotated[float | None, Via(Number, _period, "seconds, 0.01 to 60, or 0 for none")]
+MapFile = Annotated[str, Via(Text, _map_file, "a map's name or file")]
 
 
 @dataclass(frozen=True)
 class HomingConfig:
-    """What is written to the drive before homing; None leaves it as the drive has it."""
+    """What is written to the drive before homing; None leaves it as the drive has it.
 
-    method: int | None = None
-    speed_switch_mm_s: float | None = None
-    speed_zero_mm_s: float | None = None
-    home_position_mm: float | None = None
+    method: of 6098h; negative ones are the maker's.
+    """
+
+    method: Annotated[int, Limits(ge=-128, le=127)] | None = None
+    speed_switch_mm_s: Positive | None = None
+    speed_zero_mm_s: Positive | None = None
+    home_position_mm: Number | None = None
 
 
 @dataclass(frozen=True)
@@ -48,104 +74,44 @@ class DriveConfig:
     or the name of a shipped one. face: how the bench shows its drive.
     """
 
-    backend: str
-    interface: str = "socketcan"
-    channel: str = "can0"
-    bitrate: int = 1_000_000
-    node_id: int = 1
-    sdo_timeout_s: float = 0.5
-    sample_timeout_s: float = 0.1
-    heartbeat_s: float | None = 0.2
-    guard_s: float | None = None
-    eds: Path | None = None
+    backend: Annotated[str, one_of("canopen", "modbus", "bench")]
+    interface: Annotated[Text, Limits(description="an interface of python-can")] = "socketcan"
+    channel: Annotated[Text, Limits(description="a channel such as can0")] = "can0"
+    bitrate: Annotated[int, Limits(ge=10_000, le=1_000_000)] = 1_000_000
+    node_id: Annotated[int, Limits(ge=1, le=127)] = 1
+    sdo_timeout_s: Annotated[float, Limits(ge=0.01, le=60.0)] = 0.5
+    sample_timeout_s: Annotated[float, Limits(ge=0.01, le=10.0)] = 0.1
+    heartbeat_s: Period = 0.2
+    guard_s: Period = None
+    eds: Annotated[File | None, Limits(description="the maker's EDS or DCF file")] = None
     homing: HomingConfig = field(default_factory=HomingConfig)
-    register_map: str = ""
-    url: str = ""
-    unit: int = 1
-    baud: int = 19_200
-    machine: str = "typical"
-    seed: int = 0
-    face: str = "canopen"
-    correction_table: str = ""
+    register_map: MapFile = ""
+    url: Annotated[Text, Limits(description="tcp://host:port or a serial port")] = ""
+    unit: Annotated[int, Limits(ge=0, le=255)] = 1
+    baud: Annotated[int, Limits(ge=300, le=4_000_000)] = 19_200
+    machine: Annotated[str, one_of(*BENCH_MACHINES)] = "typical"
+    seed: Count = 0
+    face: Annotated[str, one_of(*BENCH_FACES)] = "canopen"
+    correction_table: MapFile = ""
 
 
-def read_drive(table: Table) -> DriveConfig:
+def read_drive(document: Document) -> DriveConfig:
     """[drive]. Keys are those of the backend; another backend's are unknown."""
-    backend = table.take("backend", reader.choice("canopen", "modbus", "bench"), "canopen, modbus or bench")
-    config = {"canopen": _canopen, "modbus": _modbus, "bench": _bench}[backend](table)
-    table.finish()
+    given = document.table("drive")
+    backend = str(given.get("backend"))
+    over_modbus = backend == "bench" and str(given.get("face")).startswith("modbus")
+    keys = _KEYS.get("bench over Modbus" if over_modbus else backend)
+    usual: dict[str, Any] = {"guard_s": GUARD_S} if backend == "canopen" else {}
+    if over_modbus:
+        usual = {"register_map": _MAPS[0]}
+    config = document.load(
+        DriveConfig,
+        "drive",
+        only=None if keys is None else ["backend", *keys.split()],
+        needs=_NEEDS.get(backend, ()),
+        usual=usual,
+    )
+    for key, shipped in (("register_map", _MAPS), ("correction_table", BENCH_TABLES)):
+        if backend == "bench" and key in given and getattr(config, key) not in shipped:
+            raise document.fail(f"drive.{key}", f"is {shown(given[key])}, expected {either(shipped)}")
     return config
-
-
-def _canopen(table: Table) -> DriveConfig:
-    return DriveConfig(
-        "canopen",
-        interface=table.take("interface", reader.text, "an interface of python-can", "socketcan"),
-        channel=table.take("channel", reader.text, "a channel such as can0", "can0"),
-        bitrate=table.take("bitrate", reader.whole(10_000, 1_000_000), "bit/s, 10000 to 1000000", 1_000_000),
-        node_id=table.take("node_id", reader.whole(1, 127), "a node id, 1 to 127"),
-        sdo_timeout_s=table.take("sdo_timeout_s", reader.between(0.01, 60.0), "seconds, 0.01 to 60", 0.5),
-        sample_timeout_s=table.take("sample_timeout_s", reader.between(0.01, 10.0), "seconds, 0.01 to 10", 0.1),
-        heartbeat_s=table.take("heartbeat_s", _period, "seconds, 0.01 to 60, or 0 for none", 0.2),
-        guard_s=table.take("guard_s", _period, "seconds, 0.01 to 60, or 0 for none", GUARD_S),
-        eds=table.take("eds", _beside(table), "the maker's EDS or DCF file", None),
-        homing=_homing(table),
-        correction_table=table.take("correction_table", _map_file(table), "a table map's name or file", ""),
-    )
-
-
-def _beside(table: Table) -> Callable[[Any], Path]:
-    """A file, by its place beside the axis file."""
-    return lambda value: table.path.resolve().parent / reader.text(value)
-
-
-def _map_file(table: Table) -> Callable[[Any], str]:
-    """A file beside the axis file; what is none may be the name of a shipped map."""
-
-    def convert(value: Any) -> str:
-        name = reader.text(value)
-        beside = table.path.resolve().parent / name
-        return str(beside) if beside.is_file() or Path(name).suffix else name
-
-    return convert
-
-
-def _modbus(table: Table) -> DriveConfig:
-    return DriveConfig(
-        "modbus",
-        register_map=table.take("register_map", _map_file(table), "a register map's name or file"),
-        url=table.take("url", reader.text, "tcp://host:port or a serial port"),
-        unit=table.take("unit", reader.whole(0, 255), "a unit id, 0 to 255", 1),
-        baud=table.take("baud", reader.whole(300, 4_000_000), "baud, 300 to 4000000", 19_200),
-    )
-
-
-def _bench(table: Table) -> DriveConfig:
-    machine = table.take("machine", reader.choice(*BENCH_MACHINES), " or ".join(BENCH_MACHINES), "typical")
-    seed = table.take("seed", reader.whole(0, 2**31), "a whole number >= 0", 0)
-    face = table.take("face", reader.choice(*BENCH_FACES), " or ".join(BENCH_FACES), "canopen")
-    if face.startswith("modbus"):
-        maps = ("cia402_over_modbus", "vendor_style")
-        register_map = table.take("register_map", reader.choice(*maps), " or ".join(maps), maps[0])
-        return DriveConfig("bench", machine=machine, seed=seed, face=face, register_map=register_map)
-    own_table = table.take("correction_table", reader.choice(*BENCH_TABLES), " or ".join(BENCH_TABLES), "")
-    return DriveConfig(
-        "bench", machine=machine, seed=seed, face=face, homing=_homing(table), correction_table=own_table
-    )
-
-
-def _homing(table: Table) -> HomingConfig:
-    homing = table.child("homing", required=False)
-    config = HomingConfig(
-        method=homing.take("method", reader.whole(*_HOMING_METHODS), "a method of 6098h, -128 to 127", None),
-        speed_switch_mm_s=homing.take("speed_switch_mm_s", reader.positive, "a number > 0 in mm/s", None),
-        speed_zero_mm_s=homing.take("speed_zero_mm_s", reader.positive, "a number > 0 in mm/s", None),
-        home_position_mm=homing.take("home_position_mm", reader.finite, "a position in mm", None),
-    )
-    homing.finish()
-    return config
-
-
-def _period(value: Any) -> float | None:
-    seconds = reader.not_negative(value)
-    return None if seconds == 0 else reader.between(0.01, 60.0)(seconds)

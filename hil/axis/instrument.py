@@ -6,11 +6,10 @@ What may go in: data and its checks, by kind. Concrete instruments are made from
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from hil.axis import reader
-from hil.axis.reader import Table
+from drivers.toml_schema import Document
+from drivers.toml_types import File, Key, Limits, Name, Number, Positive, SchemaError, Text, Via, one_of
 from hil.figures.alignment import Alignment
 from hil.figures.material import Material
 from hil.machine.agreement import WITHIN_UM
@@ -19,14 +18,45 @@ KINDS = ("umd", "nd2xx", "ascii", "replay")
 THERMOMETERS = (3, 4)
 """Temperature channels of a µMD display."""
 
+_COMMON = "kind direction stale_after_s instrument_agrees_within_um resume_within_s latency_s trigger_input port"
+_LINE = "baud data_bits parity stop_bits"
+_KEYS = {
+    "umd": f"{_COMMON} wavelength_fraction compensate_air place_temps vacuum_wavelength_nm axis phase_sign dead_path_mm"
+    " air_temp_channel fixed_air air_equation beside alignment material",
+    "nd2xx": f"{_COMMON} {_LINE} count_mm pulsed",
+    "ascii": f"{_COMMON} {_LINE} pattern fault unit decimals request",
+    "replay": f"{_COMMON.removesuffix(' port')} file column speed",
+}
+_LINES: dict[str, dict[str, Any]] = {
+    "nd2xx": {"baud": 9600, "data_bits": 7, "parity": "E", "stop_bits": 2},
+    "ascii": {"baud": 9600, "data_bits": 8, "parity": "N", "stop_bits": 1},
+}
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Optics on another axis of the display."""
+
+    axis: Annotated[int, one_of(1, 2, 3)]
+    per_unit: Number
+
+
+AirChannel = Annotated[int | None, Via(Literal[0, 3, 4], lambda channel, _: channel or None)]
+AirEquation = Annotated[str | None, Via(Literal["edlen", "ciddor"], lambda name, _: None if name == "edlen" else name)]
+Recording = Annotated[str, Via(File, lambda path, _: str(path), "a recording, .csv or .csv.gz")]
+
+
+def _optics(beside: dict[str, _Beside], _: Document) -> dict[str, tuple[int, float]]:
+    return {column: (optics.axis, optics.per_unit) for column, optics in beside.items()}
+
 
 @dataclass(frozen=True)
 class FixedAirConfig:
     """Air values that no sensor delivers; None: the instrument's own."""
 
-    temp_c: float | None = None
-    pressure_hpa: float | None = None
-    humidity_percent: float | None = None
+    temp_c: Annotated[float, Limits(ge=-20.0, le=60.0)] | None = None
+    pressure_hpa: Annotated[float, Limits(ge=500.0, le=1200.0)] | None = None
+    humidity_percent: Annotated[float, Limits(ge=0.0, le=100.0)] | None = None
 
 
 @dataclass(frozen=True)
@@ -37,26 +67,32 @@ class DisplayConfig:
     value at each pulse on its external input and is not asked; the others are of ascii (see `drivers.instruments.ascii_values`).
     """
 
-    baud: int
-    data_bits: int
-    parity: str
-    stop_bits: int
-    count_mm: float | None = None
+    baud: Annotated[int, Limits(ge=300, le=4_000_000)]
+    data_bits: Annotated[int, one_of(7, 8)]
+    parity: Annotated[str, one_of("N", "E", "O")]
+    stop_bits: Annotated[int, one_of(1, 2)]
+    count_mm: Annotated[float, Limits(ge=1e-6, le=1.0)] | None = None
     pulsed: bool = False
-    pattern: str = ""
-    fault: str = ""
-    unit: str = "mm"
-    decimals: int | None = None
-    request: str = ""
+    pattern: Annotated[Text, Limits(description="number, mitutoyo, or a regular expression")] = ""
+    fault: Annotated[Text, Limits(description="a regular expression")] = ""
+    unit: Annotated[str, one_of("mm", "um", "in")] = "mm"
+    decimals: Annotated[int, Limits(ge=0, le=9)] | None = None
+    request: Annotated[
+        str, Limits(pattern=r"\A[\x00-\x7f]{1,40}\Z", description="ASCII text of up to 40 characters")
+    ] = ""
+
+    def __post_init__(self) -> None:
+        if self.pulsed and self.count_mm is not None:
+            raise SchemaError("count_mm", "is for a count that is asked for, and a pulsed display sends what it shows")
 
 
 @dataclass(frozen=True)
 class ReplayConfig:
     """A recording that is played. file: absolute; column: the one that is the position; speed: of playing."""
 
-    file: str
-    column: str
-    speed: float
+    file: Recording
+    column: Annotated[Text, Limits(description="the column that is the position")] = "laser_mm"
+    speed: Annotated[float, Limits(ge=1e-3, le=1e6)] = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,206 +109,64 @@ class InstrumentConfig:
     lie; material: lengths are brought to 20 °C by it.
     """
 
-    kind: str
-    port: str
-    direction: int
-    stale_after_s: float
-    agrees_within_um: float = WITHIN_UM
-    resume_within_s: float | None = None
-    latency_s: float | None = None
-    trigger_input: int | None = None
-    display: DisplayConfig | None = None
-    replay: ReplayConfig | None = None
-    wavelength_fraction: int = 2
+    kind: Annotated[str, one_of(*KINDS)]
+    port: Annotated[Text, Limits(description="a serial port")]
+    direction: Annotated[int, one_of(1, -1)]
+    stale_after_s: Positive
+    agrees_within_um: Annotated[Positive, Key("instrument_agrees_within_um")] = WITHIN_UM
+    resume_within_s: Annotated[float, Limits(ge=1.0, le=86_400.0)] | None = None
+    latency_s: Annotated[float, Limits(ge=-1.0, le=10.0)] | None = None
+    trigger_input: Annotated[int, one_of(1, 2)] | None = None
+    display: Annotated[DisplayConfig | None, Key("")] = None
+    replay: Annotated[ReplayConfig | None, Key("")] = None
+    wavelength_fraction: Annotated[int, one_of(2, 4, 8)] = 2
     compensate_air: bool = False
-    place_temps: dict[str, int] = field(default_factory=dict)
-    vacuum_wavelength_nm: float = 632.9912
-    axis: int = 1
-    phase_sign: int = 1
-    dead_path_mm: float = 0.0
-    air_temp_channel: int | None = None
+    place_temps: dict[Name, Annotated[int, one_of(*THERMOMETERS)]] = field(default_factory=dict)
+    vacuum_wavelength_nm: Annotated[float, Limits(ge=101.0, le=1999.0)] = 632.9912
+    axis: Annotated[int, one_of(1, 2, 3)] = 1
+    phase_sign: Annotated[int, one_of(1, -1)] = 1
+    dead_path_mm: Annotated[float, Limits(ge=-10_000.0, le=10_000.0)] = 0.0
+    air_temp_channel: AirChannel = None
     fixed_air: FixedAirConfig = FixedAirConfig()
-    air_equation: str | None = None
-    beside: dict[str, tuple[int, float]] | None = None
+    air_equation: AirEquation = None
+    beside: Annotated[dict[str, tuple[int, float]] | None, Via(dict[Name, _Beside], _optics)] = None
     alignment: Alignment | None = None
     material: Material | None = None
 
+    def __post_init__(self) -> None:
+        """One thermometer is in one place, one axis has one optics; air that is compensated must have a temperature from somewhere."""
+        for place, channel in self.place_temps.items():
+            if channel == self.air_temp_channel:
+                raise SchemaError(
+                    "place_temps", f"gives {place} channel {channel}, which is the air's (air_temp_channel)"
+                )
+        axes = [self.axis, *(axis for axis, _ in (self.beside or {}).values())]
+        if len(set(axes)) != len(axes):
+            raise SchemaError("beside", f"gives an axis twice, or the position's own, {self.axis}")
+        if self.material is not None and self.material.place not in ("air", *self.place_temps):
+            raise SchemaError(
+                "material", f"is by the temperature of {self.material.place}, expected a place of place_temps"
+            )
+        if self.compensate_air and self.air_temp_channel is None and self.fixed_air.temp_c is None:
+            raise SchemaError(
+                "air_temp_channel", "is 0 and fixed_air has no temp_c, expected one of them to compensate air"
+            )
 
-def read_instrument(table: Table, *, has_port: bool) -> InstrumentConfig:
+
+def read_instrument(document: Document, *, has_port: bool) -> InstrumentConfig:
     """[instrument]; has_port False: the bench brings its own. Keys are those of the kind; another kind's are unknown."""
-    kind = table.take("kind", reader.choice(*KINDS), " or ".join(KINDS), "umd")
-    port = "" if kind == "replay" else "bench"
-    if kind != "replay":
-        port = table.take("port", reader.text, "a serial port", reader.REQUIRED if has_port else port)
-    common: dict[str, Any] = {
-        "kind": kind,
-        "port": port,
-        "direction": table.take("direction", reader.choice(1, -1), "1 or -1", 1),
-        "stale_after_s": table.take("stale_after_s", reader.positive, "a number > 0 in s", 0.5),
-        "agrees_within_um": table.take("instrument_agrees_within_um", reader.positive, "a number > 0 in µm", WITHIN_UM),
-        "resume_within_s": table.take("resume_within_s", reader.between(1.0, 86_400.0), "seconds, 1 to 86400", None),
-        "latency_s": table.take("latency_s", reader.between(-1.0, 10.0), "seconds, -1 to 10", None),
-        "trigger_input": table.take("trigger_input", reader.choice(1, 2), "1 or 2", None),
-    }
-    config = {"umd": _umd, "nd2xx": _nd2xx, "ascii": _ascii, "replay": _replay}[kind](table, common)
-    table.finish()
-    return config
-
-
-def _umd(table: Table, common: dict[str, Any]) -> InstrumentConfig:
-    air_channel = table.take("air_temp_channel", reader.choice(0, *THERMOMETERS), "3, 4, or 0 for none", 3)
-    config = InstrumentConfig(
-        **common,
-        wavelength_fraction=table.take("wavelength_fraction", reader.choice(2, 4, 8), "2, 4 or 8", 2),
-        compensate_air=table.take("compensate_air", reader.flag, "true or false", True),
-        fixed_air=_fixed_air(table),
-        place_temps=table.take("place_temps", _channels, "a table of place = channel, 3 or 4", {}),
-        vacuum_wavelength_nm=table.take(
-            "vacuum_wavelength_nm", reader.between(101.0, 1999.0), "nm, 101 to 1999", 632.9912
-        ),
-        axis=table.take("axis", reader.choice(1, 2, 3), "1, 2 or 3", 1),
-        phase_sign=table.take("phase_sign", reader.choice(1, -1), "1 or -1", 1),
-        dead_path_mm=table.take("dead_path_mm", reader.between(-10_000.0, 10_000.0), "mm, -10000 to 10000", 0.0),
-        air_temp_channel=air_channel or None,
-        air_equation=table.take("air_equation", _air_equation, "edlen or ciddor", None),
-        beside=table.take("beside", _beside, "a table of column = { axis = 1 to 3, per_unit = a number }", None),
-        alignment=_alignment(table),
-        material=_material(table),
-    )
-    _check_thermometers(table, config)
-    return config
-
-
-def _nd2xx(table: Table, common: dict[str, Any]) -> InstrumentConfig:
-    count_mm = table.take("count_mm", reader.between(1e-6, 1.0), "mm, 0.000001 to 1", None)
-    pulsed = table.take("pulsed", reader.flag, "true or false", False)
-    if pulsed and count_mm is not None:
-        raise table.fail("count_mm", "is for a count that is asked for, and a pulsed display sends what it shows")
-    return InstrumentConfig(
-        **common, display=DisplayConfig(**_line(table, 7, "E", 2), count_mm=count_mm, pulsed=pulsed)
-    )
-
-
-def _ascii(table: Table, common: dict[str, Any]) -> InstrumentConfig:
-    config = DisplayConfig(
-        **_line(table, 8, "N", 1),
-        pattern=table.take("pattern", reader.text, "number, mitutoyo, or a regular expression", "number"),
-        fault=table.take("fault", reader.text, "a regular expression", ""),
-        unit=table.take("unit", reader.choice("mm", "um", "in"), "mm, um or in", "mm"),
-        decimals=table.take("decimals", reader.whole(0, 9), "a whole number, 0 to 9", None),
-        request=table.take("request", _short_text, "what asks for a value, up to 40 characters", ""),
-    )
-    return InstrumentConfig(**common, display=config)
-
-
-def _line(table: Table, data_bits: int, parity: str, stop_bits: int) -> dict[str, Any]:
-    return {
-        "baud": table.take("baud", reader.whole(300, 4_000_000), "baud, 300 to 4000000", 9600),
-        "data_bits": table.take("data_bits", reader.choice(7, 8), "7 or 8", data_bits),
-        "parity": table.take("parity", reader.choice("N", "E", "O"), "N, E or O", parity),
-        "stop_bits": table.take("stop_bits", reader.choice(1, 2), "1 or 2", stop_bits),
-    }
-
-
-def _replay(table: Table, common: dict[str, Any]) -> InstrumentConfig:
-    base = table.path.resolve().parent
-
-    def place(value: Any) -> str:
-        return str(Path(base / reader.text(value)))
-
-    config = ReplayConfig(
-        file=table.take("file", place, "a recording, .csv or .csv.gz"),
-        column=table.take("column", reader.text, "the column that is the position", "laser_mm"),
-        speed=table.take("speed", reader.between(1e-3, 1e6), "a number, 0.001 to 1000000", 1.0),
-    )
-    return InstrumentConfig(**common, replay=config)
-
-
-def _short_text(value: Any) -> str:
-    """Control characters too: a request usually ends in one."""
-    if not isinstance(value, str) or not 0 < len(value) <= 40 or not value.isascii():
-        raise ValueError
-    return value
-
-
-def _fixed_air(table: Table) -> FixedAirConfig:
-    air = table.child("fixed_air", required=False)
-    config = FixedAirConfig(
-        temp_c=air.take("temp_c", reader.between(-20.0, 60.0), "°C, -20 to 60", None),
-        pressure_hpa=air.take("pressure_hpa", reader.between(500.0, 1200.0), "hPa, 500 to 1200", None),
-        humidity_percent=air.take("humidity_percent", reader.between(0.0, 100.0), "%, 0 to 100", None),
-    )
-    air.finish()
-    return config
-
-
-def _air_equation(value: Any) -> str | None:
-    chosen: str = reader.choice("edlen", "ciddor")(value)
-    return None if chosen == "edlen" else chosen
-
-
-def _beside(value: Any) -> dict[str, tuple[int, float]]:
-    if not isinstance(value, dict):
-        raise TypeError
-    found = {}
-    for column, optics in value.items():
-        if set(optics) != {"axis", "per_unit"}:
-            raise ValueError
-        found[reader.name(column)] = (reader.choice(1, 2, 3)(optics["axis"]), reader.finite(optics["per_unit"]))
-    return found
-
-
-def _alignment(table: Table) -> Alignment | None:
-    if "alignment" not in table.keys_left():
-        return None
-    part = table.child("alignment")
-    near, far = "near_mm", "far_mm"
-    config = Alignment(
-        part.take(near, reader.finite, "a position in mm"),
-        part.take(far, reader.finite, "a position in mm, 10 mm or more from near_mm"),
-        part.take("height_mm", _near_and_far, "[near, far] in mm"),
-        part.take("side_mm", _near_and_far, "[near, far] in mm"),
-        part.take("read_within_mm", reader.positive, "a number > 0 in mm", 0.5),
-        part.take("returning", reader.flag, "true or false", False),
-    )
-    part.finish()
-    return config
-
-
-def _near_and_far(value: Any) -> tuple[float, float]:
-    near, far = reader.numbers(value)
-    return near, far
-
-
-def _material(table: Table) -> Material | None:
-    if "material" not in table.keys_left():
-        return None
-    part = table.child("material")
-    config = Material(
-        part.take("expansion_ppm_per_k", reader.between(0.0, 100.0), "ppm/K, 0 to 100"),
-        part.take("place", reader.name, 'a place of place_temps, or "air"'),
-    )
-    part.finish()
-    return config
-
-
-def _channels(value: Any) -> dict[str, int]:
-    if not isinstance(value, dict):
-        raise TypeError
-    return {reader.name(place): reader.choice(*THERMOMETERS)(channel) for place, channel in value.items()}
-
-
-def _check_thermometers(table: Table, config: InstrumentConfig) -> None:
-    """One thermometer is in one place, one axis has one optics; air that is compensated must have a temperature from somewhere."""
-    for place, channel in config.place_temps.items():
-        if channel == config.air_temp_channel:
-            raise table.fail("place_temps", f"gives {place} channel {channel}, which is the air's (air_temp_channel)")
-    axes = [config.axis, *(axis for axis, _ in (config.beside or {}).values())]
-    if len(set(axes)) != len(axes):
-        raise table.fail("beside", f"gives an axis twice, or the position's own, {config.axis}")
-    if config.material is not None and config.material.place not in ("air", *config.place_temps):
-        raise table.fail(
-            "material", f"is by the temperature of {config.material.place}, expected a place of place_temps"
-        )
-    if config.compensate_air and config.air_temp_channel is None and config.fixed_air.temp_c is None:
-        raise table.fail("air_temp_channel", "is 0 and fixed_air has no temp_c, expected one of them to compensate air")
+    kind = str(document.table("instrument").get("kind", "umd"))
+    only = _KEYS[kind].split() if kind in _KEYS else None
+    usual: dict[str, Any] = {"kind": "umd", "direction": 1, "stale_after_s": 0.5}
+    if kind == "replay":
+        usual["port"] = ""
+    elif not has_port:
+        usual["port"] = "bench"
+    beside: tuple[type, ...] = (InstrumentConfig, DisplayConfig, ReplayConfig)
+    if kind == "umd":
+        usual |= {"compensate_air": True, "air_temp_channel": THERMOMETERS[0]}
+    elif kind in _LINES:
+        usual["display"] = document.load(DisplayConfig, "instrument", only=only, beside=beside, usual=_LINES[kind])
+    elif kind == "replay":
+        usual["replay"] = document.load(ReplayConfig, "instrument", only=only, beside=beside)
+    return document.load(InstrumentConfig, "instrument", only=only, beside=beside, usual=usual)

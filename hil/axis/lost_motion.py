@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from drivers.drive import DriveLimits
-from hil.axis import reader
-from hil.axis.reader import Table
+from drivers.toml_schema import Document
+from drivers.toml_types import Limits, Number
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,13 @@ class LostMotionConfig:
     correction rises faster, as the drive has to follow it; how much of a rise over less is lost motion of the load, it does not see
     """
 
-    at_mm: float
-    stroke_mm: float
-    places: int
-    finest_um: float
-    runs: int
-    proof_moves: int
-    shortest_rise_um: float
+    at_mm: Number
+    stroke_mm: Annotated[float, Limits(ge=0.1, le=200.0)] = 6.0
+    places: Annotated[int, Limits(ge=10, le=200)] = 20
+    finest_um: Annotated[float, Limits(ge=0.05, le=1000.0)] = 2.0
+    runs: Annotated[int, Limits(ge=2, le=100)] = 3
+    proof_moves: Annotated[int, Limits(ge=4, le=1000)] = 40
+    shortest_rise_um: Annotated[float, Limits(ge=0.01, le=1000.0)] = 0.25
 
     @property
     def low_mm(self) -> float:
@@ -47,29 +48,20 @@ class LostMotionConfig:
         return tuple(round(float(travel), 6) for travel in travels)
 
 
-def read_lost_motion(table: Table, limits: DriveLimits, targets_mm: Sequence[float]) -> LostMotionConfig:
+def read_lost_motion(document: Document, limits: DriveLimits, targets_mm: Sequence[float]) -> LostMotionConfig:
     """[lost_motion]; every key has a default, so that an axis file without it can be measured too."""
     middle = round(0.5 * (min(targets_mm) + max(targets_mm)), 3)
-    config = LostMotionConfig(
-        at_mm=table.take("at_mm", reader.finite, "a position in mm", middle),
-        stroke_mm=table.take("stroke_mm", reader.between(0.1, 200.0), "mm, 0.1 to 200", 6.0),
-        places=table.take("places", reader.whole(10, 200), "a whole number, 10 to 200", 20),
-        finest_um=table.take("finest_um", reader.between(0.05, 1000.0), "µm, 0.05 to 1000", 2.0),
-        runs=table.take("runs", reader.whole(2, 100), "a whole number, 2 to 100", 3),
-        proof_moves=table.take("proof_moves", reader.whole(4, 1000), "a whole number, 4 to 1000", 40),
-        shortest_rise_um=table.take("shortest_rise_um", reader.between(0.01, 1000.0), "µm, 0.01 to 1000", 0.25),
-    )
-    table.finish()
+    config = document.load(LostMotionConfig, "lost_motion", usual={"at_mm": middle}, required=False)
     if not limits.travel_min_mm < config.low_mm < config.high_mm < limits.travel_max_mm:
-        raise table.fail(
-            "at_mm",
+        raise document.fail(
+            "lost_motion.at_mm",
             f"is {config.at_mm:g}: strokes of {config.stroke_mm:g} mm around it leave the travel"
             f" {limits.travel_min_mm:g} to {limits.travel_max_mm:g} mm",
         )
     steps = np.diff(config.travels_mm)
     if config.finest_um / 1000.0 >= 0.1 * config.stroke_mm or float(steps.min()) < 1e-5:
-        raise table.fail(
-            "finest_um",
+        raise document.fail(
+            "lost_motion.finest_um",
             f"is {config.finest_um:g} with {config.places} places: expected less than a tenth of stroke_mm,"
             f" {config.stroke_mm:g}, and places apart by more than 0.01 µm",
         )
@@ -78,4 +70,4 @@ def read_lost_motion(table: Table, limits: DriveLimits, targets_mm: Sequence[flo
 
 def default_lost_motion(path: Path, limits: DriveLimits, targets_mm: Sequence[float]) -> LostMotionConfig:
     """What holds for an axis file that says nothing of it. Raises InputError where the travel is too short for that."""
-    return read_lost_motion(Table(path, "", "lost_motion", {}), limits, targets_mm)
+    return read_lost_motion(Document(path, ""), limits, targets_mm)

@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.errors import CorrectionBoundError
+from drivers.toml_types import Key, Positive
 
 Floats = NDArray[np.float64]
 
@@ -37,8 +39,8 @@ _SLACK = 1e-9  # of the rounding of a window's ends, mm, and of a sum, as a shar
 class CorrectionBound:
     """max_um: largest correction, either sign, µm; max_slope_um_per_mm: largest change of it within 1 mm of travel, µm."""
 
-    max_um: float = MAX_CORRECTION_UM
-    max_slope_um_per_mm: float = MAX_SLOPE_UM_PER_MM
+    max_um: Annotated[Positive, Key("max_correction_um")] = MAX_CORRECTION_UM
+    max_slope_um_per_mm: Positive = MAX_SLOPE_UM_PER_MM
 
     def check_values(self, what: str, position_mm: ArrayLike, direction: ArrayLike, correction_um: ArrayLike) -> None:
         """Corrections at single places, broadcast together. Raises CorrectionBoundError naming the worst of those beyond `max_um`."""

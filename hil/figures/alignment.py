@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.errors import InputError
+from drivers.toml_types import Number, Positive
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,11 @@ class Alignment:
     it stands twice as far off
     """
 
-    near_mm: float
-    far_mm: float
-    height_mm: tuple[float, float]
-    side_mm: tuple[float, float]
-    read_within_mm: float = 0.5
+    near_mm: Number
+    far_mm: Number
+    height_mm: tuple[Number, Number]
+    side_mm: tuple[Number, Number]
+    read_within_mm: Positive = 0.5
     returning: bool = False
 
     def __post_init__(self) -> None:

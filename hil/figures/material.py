@@ -7,9 +7,11 @@ then an error like any other, found and corrected.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from drivers.errors import MeasurementLostError
 from drivers.instrument import Environment
+from drivers.toml_types import Limits, Name
 
 REFERENCE_C = 20.0
 
@@ -18,8 +20,8 @@ REFERENCE_C = 20.0
 class Material:
     """expansion_ppm_per_k: of the scale or work; place: whose temperature ("air": the air's), one of the instrument's"""
 
-    expansion_ppm_per_k: float
-    place: str
+    expansion_ppm_per_k: Annotated[float, Limits(ge=0.0, le=100.0)]
+    place: Name
 
     def temperature_c(self, environment: Environment) -> float:
         """Raises MeasurementLostError while the place's temperature has not been heard."""

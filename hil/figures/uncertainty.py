@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.toml_types import NotNegative
 from hil.figures.iso230 import Iso230
 from hil.records.rows import Records
 
@@ -43,14 +44,14 @@ class UncertaintyInputs:
     distance from 20 °C, None: that of the records; variation_um: E_VE
     """
 
-    device_um: float = 0.0
-    device_um_per_m: float = 0.0
-    misalignment_mm: float = 0.0
-    temperature_range_c: float = 0.0
-    expansion_um_per_m_c: float = 11.7
-    expansion_range_um_per_m_c: float = 0.0
-    deviation_c: float | None = None
-    variation_um: float = 0.0
+    device_um: NotNegative = 0.0
+    device_um_per_m: NotNegative = 0.0
+    misalignment_mm: NotNegative = 0.0
+    temperature_range_c: NotNegative = 0.0
+    expansion_um_per_m_c: NotNegative = 11.7
+    expansion_range_um_per_m_c: NotNegative = 0.0
+    deviation_c: NotNegative | None = None
+    variation_um: NotNegative = 0.0
 
 
 @dataclass(frozen=True)

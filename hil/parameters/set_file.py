@@ -25,19 +25,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from drivers.errors import InputError
 from drivers.parameters import ParameterValue
 from drivers.raw_parameters import DriveIdentity, RawForm
-from hil.axis import reader
-from hil.axis.axis_file import read_toml
-from hil.axis.reader import Table
-from hil.records.files import read_text, replace_file
+from drivers.toml_schema import Document, shown
+from drivers.toml_types import Limits, SchemaError, Text, Via, not_empty, one_of
+from hil.records.files import replace_file
 
 FORMAT = "hil parameter set 1"
 _OBJECT = re.compile(r"^([0-9A-F]{4})h:([0-9A-F]{2})$")
-_ENTRY_KEYS = ("index", "subindex", "register", "value", "raw", "type", "unit", "name", "after")
 
 
 @dataclass(frozen=True)
@@ -166,115 +164,68 @@ def _float(value: float) -> str:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def read_set(path: str | Path) -> ParameterSet:
-    """Read a set's TOML file. Raises InputError naming file, line, value and what was expected; also where the hash does not fit."""
-    text, root = read_text(path), read_toml(path)
-    root.take("format", reader.choice(FORMAT), FORMAT)
-    name = root.take("name", reader.text, "a name")
-    stated = root.take("hash", _hash, "sha256: and 64 hexadecimal digits", None)
-    identity = _identity(root.child("identity")) if "identity" in root.keys_left() else None
-    listed = root.take("parameters", _list, "a list of parameters")
-    root.finish(("format", "name", "hash", "identity", "parameters"))
-    entries = tuple(
-        _entry(Path(path), values, line) for values, line in zip(listed, _lines(text, len(listed)), strict=True)
-    )
-    contents = ParameterSet(name, identity, entries, stated, Path(path))
-    if stated is not None and stated != contents.digest():
-        raise InputError(
-            "was changed after it was written: its hash does not fit; if you changed it yourself, remove the line",
-            path=path,
-            line=next(
-                (n for n, line in enumerate(text.split("\n"), start=1) if line.lstrip().startswith("hash")), None
-            ),
-        )
-    return contents
-
-
-def _identity(table: Table) -> DriveIdentity:
-    protocol = table.take("protocol", reader.choice("canopen", "modbus"), "canopen or modbus")
-    parts = [table.take(name, _facts, "a table of numbers and texts", {}) for name in ("model", "version", "unit")]
-    table.finish(("protocol", "model", "version", "unit"))
-    return DriveIdentity(protocol, *parts)
-
-
-def _entry(path: Path, values: Any, line: int | None) -> SetEntry:
-    try:
-        table = Table(path, "", "parameters", values)
-        if "register" in table.keys_left():
-            address = table.take("register", reader.text, "a register's name")
-            if object_key(address) is not None:
-                raise table.fail("register", f"is {address}, which is an object: give index and subindex")
-        else:
-            index = table.take("index", reader.whole(0, 0xFFFF), "0x0000 to 0xFFFF")
-            address = object_address(index, table.take("subindex", reader.whole(0, 0xFF), "0 to 255", 0))
-        entry = SetEntry(
-            address,
-            table.take("value", _value, "a number or a text", None),
-            table.take("raw", _raw, "a whole number or hexadecimal digits", None),
-            table.take("type", _plain_text, "a text", ""),
-            table.take("unit", _plain_text, "a text", ""),
-            table.take("name", _plain_text, "a text", ""),
-            table.take("after", _addresses, "a list of addresses", ()),
-            line,
-        )
-        table.finish(_ENTRY_KEYS)
-    except InputError as error:
-        raise InputError(error.what, path=path, line=line) from error
-    if entry.value is None and entry.raw is None:
-        raise InputError(f"{address} has neither value nor raw", path=path, line=line)
-    return entry
-
-
-def _lines(text: str, count: int) -> list[int | None]:
-    """The lines of a list's members, as far as each has one of its own."""
-    found = [
-        number
-        for number, line in enumerate(text.split("\n"), start=1)
-        if re.match(r"\s*(parameters\s*=\s*\[\s*)?\{|\s*\[\[\s*parameters\s*\]\]", line)
-    ]
-    return list(found) if len(found) == count else [None] * count
-
-
-def _hash(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"sha256:[0-9a-f]{64}", value):
-        raise ValueError
-    return value
-
-
-def _list(value: Any) -> list[Any]:
-    if not isinstance(value, list) or not value:
-        raise ValueError
-    return value
-
-
-def _facts(value: Any) -> dict[str, int | str]:
-    if not isinstance(value, dict) or not all(type(each) in (int, str) for each in value.values()):
-        raise ValueError
-    return value
-
-
-def _value(value: Any) -> ParameterValue:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise TypeError
-    return value
-
-
-def _raw(value: Any) -> RawForm:
+def _raw(value: int | str, _: Document) -> RawForm:
     if isinstance(value, str):
         bytes.fromhex(value)
-        return value
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError
     return value
 
 
-def _plain_text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError
-    return value
+@dataclass(frozen=True)
+class _Entry:
+    """One parameter as it is written."""
+
+    register: Text = ""
+    index: Annotated[int, Limits(ge=0, le=0xFFFF, description="0x0000 to 0xFFFF")] | None = None
+    subindex: Annotated[int, Limits(ge=0, le=0xFF)] | None = None
+    value: int | float | str | None = None
+    raw: Annotated[RawForm | None, Via(int | str, _raw, "a whole number or hexadecimal digits")] = None
+    type: str = ""
+    unit: str = ""
+    name: str = ""
+    after: tuple[Text, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.register and object_key(self.register) is not None:
+            raise SchemaError("register", f"is {self.register}, which is an object: give index and subindex")
+        if self.index is None and not self.register:
+            raise SchemaError("", "lacks index or register, expected one of them")
+        for key in ("index", "subindex"):
+            if self.register and getattr(self, key) is not None:
+                raise SchemaError(key, f"stands beside register {self.register}, expected one of them")
+        if self.value is None and self.raw is None:
+            raise SchemaError("", f"{self.address} has neither value nor raw")
+
+    @property
+    def address(self) -> str:
+        return self.register if self.index is None else object_address(self.index, self.subindex or 0)
 
 
-def _addresses(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list):
-        raise TypeError
-    return tuple(reader.text(each) for each in value)
+@dataclass(frozen=True)
+class _SetFile:
+    format: Annotated[str, one_of(FORMAT)]
+    name: Text
+    parameters: Annotated[tuple[_Entry, ...], not_empty]
+    hash: Annotated[
+        str | None, Limits(pattern=r"\Asha256:[0-9a-f]{64}\Z", description="sha256: and 64 hexadecimal digits")
+    ] = None
+    identity: DriveIdentity | None = None
+
+
+def read_set(path: str | Path) -> ParameterSet:
+    """Read a set's TOML file. Raises InputError naming file, line, value and what was expected; also where the hash does not fit."""
+    document = Document.read(path)
+    file = document.load(_SetFile)
+    entries = tuple(
+        SetEntry(
+            *(each.address, each.value, each.raw, each.type, each.unit, each.name, each.after),
+            document.line(("parameters", index)),
+        )
+        for index, each in enumerate(file.parameters)
+    )
+    if file.identity is not None and file.identity.protocol not in ("canopen", "modbus"):
+        raise document.fail("identity.protocol", f"is {shown(file.identity.protocol)}, expected canopen or modbus")
+    contents = ParameterSet(file.name, file.identity, entries, file.hash, Path(path))
+    if file.hash is not None and file.hash != contents.digest():
+        what = "was changed after it was written: its hash does not fit; if you changed it yourself, remove the line"
+        raise InputError(what, path=path, line=document.line(("hash",)))
+    return contents

@@ -8,12 +8,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from drivers.errors import InputError, LimitError
-from hil.axis import reader
-from hil.axis.axis_file import DriveAxis, load_drive_axis, read_toml
-from hil.axis.reader import Table
+from drivers.toml_schema import Document
+from drivers.toml_types import (
+    Count,
+    File,
+    Folder,
+    Limits,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    SchemaError,
+    Sign,
+    Text,
+    one_of,
+)
+from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.probe.runout import ANGLES_DEG
 
 MODES = ("latch", "step")
@@ -24,9 +37,9 @@ class SpindleConfig:
     """Orientation of the spindle. zero_deg: the drive's position that is called 0; sense: +1 where a rising position turns it
     counter-clockwise seen along the spindle axis."""
 
-    zero_deg: float
-    sense: int
-    velocity_deg_s: float
+    zero_deg: Number = 0.0
+    sense: Sign = 1
+    velocity_deg_s: Positive = 90.0
 
     def position_deg(self, angle_deg: float) -> float:
         """The drive's position for an angle of the spindle."""
@@ -46,18 +59,18 @@ class ProbeConfig:
     contact the ball may get; register, bit: where a Modbus drive shows the signal
     """
 
-    mode: str
-    input: int
-    normally_closed: bool
-    tip_radius_mm: float | None
-    pretravel_mm: float
-    position_mm_s: float
-    touch_mm_s: float
-    pulse_mm: float
-    settle_s: float
-    overtravel_mm: float
-    register: str
-    bit: int
+    mode: Annotated[str, one_of(*MODES)] = "latch"
+    input: Annotated[int, one_of(1, 2)] = 1
+    normally_closed: bool = False
+    tip_radius_mm: Positive | None = None
+    pretravel_mm: NotNegative = 0.0
+    position_mm_s: Positive = 10.0
+    touch_mm_s: Positive = 2.0
+    pulse_mm: Positive = 0.001
+    settle_s: NotNegative = 0.02
+    overtravel_mm: Positive = 1.0
+    register: Text = "digital_inputs"
+    bit: Annotated[int, Limits(ge=0, le=31)] = 16
 
 
 @dataclass(frozen=True)
@@ -68,15 +81,21 @@ class BlockConfig:
     before search_mm; radius_limit_um None: the radius is not checked
     """
 
-    face_mm: float
-    start_mm: float
-    y_mm: float | None
-    free_mm: float
-    search_mm: float
-    turns: int
-    closure_limit_um: float
-    repeat_limit_um: float
-    radius_limit_um: float | None
+    face_mm: Number
+    start_mm: Number
+    search_mm: Positive
+    y_mm: Number | None = None
+    free_mm: NotNegative = 0.0
+    turns: Annotated[int, Limits(ge=1, le=100)] = 2
+    closure_limit_um: Positive = 3.0
+    repeat_limit_um: Positive = 3.0
+    radius_limit_um: Positive | None = None
+
+    def __post_init__(self) -> None:
+        if self.distance_mm == 0:
+            raise SchemaError("start_mm", f"is face_mm, {self.face_mm:g}, expected a distance between them")
+        if not self.free_mm < self.search_mm:
+            raise SchemaError("free_mm", f"is {self.free_mm:g}, expected less than search_mm, {self.search_mm:g}")
 
     @property
     def facing(self) -> int:
@@ -93,19 +112,34 @@ class BlockConfig:
 class BoreConfig:
     """A bore: roughly where its middle is, and how far from there its walls may be for the spindle."""
 
-    x_mm: float
-    y_mm: float
-    reach_mm: float
+    x_mm: Number
+    y_mm: Number
+    reach_mm: Positive
 
 
 @dataclass(frozen=True)
 class ProbeStoreConfig:
     """Where values in force and their history are kept. Paths are absolute."""
 
-    directory: Path
-    sealed: bool
-    builder_key: Path
-    builder_public: Path
+    directory: Folder
+    builder_key: File
+    builder_public: File
+    sealed: bool = False
+
+
+@dataclass(frozen=True)
+class _MachineSection:
+    name: Name
+    x: File
+    spindle: File
+    y: File | None = None
+    home: bool = False
+
+
+@dataclass(frozen=True)
+class _BenchSection:
+    seed: Count = 0
+    chip_um: NotNegative = 0.0
 
 
 @dataclass(frozen=True)
@@ -151,166 +185,83 @@ class ProbeMachineConfig:
 
 def load_probe_machine(path: str | Path) -> ProbeMachineConfig:
     """Read a machine file and its axis files. Raises InputError, one line, naming file, line, value and what was expected."""
-    root = read_toml(path)
-    machine = root.child("machine")
-    name = machine.take("name", reader.name, "a name of letters, digits, _ . -")
-    x, y, spindle = (_axis(machine, key, required=key != "y") for key in ("x", "y", "spindle"))
-    home = machine.take("home", reader.flag, "true or false", False)
-    machine.finish(("name", "x", "y", "spindle", "home"))
-    if x is None or spindle is None:
-        raise machine.fail("x", "is needed")
-    used = [axis.path.resolve() for axis in (x, y, spindle) if axis is not None]
-    if len(set(used)) < len(used):
-        raise machine.fail("x", "names the same axis file as another axis, expected one for each")
-    backends = {axis.drive.backend == "bench" for axis in (x, y, spindle) if axis is not None}
-    if len(backends) > 1:
-        raise machine.fail("x", "is on the bench and another axis is not, expected all or none")
+    document = Document.read(path)
+    machine = document.load(_MachineSection, "machine")
+    x, spindle = load_drive_axis(machine.x), load_drive_axis(machine.spindle)
+    y = None if machine.y is None else load_drive_axis(machine.y)
+    axes = [axis for axis in (x, y, spindle) if axis is not None]
+    if len({axis.path.resolve() for axis in axes}) < len(axes):
+        raise document.fail("machine.x", "names the same axis file as another axis, expected one for each")
+    if len({axis.drive.backend == "bench" for axis in axes}) > 1:
+        raise document.fail("machine.x", "is on the bench and another axis is not, expected all or none")
+    base = document.path.resolve().parent
+    store = {
+        "directory": base / f"{machine.name}-probe",
+        "builder_key": base / "builder.key",
+        "builder_public": base / "builder.pub",
+    }
+    bench = document.load(_BenchSection, "bench", required=False)
+    second = document.table("probe").get("input") == 2
     config = ProbeMachineConfig(
-        root.path,
-        name,
+        document.path,
+        machine.name,
         x,
         y,
         spindle,
-        home,
-        _orientation(root.child("spindle", required=False), spindle),
-        _probe(root.child("probe"), x, y),
-        _block(root.child("block"), x, y),
-        _bore(root, x, y),
-        _store(root.child("store", required=False), root.path, name),
-        *_bench(root.child("bench", required=False)),
+        machine.home,
+        document.load(SpindleConfig, "spindle", required=False),
+        document.load(ProbeConfig, "probe", usual={"bit": 17 if second else 16}),
+        document.load(BlockConfig, "block"),
+        document.load(BoreConfig, "bore") if "bore" in document else None,
+        document.load(ProbeStoreConfig, "store", usual=store, required=False),
+        bench.seed,
+        bench.chip_um,
     )
-    root.finish(("machine", "spindle", "probe", "block", "bore", "store", "bench"))
-    if config.block.radius_limit_um is not None and config.probe.tip_radius_mm is None:
-        raise InputError("[block] radius_limit_um needs [probe] tip_radius_mm, which is not there", path=root.path)
+    document.finish()
+    _check(document, config)
     return config
 
 
-def _axis(table: Table, key: str, *, required: bool) -> DriveAxis | None:
-    base = table.path.resolve().parent
-    default = reader.REQUIRED if required else None
-    file = table.take(key, reader.text, "an axis file", default)
-    return None if file is None else load_drive_axis(base / file)
-
-
-def _within(table: Table, key: str, axis: DriveAxis, *places: float) -> None:
-    """Every place lies within an axis file's limits."""
-    for place in places:
-        try:
-            axis.limits.check_target(place)
-        except LimitError as error:
-            raise table.fail(key, f"leads axis {axis.name} out of its limits: {error}") from error
-
-
-def _slow_enough(table: Table, key: str, speed: float, *axes: DriveAxis | None) -> None:
-    for axis in axes:
-        if axis is not None and speed > axis.limits.max_velocity_mm_s:
-            raise table.fail(
-                key, f"is {speed:g}, expected at most {axis.limits.max_velocity_mm_s:g}, the limit of axis {axis.name}"
-            )
-
-
-def _orientation(table: Table, spindle: DriveAxis) -> SpindleConfig:
-    config = SpindleConfig(
-        table.take("zero_deg", reader.finite, "an angle in degrees", 0.0),
-        table.take("sense", reader.choice(1, -1), "1 (counter-clockwise) or -1", 1),
-        table.take("velocity_deg_s", reader.positive, "a number > 0 in degrees/s", 90.0),
-    )
-    table.finish()
-    _within(table, "zero_deg", spindle, *(config.position_deg(angle) for angle in ANGLES_DEG))
-    _slow_enough(table, "velocity_deg_s", config.velocity_deg_s, spindle)
-    return config
-
-
-def _probe(table: Table, x: DriveAxis, y: DriveAxis | None) -> ProbeConfig:
-    number = table.take("input", reader.choice(1, 2), "1 or 2", 1)
-    config = ProbeConfig(
-        mode=table.take("mode", reader.choice(*MODES), " or ".join(MODES), "latch"),
-        input=number,
-        normally_closed=table.take("normally_closed", reader.flag, "true or false", False),
-        tip_radius_mm=table.take("tip_radius_mm", reader.positive, "a number > 0 in mm", None),
-        pretravel_mm=table.take("pretravel_mm", reader.not_negative, "a number >= 0 in mm", 0.0),
-        position_mm_s=table.take("position_mm_s", reader.positive, "a number > 0 in mm/s", 10.0),
-        touch_mm_s=table.take("touch_mm_s", reader.positive, "a number > 0 in mm/s", 2.0),
-        pulse_mm=table.take("pulse_mm", reader.positive, "a number > 0 in mm", 0.001),
-        settle_s=table.take("settle_s", reader.not_negative, "a number >= 0 in s", 0.02),
-        overtravel_mm=table.take("overtravel_mm", reader.positive, "a number > 0 in mm", 1.0),
-        register=table.take("register", reader.text, "a register of the drive's map", "digital_inputs"),
-        bit=table.take("bit", reader.whole(0, 31), "a bit, 0 to 31", 15 + number),
-    )
-    table.finish()
-    _slow_enough(table, "position_mm_s", config.position_mm_s, x, y)
-    _slow_enough(table, "touch_mm_s", config.touch_mm_s, x, y)
-    for axis in (x, y):
-        if axis is not None and config.pulse_mm < axis.scaling.resolution_load_mm:
-            raise table.fail(
-                "pulse_mm",
-                f"is {config.pulse_mm:g} mm, expected at least one count of axis {axis.name},"
+def _check(document: Document, config: ProbeMachineConfig) -> None:
+    """Hold speeds and places against the axis files."""
+    x, y, probe, block = config.x, config.y, config.probe, config.block
+    feeding = [axis for axis in (x, y) if axis is not None]
+    orientation = config.orientation
+    for key, speed, axes in (
+        ("spindle.velocity_deg_s", orientation.velocity_deg_s, [config.spindle]),
+        ("probe.position_mm_s", probe.position_mm_s, feeding),
+        ("probe.touch_mm_s", probe.touch_mm_s, feeding),
+    ):
+        for axis in axes:
+            if speed > axis.limits.max_velocity_mm_s:
+                what = (
+                    f"is {speed:g}, expected at most {axis.limits.max_velocity_mm_s:g}, the limit of axis {axis.name}"
+                )
+                raise document.fail(key, what)
+    for axis in feeding:
+        if probe.pulse_mm < axis.scaling.resolution_load_mm:
+            raise document.fail(
+                "probe.pulse_mm",
+                f"is {probe.pulse_mm:g} mm, expected at least one count of axis {axis.name},"
                 f" {axis.scaling.resolution_load_mm:g} mm",
             )
-    return config
-
-
-def _block(table: Table, x: DriveAxis, y: DriveAxis | None) -> BlockConfig:
-    config = BlockConfig(
-        face_mm=table.take("face_mm", reader.finite, "a position of X in mm"),
-        start_mm=table.take("start_mm", reader.finite, "a position of X in mm"),
-        y_mm=table.take("y_mm", reader.finite, "a position of Y in mm", None),
-        free_mm=table.take("free_mm", reader.not_negative, "a number >= 0 in mm", 0.0),
-        search_mm=table.take("search_mm", reader.positive, "a number > 0 in mm"),
-        turns=table.take("turns", reader.whole(1, 100), "a whole number > 0", 2),
-        closure_limit_um=table.take("closure_limit_um", reader.positive, "a number > 0 in µm", 3.0),
-        repeat_limit_um=table.take("repeat_limit_um", reader.positive, "a number > 0 in µm", 3.0),
-        radius_limit_um=table.take("radius_limit_um", reader.positive, "a number > 0 in µm", None),
-    )
-    table.finish()
-    if config.distance_mm == 0:
-        raise table.fail("start_mm", f"is face_mm, {config.face_mm:g}, expected a distance between them")
-    if not config.free_mm < config.search_mm:
-        raise table.fail("free_mm", f"is {config.free_mm:g}, expected less than search_mm, {config.search_mm:g}")
-    _within(table, "start_mm", x, config.start_mm)
-    _within(table, "search_mm", x, config.start_mm + config.facing * config.search_mm)
-    if config.y_mm is not None:
-        if y is None:
-            raise table.fail("y_mm", "is given, but [machine] names no y axis")
-        _within(table, "y_mm", y, config.y_mm)
-    return config
-
-
-def _bore(root: Table, x: DriveAxis, y: DriveAxis | None) -> BoreConfig | None:
-    if "bore" not in root.keys_left():
-        return None
-    table = root.child("bore")
-    config = BoreConfig(
-        table.take("x_mm", reader.finite, "a position of X in mm"),
-        table.take("y_mm", reader.finite, "a position of Y in mm"),
-        table.take("reach_mm", reader.positive, "a number > 0 in mm"),
-    )
-    table.finish()
-    if y is None:
-        raise table.fail("y_mm", "is given, but [machine] names no y axis")
-    for key, axis, place in (("x_mm", x, config.x_mm), ("y_mm", y, config.y_mm)):
-        _within(table, key, axis, place - config.reach_mm, place + config.reach_mm)
-    return config
-
-
-def _store(table: Table, path: Path, name: str) -> ProbeStoreConfig:
-    base = path.resolve().parent
-
-    def place(value: Any) -> Path:
-        return base / reader.text(value)
-
-    config = ProbeStoreConfig(
-        table.take("directory", place, "a folder", base / f"{name}-probe"),
-        table.take("sealed", reader.flag, "true or false", False),
-        table.take("builder_key", place, "a file", base / "builder.key"),
-        table.take("builder_public", place, "a file", base / "builder.pub"),
-    )
-    table.finish()
-    return config
-
-
-def _bench(table: Table) -> tuple[int, float]:
-    seed = table.take("seed", reader.whole(0, 2**31), "a whole number >= 0", 0)
-    chip_um = table.take("chip_um", reader.not_negative, "a number >= 0 in µm", 0.0)
-    table.finish()
-    return seed, chip_um
+    places: list[tuple[str, DriveAxis | None, tuple[float, ...]]] = [
+        ("spindle.zero_deg", config.spindle, tuple(orientation.position_deg(angle) for angle in ANGLES_DEG)),
+        ("block.start_mm", x, (block.start_mm,)),
+        ("block.search_mm", x, (block.start_mm + block.facing * block.search_mm,)),
+    ]
+    if block.y_mm is not None:
+        places.append(("block.y_mm", y, (block.y_mm,)))
+    if (bore := config.bore) is not None:
+        places.append(("bore.x_mm", x, (bore.x_mm - bore.reach_mm, bore.x_mm + bore.reach_mm)))
+        places.append(("bore.y_mm", y, (bore.y_mm - bore.reach_mm, bore.y_mm + bore.reach_mm)))
+    for key, moved, targets in places:
+        if moved is None:
+            raise document.fail(key, "is given, but [machine] names no y axis")
+        try:
+            for target in targets:
+                moved.limits.check_target(target)
+        except LimitError as error:
+            raise document.fail(key, f"leads axis {moved.name} out of its limits: {error}") from error
+    if block.radius_limit_um is not None and probe.tip_radius_mm is None:
+        raise document.fail("block.radius_limit_um", "needs [probe] tip_radius_mm, which is not there")

@@ -318,7 +318,7 @@ def test_a_torque_that_is_never_told(rig: Rig, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_way_out_of_the_travel(rig: Rig) -> None:
-    rig.how = replace(rig.how, reference_mm=(5.0, 501.5))
+    rig.how = replace(rig.how, reference_plus_mm=5.0, reference_minus_mm=501.5)
     with pytest.raises(LimitError, match="nothing was moved"):
         rig.measure()
     assert rig.amount.writes == []

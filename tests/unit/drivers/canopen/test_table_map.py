@@ -49,21 +49,27 @@ def test_one_curve_and_a_backlash(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("simulated_array", 'form = "array"', 'form = "list"', "form is 'list', expected array or domain"),
+        ("simulated_array", 'form = "array"', 'form = "list"', "form is list, expected array or domain"),
         ("simulated_array", "points = 200", "points = 255", "ends at sub-index 255, expected 254 at most"),
         (
             "simulated_array",
             '"counts"\n\n[table.value]',
             '"inch"\n\n[table.value]',
-            "unit is 'inch', expected counts or rev or um",
+            "unit is inch, expected counts, rev, um or mm",
         ),
         ("simulated_array", '"2311h:00"', '"6040h"', "expected an object of the maker's, 2000h to 5FFFh"),
-        ("simulated_array", '"2311h:00"', '"count"', "object is 'count', expected an object such as 2310h:01"),
-        ("simulated_array", 'type = "u8"', 'type = "f32"', "type is 'f32', expected i8 or i16"),
+        ("simulated_array", '"2311h:00"', '"count"', "object is count, expected an object such as 2310h:01"),
+        ("simulated_array", 'type = "u8"', 'type = "f32"', "type is f32, expected i8, i16"),
         ("simulated_array", "off = 0", "off = 1", "expected two different values"),
-        ("simulated_array", "step = {", "stepp = {", "lacks the table objects.step"),
+        ("simulated_array", "step = {", "stepp = {", "unknown key stepp, the nearest known one is step"),
+        (
+            "simulated_array",
+            'step = { object = "2313h:00", type = "u32" }',
+            "",
+            "objects. lacks step, expected a table",
+        ),
         ("simulated_array", "sign = 1", "sign = 0", "sign is 0, expected 1 .a positive value is added"),
-        ("simulated_array", 'memory = "ram"', 'memory = "rom"', "memory is 'rom', expected ram or eeprom"),
+        ("simulated_array", 'memory = "ram"', 'memory = "rom"', "memory is rom, expected ram or eeprom"),
         ("simulated_array", '"2315h:01", type = "i16"', '"2315h:01", type = "i32"', "of another type than plus"),
         ("simulated_domain", '"minus:i16"', '"minus:u99"', "expected a list such as"),
         (

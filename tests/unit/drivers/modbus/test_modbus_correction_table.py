@@ -178,10 +178,10 @@ Change = Callable[[str], str]
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('interpolation = "step"\n', 'interpolation = "cubic"\n', "interpolation is 'cubic', expected linear or step"),
+        ('interpolation = "step"\n', 'interpolation = "cubic"\n', "interpolation is cubic, expected linear or step"),
         ("sign = 1\n", "sign = 2\n", "sign is 2, expected 1 .a positive value is added"),
         ("points = 256\n", "points = 40000\n", "points is 40000, expected a whole number, 1 to 32768"),
-        ('origin = "pitch_origin"\n', "", "correction_table lacks origin"),
+        ('origin = "pitch_origin"\n', "", "correction_table. lacks origin"),
         ('plus = "pitch_value"\n', 'plus = "pitch"\n', "plus is 'pitch', expected the name of a register"),
         (
             'plus = "pitch_value"\n',
@@ -200,8 +200,12 @@ Change = Callable[[str], str]
         ),
         ('step = "pitch_step"\n', 'step = "target_speed"\n', "in 'rpm', expected counts, rev, um, mm"),
         ("on = 1, off = 0 }", "on = 1, off = 1 }", "on is 1, off 1, expected two values"),
-        ("sign = 1\n", 'sign = 1\nminus = "pitch_value"\n', "minus is an unknown key"),
-        ('nodes = "equidistant"\n', 'nodes = "explicit"\n', "correction_table lacks position"),
+        (
+            "sign = 1\n",
+            'sign = 1\nminus = "pitch_value"\n',
+            "minus has no use with nodes equidistant, directions backlash",
+        ),
+        ('nodes = "equidistant"\n', 'nodes = "explicit"\n', "correction_table. lacks position"),
     ],
 )
 def test_what_cannot_be_a_table_is_refused_with_its_line(old: str, new: str, words: str, tmp_path: Path) -> None:

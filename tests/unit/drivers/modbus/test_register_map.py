@@ -156,7 +156,7 @@ def test_addresses_in_the_manuals_notation(
         ("modicon6", "address = 465537\ntype = 'u16'", "expected a modicon6 address"),
         ("modicon5", "address = 40001\ntable = 'input'\ntype = 'u16'", "address 40001 is of table holding"),
         ("pdu0", "address = 1\ntable = 'holding'", "lacks type"),
-        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u24'", "expected bit or bits or u16"),
+        ("pdu0", "address = 1\ntable = 'holding'\ntype = 'u24'", "expected bit, bits, u16"),
         ("pdu0", "address = 1\ntable = 'coil'\ntype = 'u16'", "which table coil cannot hold"),
         ("pdu0", "address = 1\ntable = 'holding'\ntype = 'bit'", "which table holding cannot hold"),
         ("pdu0", "address = 1\ntable = 'input'\ntype = 'u16'\naccess = 'rw'", "table input is read only"),
@@ -174,7 +174,9 @@ def test_a_bad_register_is_refused_with_its_place(write: Write, base: str, body:
     with pytest.raises(InputError) as caught:
         load_register_map(path)
     assert what in str(caught.value)
-    assert str(caught.value).startswith(f"{path}:{caught.value.line}: registers.it")
+    assert str(caught.value).startswith(
+        (f"{path}:{caught.value.line}: [registers.it] ", f"{path}:10: [registers.it.bits] ")
+    )
     assert caught.value.line is not None
     assert caught.value.line >= 6  # the header of [registers.it], or the key's own line
 
@@ -182,7 +184,7 @@ def test_a_bad_register_is_refused_with_its_place(write: Write, base: str, body:
 def test_the_line_is_that_of_the_key(write: Write) -> None:
     path = write(one_register("pdu0", 'address = 1\ntable = "holding"\ntype = "u16"\nscael = 0.1\n'))
     with pytest.raises(
-        InputError, match=r"model.toml:10: registers.it.scael is an unknown key, expected one of: .*scale"
+        InputError, match=r"model.toml:10: \[registers.it\] unknown key scael, the nearest known one is scale"
     ):
         load_register_map(path)
 
@@ -195,9 +197,18 @@ def replaced(old: str, new: str) -> str:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        (SMALL + "\n[extra]\nx = 1\n", "extra is an unknown key"),
-        (replaced('name = "small"', 'name = "small"\nspeed = 1'), "map.speed is an unknown key"),
-        (replaced("window = 5", "window = 5\nwindw = 1"), "drive.move.windw is an unknown key"),
+        (SMALL + "\n[extra]\nx = 1\n", "unknown key extra"),
+        (replaced('name = "small"', 'name = "small"\nspeed = 1'), "[map] unknown key speed"),
+        (replaced('bit = "fault", state', 'bit = "fault", value = 2, state'), "bit stands beside a mask or value"),
+        (replaced('"control", value = 2', '"control", value = 2, set = 1'), "set is for a named bit"),
+        (replaced('"control", value = 2', '"control", value = 2, not_value = 1'), "unknown key not_value"),
+        (replaced('"control", value = 2', '"control", valeu = 2'), "unknown key valeu, the nearest known one is value"),
+        (replaced('"control", value = 2', '"control"'), "lacks value, expected a whole number 0 to 65535"),
+        (replaced('type = "u16"\n', 'type = "u16"\nlength = 2\n'), "length belongs to the type string"),
+        (
+            replaced("window = 5", "window = 5\nwindw = 1"),
+            "[drive.move] unknown key windw, the nearest known one is window",
+        ),
         (replaced("window = 5", ""), "lacks window"),
         (replaced('target = "position"', 'target = "kept"'), "kept in EEPROM; motion would wear it out"),
         (replaced('target = "position"', 'target = "status"'), "read only"),
@@ -230,7 +241,7 @@ def replaced(old: str, new: str) -> str:
         (replaced('"control", value = 2', '"kept", value = 2'), "commands would wear it out"),
         (
             replaced('quick_stop = { write = [{ register = "control", value = 2 }] }', ""),
-            "lacks the table drive.quick_stop",
+            "lacks the table [drive.quick_stop]",
         ),
         (replaced("address = 1\n", "address = 3\n"), "overlaps"),
         (replaced("[registers.status]", "[registers.status"), "is not TOML"),
@@ -263,15 +274,19 @@ SIGNED = SMALL.replace('type = "u32"\nunit = "counts/s"', 'type = "i32"\nunit = 
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        (SMALL + '[drive.run]\ntarget = "speed"\n', "drive.run.target is 'speed' of type u32, which has no sign"),
-        (SIGNED + '[drive.run]\ntarget = "speed"\n', "drive.run needs drive.velocity"),
+        (SMALL + '[drive.run]\ntarget = "speed"\n', "[drive.run] target is 'speed' of type u32, which has no sign"),
+        (SIGNED + '[drive.run]\ntarget = "speed"\n', "[drive] run needs drive.velocity"),
         (SMALL + '[drive.run]\ntarget = "position"\n', "expected a unit of counts/s, rpm, rev/s"),
         (SMALL + '[drive.stream]\ntarget = "position"\n', "lacks least_period_s"),
         (SMALL + '[drive.stream]\ntarget = "kept"\nleast_period_s = 0.01\n', "motion would wear it out"),
         (SMALL + PROBE + PROBE, "has two probes of one number"),
         (SMALL + PROBE.partition("[drive.touch_probe.positive]")[0], "expected at least one edge"),
         (SMALL + PROBE.replace('position = "position"', 'position = "status"'), "expected a unit of counts, rev"),
-        (SMALL + PROBE.replace("latched", "latch"), "lacks latched"),
+        (SMALL + PROBE.replace("latched", "latch"), "unknown key latch, the nearest known one is latched"),
+        (
+            SMALL + PROBE.replace('latched = [{ register = "status", bit = "reached" }]', ""),
+            "lacks latched, expected a list of tables",
+        ),
         (SMALL + PROBE.replace("number = 1", "number = 0"), "expected the number of the input, 1 to 16"),
     ],
 )

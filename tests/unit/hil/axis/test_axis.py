@@ -138,6 +138,31 @@ def test_a_register_map_is_looked_for_beside_the_axis_file(tmp_path: Path) -> No
     assert load_axis(path).drive.register_map == str(tmp_path / "vendor_style")
 
 
+def test_a_misspelt_table_that_may_be_left_out_is_named_with_the_one_that_was_meant(tmp_path: Path) -> None:
+    path = tmp_path / "axis.toml"
+    text = axis_text()
+    for name in ("backlash", "lost_motion"):
+        path.write_text(text.replace(f"[{name}]", f"[{name[:-1]}]"), encoding="utf-8")
+        with pytest.raises(InputError, match=f"unknown key {name[:-1]}, the nearest known one is {name}"):
+            load_axis(path)
+
+
+def test_what_is_varied_is_a_column_with_levels(tmp_path: Path) -> None:
+    path = tmp_path / "axis.toml"
+    text = axis_text()
+    path.write_text(
+        text.replace("[conditions]", "[conditions]\nload_kg = [0, 60]\npos_y_mm = [1.5]\n"), encoding="utf-8"
+    )
+    assert load_axis(path).conditions.levels == {"load_kg": (0.0, 60.0), "pos_y_mm": (1.5,)}
+    for line, said in (
+        ("load_kg = []", r"load_kg is \[\], expected a list"),
+        ("mass_kg = [1]", "mass_kg is mass_kg, expected load_kg or"),
+    ):
+        path.write_text(text.replace("[conditions]", f"[conditions]\n{line}\n"), encoding="utf-8")
+        with pytest.raises(InputError, match=rf"axis\.toml:\d+: \[conditions\] {said}"):
+            load_axis(path)
+
+
 def test_defaults(tmp_path: Path) -> None:
     path = tmp_path / "axis.toml"
     text = "\n".join(line for line in axis_text().splitlines() if "# default" not in line)

@@ -42,7 +42,7 @@ def test_an_axis_without_the_section_or_an_instrument_has_defaults(tmp_path: Pat
     axis = load_drive_axis(path)
     assert axis.backlash is None
     how = default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
-    assert how.reference_mm == (50.0, 50.0)
+    assert (how.reference_plus_mm, how.reference_minus_mm) == (50.0, 50.0)
     assert (how.step_um, how.steps, how.method, how.parameter) == (1.0, 200, "fitted", None)
     assert load_drive_axis(written(tmp_path, "")).backlash == how
     rest = (how.run_in_mm, how.readings, how.settle_s, how.velocity_mm_s, how.travel_velocity_mm_s, how.runs, how.home)
@@ -51,8 +51,8 @@ def test_an_axis_without_the_section_or_an_instrument_has_defaults(tmp_path: Pat
     off_centre = tmp_path / "other.toml"
     off_centre.write_text(HEAD.replace("travel_min_mm = 0.0", "travel_min_mm = -20.0"), encoding="utf-8")
     other = load_drive_axis(off_centre)
-    middle = default_backlash(other.path, other.limits, other.scaling, other.drive.backend).reference_mm
-    assert middle == (40.0, 40.0)
+    middle = default_backlash(other.path, other.limits, other.scaling, other.drive.backend)
+    assert (middle.reference_plus_mm, middle.reference_minus_mm) == (40.0, 40.0)
 
 
 def test_the_ways_of_both_directions(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("section", "says"),
     [
-        ('kind = "yardstick"', "expected umd or nd2xx or ascii or replay"),
+        ('kind = "yardstick"', "expected umd, nd2xx, ascii or replay"),
         ('kind = "nd2xx"\nplace_temps = { screw = 4 }', "unknown key place_temps"),
         ('kind = "nd2xx"\ncount_mm = 0', "count_mm is 0"),
         ('kind = "ascii"\nparity = "X"', "parity is X"),
@@ -86,7 +86,10 @@ def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
             "beside = { pitch_urad = { axis = 1, per_unit = 3.2 } }",
             "beside gives an axis twice, or the position's own, 1",
         ),
-        ("beside = { pitch_urad = { axis = 2 } }", "beside is .*expected a table of column"),
+        (
+            "beside = { pitch_urad = { axis = 2 } }",
+            r"\[instrument.beside.pitch_urad\] lacks per_unit, expected a number",
+        ),
         ("beside = 3", "beside is 3"),
         ("resume_within_s = 0", "resume_within_s is 0"),
     ],
