@@ -114,24 +114,23 @@ class Document:
     def load(
         self,
         kind: type[T],
-        *place: str,
+        name: str | None = None,
+        *,
         only: Collection[str] | None = None,
         needs: Collection[str] = (),
         beside: Collection[type] = (),
         usual: Mapping[str, Any] = MappingProxyType({}),
         required: bool = True,
     ) -> T:
-        """The table at a place; the whole file without one.
+        """A table of the file; without a name the whole file as one table.
 
         only: the keys that this table may hold, where the schema has more; needs: those it must; beside: schemas whose keys stand in
         the same table; usual: defaults by field, where they depend on other tables. Not required: a missing table is an empty one.
         """
-        values: Any = self.values
-        for depth, name in enumerate(place):
-            if name not in values and required:
-                raise self.fail((*place[:depth], ""), f"lacks the table [{'.'.join(place)}]")
-            values = values.get(name, {})
-        self._taken.update(place[:1])
+        if name is not None and name not in self and required:
+            raise InputError(f"lacks the table [{name}]", path=self.path)
+        place: Place = () if name is None else (name,)
+        values = self.values if name is None else self.values.get(name, {})
         if not is_dataclass(kind):
             return cast(T, self._build(kind, place, values))
         known = {key for each in (kind, *beside) for key in _schema(each) if only is None or key in only}
