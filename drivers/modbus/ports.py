@@ -154,7 +154,8 @@ class TcpPort(Port):
 def _hung_up(connection: socket.socket) -> bool:
     """Whether the other side has closed it, so that what is sent now would be lost."""
     try:
-        return connection.recv(1, socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0)) == b""
+        connection.setblocking(False)  # with a time-out set, Python waits for it whatever the flags of `recv` are
+        return connection.recv(1, socket.MSG_PEEK) == b""
     except (BlockingIOError, TimeoutError):
         return False
     except OSError:

@@ -8,7 +8,7 @@ import time
 
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.plan import Table
-from drivers.modbus.wire import TcpEndpoint
+from drivers.modbus.wire import PymodbusWire, TcpEndpoint
 from sim_backends.clock import SimClock
 
 
@@ -37,3 +37,17 @@ def test_a_write_after_the_server_hung_up_goes_over_a_new_connection() -> None:
     assert len(requests) == 1
     assert link.statistics.connects == 2
     assert link.statistics.no_answers == link.statistics.resolved_writes == 0
+
+
+def test_asking_whether_the_server_has_hung_up_waits_for_nothing() -> None:
+    """It is asked before each request: a wait of the socket's time-out there made each request 5 ms, the first one a second."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        wire = PymodbusWire(TcpEndpoint("127.0.0.1", listener.getsockname()[1], 5.0))
+        wire.connect()
+        connection, _ = listener.accept()
+        with connection:
+            began_s = time.monotonic()
+            for _ in range(100):
+                assert wire.connected
+            assert time.monotonic() - began_s < 4.0
+        wire.disconnect()
