@@ -31,6 +31,7 @@ from drivers.toml_types import (
     Via,
     not_empty,
 )
+from hil.axis.agreement import REVERSAL_UM, AgreementLimits
 from hil.axis.backlash import BacklashConfig, read_backlash
 from hil.axis.connections import BENCH_MACHINES, DriveConfig, HomingConfig, read_drive
 from hil.axis.instrument import DisplayConfig, InstrumentConfig, read_instrument
@@ -38,7 +39,6 @@ from hil.axis.lost_motion import LostMotionConfig, read_lost_motion
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.tables import Band, TableMode
 from hil.figures.uncertainty import UncertaintyInputs
-from hil.machine.agreement import REVERSAL_UM, AgreementLimits
 from hil.records.zero import REFERENCE_WITHIN_UM
 
 __all__ = [

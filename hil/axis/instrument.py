@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 from drivers.toml_schema import Document
 from drivers.toml_types import File, Key, Limits, Name, Number, Positive, SchemaError, Text, Via, one_of
+from hil.axis.agreement import WITHIN_UM
 from hil.figures.alignment import Alignment
 from hil.figures.material import Material
-from hil.machine.agreement import WITHIN_UM
 
 KINDS = ("umd", "nd2xx", "ascii", "replay")
 THERMOMETERS = (3, 4)
@@ -99,7 +99,7 @@ class ReplayConfig:
 class InstrumentConfig:
     """How to reach the instrument, and how it stands. kind: umd | nd2xx | ascii | replay.
 
-    agrees_within_um: with the travel of the motor, besides reversal and a share of the travel (`hil.machine.agreement`).
+    agrees_within_um: with the travel of the motor, besides reversal and a share of the travel (`hil.axis.agreement`).
     resume_within_s: after a lost signal the axis, stopped, waits so long for it and goes on by itself; None: the job ends.
     latency_s: from a sample to its arrival, None where nobody knows; trigger_input: of the drive's touch-probe inputs, the one that
     shares a line with the instrument, an edge with each sample.

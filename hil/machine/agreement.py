@@ -13,59 +13,22 @@ from itertools import pairwise
 
 from drivers.clock import NS_PER_S
 from drivers.instrument import Reading
+from hil.axis.agreement import DATED_WITHIN_S, AgreementLimits
 
-WITHIN_UM = 500.0
-"""Largest difference of the two travels, µm: several times the Abbe, thermal and wind-up errors of a feed axis, which tests by
-ISO 230-2 and 230-3 find in tens of µm."""
-REVERSAL_UM = 200.0
-"""Largest reversal, µm: four times the 50 µm of a worn ball screw, and what rack and pinion drives are set to (0.1 to 0.2 mm)."""
 SHARE_OF_TRAVEL = 1e-3
-"""Of the travel, which the two may differ by besides: rolled ball screws of class T10 of ISO 3408-3 are allowed 210 µm in 300 mm, and
+"""Of the travel, which the two may differ by besides: rolled ball screws of class C10 (JIS B 1192) are allowed 210 µm in 300 mm, and
 25 K of steel at 11.7 µm/(m·K) come on top."""
-LATEST_S = 0.1
-"""From a sample to its arrival where the axis file states no latency_s: more than displays and gauges on a serial line take."""
-DATED_WITHIN_S = 0.05
-"""What a moment of a motor position or an arrival may be off on a busy host or a slow fieldbus."""
 FASTER_SHARE = 0.2
 """By which a speed may exceed the one asked for: more overshoot than a velocity loop is left with by any tuning rule in use."""
 RATE_OVER_S = 1.0
 """Readings are compared with those of up to so long before to judge how fast the instrument sees the load move."""
 STANDS_MM = 0.01
 """Of the motor: one that stayed within this stands. A position loop trembles by a count or two, which are µm."""
-STEADY_SHARE = 0.1
-"""Of `within_um`, by which `reading - motor` may change within a second of a motor that stands, and besides what travel and reversal
-explain from one rest to the next: 50 µm, above errors that repeat with a lead (5 µm), the noise of a display, a load that settles."""
 APART = 3
 """So many readings of a motor that stands, one after the other, are a jump. Fewer are outliers, which an average leaves out."""
 _KEEP_S = 10.0
 _STANDS_SHARE = 0.1
 """A travel of less than this share of the other one is told as standing still."""
-
-
-@dataclass(frozen=True)
-class AgreementLimits:
-    """What the axis file allows. within_um, largest_reversal_um: see above; latency_s: of the instrument, None: not known."""
-
-    within_um: float = WITHIN_UM
-    largest_reversal_um: float = REVERSAL_UM
-    latency_s: float | None = None
-
-    @property
-    def slack_mm(self) -> float:
-        """What the two travels may differ by, however short: within a reversal the load may wait."""
-        return (self.within_um + self.largest_reversal_um) / 1000.0
-
-    @property
-    def steady_mm(self) -> float:
-        """What they may differ by more at a rest than a second or one motion before."""
-        return STEADY_SHARE * self.within_um / 1000.0
-
-    @property
-    def lags_s(self) -> tuple[float, float]:
-        """How long before its arrival a sample was taken, at least and at most."""
-        if self.latency_s is None:
-            return -DATED_WITHIN_S, LATEST_S + DATED_WITHIN_S
-        return self.latency_s - DATED_WITHIN_S, self.latency_s + DATED_WITHIN_S
 
 
 @dataclass(frozen=True)

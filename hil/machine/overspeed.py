@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from drivers.clock import NS_PER_S
-from hil.machine.agreement import DATED_WITHIN_S, FASTER_SHARE
+from hil.axis.agreement import DATED_WITHIN_S
+from hil.machine.agreement import FASTER_SHARE
 
 OVER_S = 1.0
 """Positions are compared with those of up to so long before."""

@@ -20,10 +20,10 @@ from drivers.errors import StateError
 from drivers.instrument import DistanceInstrument, Reading
 from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.undo import undo_all
+from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command, Compensation, MotionHistory
 from hil.figures.material import Material
-from hil.machine.agreement import AgreementLimits
 from hil.machine.conditions import Conditions, NoConditions
 from hil.machine.dwell import average_at_rest
 from hil.machine.one_correction import refuse_while_drive_corrects

@@ -23,7 +23,8 @@ from drivers.errors import (
     StateError,
 )
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
-from hil.machine.agreement import RATE_OVER_S, Agreement, AgreementLimits
+from hil.axis.agreement import AgreementLimits
+from hil.machine.agreement import RATE_OVER_S, Agreement
 from hil.machine.overspeed import OVER_S, Overspeed
 from hil.machine.place import Place
 from hil.machine.time_out import Motion

@@ -12,11 +12,11 @@ from support.toy_axis import LIMITS, MEASUREMENT, ToyDrive, ToyInstrument, ToyMa
 
 from drivers.drive import DriveState
 from drivers.errors import InputError, UnprovenError
+from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import Calibration, calibrate, check_proof
 from hil.calibration.verify import verify
 from hil.correction.tables import Band, SingleTable, TableMode, TableSet, section_means, straightness_table
-from hil.machine.agreement import AgreementLimits
 from hil.machine.events import Event
 from hil.machine.session import AxisSession
 from hil.records.journal import FINISHED, Campaign

@@ -20,10 +20,10 @@ from drivers.drive import Capability
 from drivers.errors import InputError, LinkLostError, MeasurementLostError
 from drivers.instruments.umd_laser import FixedAir, Optics, UmdLaser, UmdSettings
 from drivers.modbus.drive import ModbusDrive
+from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.calibrate import calibrate
 from hil.correction.tables import TableSet
-from hil.machine.agreement import AgreementLimits
 from hil.machine.axis_place import drive_place, held_axis
 from hil.machine.wiring import bench_parameters, connected, connected_drive
 from hil.parameters.wiring import connected_parameters
