@@ -67,6 +67,10 @@ test_packages() { # installs what the tests use besides Python; without it they 
         /usr/include/stdio.h=libc6-dev /usr/include/modbus/modbus.h=libmodbus-dev; do
         command -v "${pair%%=*}" >/dev/null || [ -f "${pair%%=*}" ] || missing="$missing ${pair#*=}"
     done
+    for pair in libpangoft2-1.0.so.0=libpangoft2-1.0-0 libharfbuzz-subset.so.0=libharfbuzz-subset0; do # of WeasyPrint
+        set -- /usr/lib/*/"${pair%%=*}"
+        [ -e "$1" ] || missing="$missing ${pair#*=}"
+    done
     # shellcheck disable=SC2086 # a list of words
     [ -z "$missing" ] || apt_install 'for the tests' $missing ||
         say "going on without; tests that need them will say so"

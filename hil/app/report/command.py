@@ -104,7 +104,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--pdf",
         metavar="FILE",
-        help="also write it as a PDF: all of it, on numbered A4 sheets that name the hash of the HTML file",
+        help="also write it as a PDF: all of it, on numbered A4 sheets that name the hash of the HTML file"
+        " (needs the report-pdf extra: pip install 'hil[report-pdf]')",
     )
     parser.add_argument("--png", metavar="DIR", help="also write every drawing as a PNG into DIR (made if need be)")
     add_json_option(parser)

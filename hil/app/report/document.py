@@ -6,7 +6,7 @@ loads matplotlib, which takes a moment: a command imports it when it needs it.)
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from matplotlib.figure import FigureBase
@@ -37,12 +37,17 @@ from hil.figures.uncertainty import Budget
 from hil.records.rows import Floats, Records
 
 
-def html(blocks: Iterable[Block]) -> str:
-    """All of them, a line each."""
-    return "\n".join(part for part in map(_block, blocks) if part)
+def inline(drawing: Drawing) -> str:
+    """The drawing as an <svg> element in the page's own colours."""
+    return inline_svg(drawing.figure(PAGE), drawing.key, drawing.description)
 
 
-def _block(block: Block) -> str:  # noqa: PLR0911  (one for each kind)
+def html(blocks: Iterable[Block], drawn: Callable[[Drawing], str] = inline) -> str:
+    """All of them, a line each. drawn: the markup of a drawing"""
+    return "\n".join(part for part in (_block(block, drawn) for block in blocks) if part)
+
+
+def _block(block: Block, drawn: Callable[[Drawing], str]) -> str:  # noqa: PLR0911  (one for each kind)
     match block:
         case Heading():
             tag = f'<span class="tag">{markup.text(block.tag)}</span>' if block.tag else ""
@@ -63,10 +68,9 @@ def _block(block: Block) -> str:  # noqa: PLR0911  (one for each kind)
                 block.identifier, block.title, block.columns, heads=block.heads, unfolded=block.unfolded
             )
         case Drawing():
-            svg = inline_svg(block.figure(PAGE), block.key, block.description)
-            return markup.figure(svg, block.caption)
+            return markup.figure(drawn(block), block.caption)
         case Finding():
-            return f'<section class="finding">{html(block.blocks)}</section>'
+            return f'<section class="finding">{html(block.blocks, drawn)}</section>'
 
 
 def _paragraph(block: Paragraph) -> str:

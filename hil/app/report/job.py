@@ -68,25 +68,37 @@ def now() -> str:
 
 
 def write_report(data: ReportData, html: Path, pdf: Path | None) -> str:
-    """Write it, as a page and where it is wanted on paper; the page's SHA-256, which the paper names."""
+    """Write it, as a page and where it is wanted on paper; the page's SHA-256, which the paper names.
+
+    Raises InputError, with nothing written, where paper is wanted and its renderer is missing.
+    """
     from hil.app.report.document import render_html  # noqa: PLC0415  (plots are slow to import)
 
     page = render_html(data).encode("utf-8")
     digest = hashlib.sha256(page).hexdigest()
-    replace_file(html, page)
     if pdf is not None:
-        from hil.app.report.pdf import render_pdf  # noqa: PLC0415
-
-        replace_file(pdf, render_pdf(data, digest))
+        write_paper(data, digest, pdf)
+    replace_file(html, page)
     return digest
 
 
+def write_paper(data: ReportData, page_sha256: str, pdf: Path) -> None:
+    """Write the PDF of a report whose page has this hash. Raises InputError where the renderer is missing."""
+    from hil.app.report.pdf import render_pdf  # noqa: PLC0415  (WeasyPrint is an extra and slow to import)
+
+    replace_file(pdf, render_pdf(data, page_sha256))
+
+
 def make_report(axis: AxisConfig, campaigns: Sequence[Wanted], *, compare: bool = False) -> list[str]:
-    """A report, or a comparison of two campaigns, beside the axis's others; the names of its files."""
+    """A report, or a comparison of two campaigns, beside the axis's others; the names of its files.
+
+    Raises InputError, after the page is written, where the renderer of paper is missing.
+    """
     stored = stored_beside(campaigns[-1].paths)
     data = report_data(axis, campaigns, stored if stored.exists() and not compare else None, compare=compare)
     page = _next(axis, "comparison" if compare else "report")
-    write_report(data, page, page.with_suffix(".pdf"))
+    digest = write_report(data, page, None)
+    write_paper(data, digest, page.with_suffix(".pdf"))
     return [page.name, page.with_suffix(".pdf").name]
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
+import pypdfium2 as pdfium
 import pytest
 from support.bench_axis import lay_out
 
@@ -115,10 +118,26 @@ def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(pl
     assert stated["R_up"] == pytest.approx(2 * u)
     figures = json.loads(Path("r.json").read_text())["campaigns"][0]["iso230"]["figures_um"]
     assert f"{figures['E']:.2f} ± {stated['E']:.2f}" in page
-    paper = Path("r.pdf").read_bytes()
-    assert paper.startswith(b"%PDF-")
-    assert paper.rstrip().endswith(b"%%EOF")
-    assert len(re.findall(rb"/Type /Page\b", paper)) > 3
+    paper = pdfium.PdfDocument(Path("r.pdf").read_bytes())
+    sheets = [page.get_textpage().get_text_bounded() for page in paper]
+    paper.close()
+    assert len(sheets) > 3
+    digest = hashlib.sha256(Path("r.html").read_bytes()).hexdigest()
+    assert all(digest in sheet for sheet in sheets)
+    assert f"{figures['E']:.2f} ± {stated['E']:.2f}" in " ".join(sheets)
+
+
+def test_a_pdf_without_its_renderer_is_one_line_and_nothing_is_written(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    assert main(["report", "a.csv", "--out", "r.html", "--pdf", "r.pdf"]) == 2
+    said = capsys.readouterr()
+    assert (said.out, len(said.err.splitlines())) == ("", 1)
+    assert "pip install 'hil[report-pdf]'" in said.err
+    assert not Path("r.html").exists()
+    assert not Path("r.pdf").exists()
+    assert main(["report", "a.csv", "--out", "r.html"]) == 0
 
 
 @pytest.mark.slow
