@@ -19,8 +19,8 @@
         ├── MotionTimeoutError    a motion did not end in its time
         ├── FollowingErrorError   the axis is not where it was told to be
         ├── OverspeedError        the axis ran faster than it was told to
-    │   ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest; it stays under power instead of being disabled
-    │   └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
+        ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest; it stays under power instead of being disabled
+        └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
 
 Callers catch the branch they can do something about; `hil.app.terminal` turns each into one line on stderr.
 """
