@@ -1,6 +1,6 @@
-"""From a map's units to motor counts and back: rev and rpm are of the motor's shaft.
+"""Conversion between a map's units and motor counts: rev and rpm are of the motor's shaft.
 
-Pure. `AxisScaling` alone turns motor counts into load mm; this only brings a drive's registers to motor counts first.
+Pure functions. `AxisScaling` alone turns motor counts into load mm; this module brings a drive's registers to motor counts.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ _COUNTS = ("counts", "counts/s", "counts/s2")
 
 
 def counts_per_unit(register: Register, counts_per_motor_rev: int) -> float:
-    """Motor counts (per s, per s²) in one unit of the register."""
+    """Motor counts (per s, per s²) in one unit of the register. Raises InputError for a unit that is neither counts nor
+    revolutions."""
     if register.unit in _COUNTS:
         return 1.0
     if register.unit in _PER_REV:
@@ -23,7 +24,7 @@ def counts_per_unit(register: Register, counts_per_motor_rev: int) -> float:
 
 
 def to_counts(raw: Raw, register: Register, counts_per_motor_rev: int) -> float:
-    """A register's raw value -> motor counts (per s, per s²); exact for counts without a scale."""
+    """A register's raw value -> motor counts (per s, per s²); exact for counts without a scale. Raises InputError for a text."""
     value = register.value_of(raw)
     if isinstance(value, str):
         raise InputError(f"register {register.name} holds {value!r}, expected a number")
@@ -38,7 +39,7 @@ def from_counts(counts: float, register: Register, counts_per_motor_rev: int) ->
 
 
 def to_percent(raw: Raw, register: Register) -> float:
-    """A torque register's raw value -> percent of rated torque."""
+    """A torque register's raw value -> percent of rated torque. Raises InputError for another unit."""
     value = register.value_of(raw)
     if isinstance(value, str) or register.unit not in ("percent", "permille"):
         raise InputError(f"register {register.name} is in {register.unit or 'no unit'}, expected percent or permille")
