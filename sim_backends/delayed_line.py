@@ -1,7 +1,4 @@
-"""What lies between the moment of a sample and the byte at the reader's end: conversion, buffers, adapters. No wire of its own.
-
-What may go in: how late messages are. They never overtake each other.
-"""
+"""DelayedLine: the delay between a sample and its byte at the reader: conversion, buffers, adapters. Messages keep their order."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ _FAR_NS = 1 << 62
 
 
 class DelayedLine:
-    """Messages go on the wire `latency_s` after their time, and up to `jitter_s` later, evenly spread."""
+    """Messages go on the wire `latency_s` after their time, and up to `jitter_s` later, evenly distributed; s. Raises InputError."""
 
     def __init__(self, wire: InstrumentTerminal, latency_s: float = 0.0, jitter_s: float = 0.0, seed: int = 0) -> None:
         if not (latency_s >= 0.0 and jitter_s >= 0.0):
@@ -29,11 +26,11 @@ class DelayedLine:
 
     @property
     def next_ns(self) -> int:
-        """When the next message goes out; far away when none waits."""
+        """Time of the next message, ns; far in the future when none waits."""
         return self._waiting[0][0] if self._waiting else _FAR_NS
 
     def put(self, message: bytes, time_ns: int) -> None:
-        """A message of this moment."""
+        """Queue a message of this time, ns."""
         due_ns = time_ns + self._latency_ns
         if self._jitter_ns:
             due_ns += round(self._rng.uniform(0.0, self._jitter_ns))
@@ -45,6 +42,6 @@ class DelayedLine:
             self._waiting.append((due_ns, message))
 
     def release(self, now_ns: int) -> None:
-        """Hand the wire what is due."""
+        """Put the messages that are due on the wire."""
         while self._waiting and self._waiting[0][0] <= now_ns:
             self._wire.put(self._waiting.popleft()[1])

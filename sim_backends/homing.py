@@ -1,7 +1,7 @@
 """Homing methods of CiA-402 (IEC 61800-7-201, object 6098h) as data: which sensor, which way, which edge.
 
-`sim_backends.servo` runs any of them with one small sequence: seek at the high speed until the sensor is in a state, stop, go the
-final way at the low speed until the edge, and on to the next index pulse where the method wants one.
+`HomingRun` executes any of them with one sequence: seek at the high speed until the sensor is in a state, stop, go the
+final way at the low speed until the edge, and on to the next index pulse where the method requires one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One homing in progress: from its method and what the switches say, the velocity to go at next, and in the end the home position.
+"""One homing in progress: computes the next velocity from its method and the switches, and in the end the home position.
 
 Knows no demand and no clock; the servo asks it once per step. Edges are latched where they are, not where a step ended, as a drive's
 hardware does, so the result does not depend on the length of steps.
@@ -21,7 +21,7 @@ class _Phase(Enum):
 
 
 class HomingRun:
-    """`latch` is the home position in shaft counts once it is known; `done` when the axis rests after that."""
+    """`latch` is the home position in shaft counts once it is known; `done` when the axis is at rest after that."""
 
     def __init__(self, method: HomingMethod, switches: Switches, speed_switch: float, speed_zero: float) -> None:
         self.method = method
@@ -33,7 +33,7 @@ class HomingRun:
         self._phase = _Phase.SEEK
 
     def begin(self, at: float) -> float:
-        """The first velocity to ramp to."""
+        """The first velocity to ramp to, counts/s, from position `at`, shaft counts."""
         method = self.method
         if method.sensor is None:
             self._phase = _Phase.INDEX if method.index else _Phase.LEAVE
@@ -45,7 +45,7 @@ class HomingRun:
         return self._seek
 
     def step(self, before: float, at: float, at_rest: bool) -> float | None:
-        """The axis went from `before` to `at`: the velocity to ramp to now, None to go on as it is."""
+        """The velocity to ramp to, counts/s, after the axis went from `before` to `at` (shaft counts); None: no change."""
         if self._phase is _Phase.TURN and at_rest:
             self._phase = _Phase.FINAL
             return self._final

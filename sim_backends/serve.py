@@ -1,4 +1,4 @@
-"""Simulated parts on real interfaces, as context managers that clean up, and simulated time tied to real time.
+"""Simulated parts on real interfaces, as context managers, and simulated time that follows real time.
 
 A test sleeps on the SimClock and reads in its own thread. For readers in other processes `run_in_real_time` lets the same SimClock,
 with everything attached to it, follow the wall clock.
@@ -35,11 +35,11 @@ def laser_pty(
 
 
 class Pace:
-    """Simulated time that follows a real clock, however irregularly it is looked at.
+    """Simulated time that follows a real clock, however irregularly `catch_up` is called.
 
-    A host that was away is caught up with by `catch_up_s` at most; the rest is forgotten, so that a machine that was suspended does
-    not race through hours. sleep: what to advance simulated time with, where that takes a lock. Lasers on this clock need
-    wait_for_arrival=False.
+    After a suspension of the host at most `catch_up_s` seconds are caught up with; the rest is dropped, so that the machine does
+    not run through hours at once. sleep: advances simulated time instead of the clock's, where that takes a lock. Lasers on this
+    clock need wait_for_arrival=False.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Pace:
         self._catch_up_ns = round(catch_up_s * NS_PER_S)
 
     def catch_up(self) -> None:
-        """Bring simulated time to the present."""
+        """Advance simulated time to the present."""
         due_ns = self.wall.now_ns() + self._offset_ns
         behind_ns = due_ns - self._sim.now_ns()
         if behind_ns > self._catch_up_ns:
@@ -68,9 +68,9 @@ def run_in_real_time(
     period_s: float = 0.005,
     idle: Callable[[float], None] | None = None,
 ) -> None:
-    """Keep the pace until `keep_running()` says no (asked every period).
+    """Keep the pace until `keep_running()` returns False (called every `period_s` seconds).
 
-    idle: what to do with the seconds left until the next look, instead of sleeping; may return early.
+    idle: called with the seconds left until the next call, instead of sleeping; may return early.
     """
     wall, period_ns = pace.wall, round(period_s * NS_PER_S)
     next_ns = wall.now_ns()

@@ -1,4 +1,4 @@
-"""A drive with its motor and its switches as one frozen description, and what the switches say at a place."""
+"""A drive with its motor and its switches as one frozen description, and the states of the switches at a position."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class ServoParameters:
     """A drive, its motor and its switches. Places are shaft counts, in the frame in which the axis's nominal zero is 0.
 
     position_gain_per_s and feed_forward (0…1) make the lag (1 − feed_forward)·v/gain; the window and time-outs supervise it.
-    home_switch_counts: the switch is active below. switch_spread_counts: standard deviation of where a switch trips, drawn anew for
+    home_switch_counts: the switch is active below. switch_spread_counts: standard deviation of the switching points, drawn anew for
     each homing. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s²; the current
     limit ends them all at peak_torque_permille.
     """
@@ -61,10 +61,10 @@ class Switches:
     def __init__(self, parameters: ServoParameters) -> None:
         self._p = parameters
         self._spread = random.Random(parameters.seed + 1)
-        self._off = 0.0  # where the switches trip at present, beside their places
+        self._off = 0.0  # present deviation of the switching points
 
     def trip_anew(self) -> None:
-        """From now on the switches trip a little elsewhere, as mechanical ones do each time."""
+        """Draw the deviation of the switching points anew, as it varies in mechanical switches."""
         spread = self._p.switch_spread_counts
         self._off = self._spread.gauss(0.0, spread) if spread else 0.0
 
@@ -83,7 +83,7 @@ class Switches:
         return self.negative_limit(at) if sensor is HomingSensor.NEGATIVE_LIMIT else self.positive_limit(at)
 
     def edge(self, sensor: HomingSensor) -> float:
-        """Where a switch changes."""
+        """Position of the edge of a switch, shaft counts."""
         p = self._p
         if sensor is HomingSensor.HOME:
             return p.home_switch_counts + self._off
@@ -91,7 +91,7 @@ class Switches:
         return place + self._off
 
     def index_between(self, start: float, end: float) -> float | None:
-        """The first index pulse met on the way from start to end."""
+        """The first index pulse on the way from start to end, shaft counts; None where there is none."""
         turn, offset = float(self._p.counts_per_rev), self._p.index_offset_counts
         if end > start:
             pulse = math.floor((start - offset) / turn + 1.0) * turn + offset

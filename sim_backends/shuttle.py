@@ -1,4 +1,4 @@
-"""An axis that goes to and fro by itself, so that a simulated instrument run as a process has something to show."""
+"""An axis that moves to and fro by itself, for a simulated instrument that runs as a process without a drive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim_backends.servo import SimulatedServo
 
 @dataclass(frozen=True)
 class ShuttleParameters:
-    """Between two places, in steps of step_counts, resting at each; speeds in counts/s and counts/s²."""
+    """Between two positions, in steps of step_counts, with a dwell at each; speeds in counts/s and counts/s²."""
 
     low_counts: int = 0
     high_counts: int = 50_000_000
@@ -20,7 +20,7 @@ class ShuttleParameters:
 
 
 class Shuttle:
-    """Attach `advance` to the clock after the servo's. Powers the servo on, once; a fault ends the shuttling."""
+    """Attach `advance` to the clock after the servo's. Powers the servo on, once; a fault ends the motion."""
 
     def __init__(self, servo: SimulatedServo, parameters: ShuttleParameters | None = None) -> None:
         self.parameters = parameters or ShuttleParameters()

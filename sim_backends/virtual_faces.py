@@ -1,7 +1,4 @@
-"""What stands beside the motion of the in-process drive: touch probe, parameters and set-points, without a wire.
-
-What may go in: the drivers' faces over servo, probe inputs and the drive's settings.
-"""
+"""Touch probe, parameters and set-points of the in-process drive: the drivers' interfaces over servo, probe inputs and settings."""
 
 from __future__ import annotations
 
@@ -50,7 +47,7 @@ class VirtualTouchProbe(TouchProbe):
 
 
 class VirtualStream(PacedStream):
-    """Set-points straight into the servo."""
+    """Set-points directly into the servo."""
 
     def __init__(self, drive: ServoDrive, servo: Servo, settings: SetPointSettings) -> None:
         super().__init__(drive, settings)
@@ -72,7 +69,7 @@ class VirtualStream(PacedStream):
 
 @dataclass
 class VirtualDriveSettings:
-    """What a drive on a wire would keep in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
+    """Settings that a drive on a wire keeps in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
 
     acceleration_mm_s2: float = 400.0
     quick_stop_mm_s2: float = 2000.0
@@ -86,7 +83,7 @@ class VirtualDriveSettings:
 
 @dataclass(frozen=True)
 class _Setting:
-    """One of the drive's settings as a parameter: what it is called there, and how counts become the setting."""
+    """One of the drive's settings as a parameter: its name there, and the conversion between counts and the setting."""
 
     info: ParameterInfo
     field: str
@@ -146,7 +143,7 @@ _DEVICE_NAME = ParameterInfo("manufacturer_device_name", ParameterKind.TEXT, wri
 
 
 class VirtualParameters(DriveParameters):
-    """Ramps and homing of one in-process drive: its settings, which writing changes."""
+    """Ramps and homing of one in-process drive; writing changes its settings."""
 
     def __init__(self, drive_name: str, scaling: AxisScaling, settings: VirtualDriveSettings) -> None:
         self._name = drive_name

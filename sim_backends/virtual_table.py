@@ -1,4 +1,4 @@
-"""The in-process drive's own correction table: `CorrectionTable` straight over what the servo applies, no wire in between."""
+"""The in-process drive's own correction table: `CorrectionTable` directly over the stage of the servo, without a wire."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _I16, _I32, _U32 = (-32768, 32767), (-(2**31), 2**31 - 1), (0, 2**32 - 1)
 
 
 class VirtualCorrectionTable(CorrectionTable):
-    """Changed without power and switched off only, as the drives on a wire have it. Positions and values are in motor counts."""
+    """Can be changed only without power and switched off, as on a wire. Positions and values are in motor counts. Raises
+    StateError."""
 
     def __init__(self, drive: str, form: TableForm, powered: Callable[[], bool]) -> None:
         self.drive = drive
