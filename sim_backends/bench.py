@@ -18,13 +18,12 @@ from sim_backends import laser_effects
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
 from sim_backends.gauge import GaugeParameters, SimulatedGauge
-from sim_backends.homing import HOMING_METHODS
+from sim_backends.homing import HOMING_METHODS, Switches
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis, worn_axis
 from sim_backends.servo import ServoParameters, SimulatedServo
-from sim_backends.servo_parameters import Switches
 
 HOMING_REV_S = 5.0
 """Homing velocity towards the switch, motor revolutions per second: 50 mm/s with the usual screw, which stops within 1.3 mm behind the

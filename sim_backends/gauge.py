@@ -12,10 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import InputError
-from sim_backends.delayed_line import DelayedLine
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.plant.axis import FeedAxis
-from sim_backends.terminal import InstrumentTerminal
+from sim_backends.terminal import DelayedLine, InstrumentTerminal
 
 GAUGE_KINDS = ("nd2xx", "mitutoyo", "ascii")
 _NS = 1_000_000_000

@@ -10,11 +10,10 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim_backends.delayed_line import DelayedLine
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.interferometer import Interferometer, LaserParameters
 from sim_backends.plant.axis import FeedAxis
-from sim_backends.terminal import InstrumentTerminal
+from sim_backends.terminal import DelayedLine, InstrumentTerminal
 
 __all__ = ["Interferometer", "LaserParameters", "SimulatedLaser"]
 

@@ -14,12 +14,11 @@ from collections.abc import Callable
 from drivers.errors import InputError
 from sim_backends.backlash_compensation import BacklashCompensation
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
-from sim_backends.homing import HOMING_METHODS, HomingSensor
-from sim_backends.homing_run import HomingRun
+from sim_backends.homing import HOMING_METHODS, HomingRun, HomingSensor, Switches
 from sim_backends.motion_profile import Profile, plan_move, plan_stop, plan_velocity
 from sim_backends.own_table import TableStage
 from sim_backends.servo_face import Mechanics, MotionMode, Servo
-from sim_backends.servo_parameters import ServoParameters, Switches
+from sim_backends.servo_parameters import ServoParameters
 
 __all__ = ["FAULT_FOLLOWING_ERROR", "Mechanics", "MotionMode", "Servo", "ServoParameters", "SimulatedServo"]
 

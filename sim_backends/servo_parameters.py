@@ -1,13 +1,10 @@
-"""A drive with its motor and its switches as one frozen description, and the states of the switches at a position."""
+"""ServoParameters: a simulated drive with its motor and its switches as one frozen description."""
 
 from __future__ import annotations
 
-import math
-import random
 from dataclasses import dataclass
 
 from drivers.errors import InputError
-from sim_backends.homing import HomingSensor
 
 
 @dataclass(frozen=True)
@@ -53,48 +50,3 @@ class ServoParameters:
         for name in ("counts_per_rev", "max_velocity_rev_s", "max_acceleration_rev_s2", "position_gain_per_s"):
             if not getattr(self, name) > 0:
                 raise InputError(f"servo parameter {name} is {getattr(self, name)}, expected > 0")
-
-
-class Switches:
-    """Limit and home switches and the encoder's index, asked at places in shaft counts."""
-
-    def __init__(self, parameters: ServoParameters) -> None:
-        self._p = parameters
-        self._spread = random.Random(parameters.seed + 1)
-        self._off = 0.0  # present deviation of the switching points
-
-    def trip_anew(self) -> None:
-        """Draw the deviation of the switching points anew, as it varies in mechanical switches."""
-        spread = self._p.switch_spread_counts
-        self._off = self._spread.gauss(0.0, spread) if spread else 0.0
-
-    def positive_limit(self, at: float) -> bool:
-        return at >= self._p.positive_limit_counts + self._off
-
-    def negative_limit(self, at: float) -> bool:
-        return at <= self._p.negative_limit_counts + self._off
-
-    def home(self, at: float) -> bool:
-        return at < self._p.home_switch_counts + self._off
-
-    def active(self, sensor: HomingSensor, at: float) -> bool:
-        if sensor is HomingSensor.HOME:
-            return self.home(at)
-        return self.negative_limit(at) if sensor is HomingSensor.NEGATIVE_LIMIT else self.positive_limit(at)
-
-    def edge(self, sensor: HomingSensor) -> float:
-        """Position of the edge of a switch, shaft counts."""
-        p = self._p
-        if sensor is HomingSensor.HOME:
-            return p.home_switch_counts + self._off
-        place = p.negative_limit_counts if sensor is HomingSensor.NEGATIVE_LIMIT else p.positive_limit_counts
-        return place + self._off
-
-    def index_between(self, start: float, end: float) -> float | None:
-        """The first index pulse on the way from start to end, shaft counts; None where there is none."""
-        turn, offset = float(self._p.counts_per_rev), self._p.index_offset_counts
-        if end > start:
-            pulse = math.floor((start - offset) / turn + 1.0) * turn + offset
-            return pulse if pulse <= end else None
-        pulse = math.ceil((start - offset) / turn - 1.0) * turn + offset
-        return pulse if pulse >= end else None

@@ -30,8 +30,13 @@ from sim_backends.clock import SimClock
 from sim_backends.own_table import TableForm
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
-from sim_backends.virtual_faces import VirtualDriveSettings, VirtualParameters, VirtualStream, VirtualTouchProbe
-from sim_backends.virtual_table import VirtualCorrectionTable
+from sim_backends.virtual_faces import (
+    VirtualCorrectionTable,
+    VirtualDriveSettings,
+    VirtualParameters,
+    VirtualStream,
+    VirtualTouchProbe,
+)
 
 __all__ = ["VirtualDrive", "VirtualDriveSettings"]
 
