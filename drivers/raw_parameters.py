@@ -42,7 +42,7 @@ class Pause:
     done: Callable[[], bool] = _never
 
 
-def deaf(_count: int) -> None:
+def no_observer(_count: int) -> None:
     """No observer is registered; progress is dropped."""
 
 
@@ -197,11 +197,11 @@ class RawParameters(ABC):
         """Its present state (CiA-402 terms)."""
 
     @abstractmethod
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         """Read; one Access each, in order. After one without any answer the rest is not tried and carries the same error."""
 
     @abstractmethod
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         """Write in order, up to the first that fails; returns the attempted accesses. Nothing is read back here."""
 
     @abstractmethod

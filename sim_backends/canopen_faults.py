@@ -198,7 +198,7 @@ class FaultLayer:
         if node_function == SDO_ANSWER:
             if self._strikes(_K.SDO_LOST):
                 return
-            data = self._spoil_sdo(data)
+            data = self._alter_sdo(data)
             late = self._strikes(_K.SDO_LATE)
             delay_s = late.fault.size if late is not None else 0.0
         elif node_function in TPDOS:
@@ -218,7 +218,7 @@ class FaultLayer:
             else:
                 self._send(cob_id, data)
 
-    def _spoil_sdo(self, data: bytes) -> bytes:
+    def _alter_sdo(self, data: bytes) -> bytes:
         if self._strikes(_K.SDO_WRONG_INDEX):
             return data[:1] + bytes((data[1] ^ 0x01,)) + data[2:]
         if self._strikes(_K.SDO_GARBAGE):

@@ -27,7 +27,7 @@ def switch_on(laser: SimulatedLaser, axis: FeedAxis, effect: str, size_um: float
     switch(laser, axis, size_um)
 
 
-def _restless_air(axis: FeedAxis, pressure_hpa: float) -> None:
+def _varied_air(axis: FeedAxis, pressure_hpa: float) -> None:
     p = axis.parameters
     ambient = replace(
         p.ambient,
@@ -41,12 +41,12 @@ def _dead_path(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:
     """Size: shift by 5 hPa of air pressure, with the zero set now."""
     path_mm = size_um * 1e-3 / (INDEX_PER_HPA * PRESSURE_CHANGE_HPA)
     laser.configure(replace(laser.parameters, dead_path_mm=laser.parameters.dead_path_mm + path_mm))
-    _restless_air(axis, PRESSURE_CHANGE_HPA)
+    _varied_air(axis, PRESSURE_CHANGE_HPA)
 
 
 def _air_index(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:
     """Size: standard deviation at the end of the travel caused by the varying pressure, for a host that does not compensate."""
-    _restless_air(axis, size_um * 1e-3 / (INDEX_PER_HPA * axis.parameters.length_mm))
+    _varied_air(axis, size_um * 1e-3 / (INDEX_PER_HPA * axis.parameters.length_mm))
 
 
 def _cosine(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:

@@ -16,7 +16,7 @@ from sim_backends.probe import ProbeParameters, SimulatedProbe
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import ServoParameters, SimulatedServo
 
-_PATIENT_NS = 60_000_000_000
+_IDLE_STEP_NS = 60_000_000_000
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ProbeBench:
 
     def watch_probe(self) -> None:
         """From now on the probe follows the machine's position, and every input the contact as the other axes move."""
-        self.clock.attach(self._follow, bearable=lambda _now_ns: _PATIENT_NS)
+        self.clock.attach(self._follow, bearable=lambda _now_ns: _IDLE_STEP_NS)
         self._follow(0, 0.0)
 
     def _follow(self, _now_ns: int, _dt_s: float) -> None:

@@ -16,7 +16,7 @@ Contact = Callable[[int], bool]
 
 
 @dataclass
-class Caught:
+class EdgeLatch:
     """Last latch of one edge of one input. stamp_us: of the drive's clock; count: of all edges, armed or not."""
 
     armed: bool = False
@@ -32,8 +32,8 @@ class ProbeInput:
 
     enabled: bool = False
     continuous: bool = False
-    rising: Caught = field(default_factory=Caught)
-    falling: Caught = field(default_factory=Caught)
+    rising: EdgeLatch = field(default_factory=EdgeLatch)
+    falling: EdgeLatch = field(default_factory=EdgeLatch)
     contact: Contact | None = None
     level: bool = False
     at_counts: int = 0

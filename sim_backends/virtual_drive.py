@@ -41,7 +41,7 @@ from sim_backends.virtual_faces import (
 __all__ = ["VirtualDrive", "VirtualDriveSettings"]
 
 
-_PATIENT_NS = 60_000_000_000  # longest step of the probe's inputs, as of the servo
+_IDLE_STEP_NS = 60_000_000_000  # longest step of the probe's inputs, as of the servo
 _CAPABILITIES = frozenset(Capability) - {Capability.STORE}
 
 
@@ -71,7 +71,7 @@ class VirtualDrive(ServoDrive):
         self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         self.probe = ProbeLatch(servo)
         if isinstance(clock, SimClock):  # after the servo, which is attached before
-            clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _PATIENT_NS)
+            clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _IDLE_STEP_NS)
         self._parameters = VirtualParameters(name, scaling, self.settings)
         self._table = None if table is None else VirtualCorrectionTable(name, table, lambda: servo.powered)
         if self._table is not None:

@@ -24,7 +24,7 @@ from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
 from sim_backends.own_table import OwnTable, TableForm
-from sim_backends.probe_latch import Caught, ProbeLatch
+from sim_backends.probe_latch import EdgeLatch, ProbeLatch
 from sim_backends.servo import Servo
 
 
@@ -52,7 +52,7 @@ class VirtualTouchProbe(TouchProbe):
         caught = self._caught(probe, edge)
         return LatchReading(self._scaling.load_mm(caught.position_counts), caught.stamp_us, caught.count)
 
-    def _caught(self, probe: int, edge: Edge) -> Caught:
+    def _caught(self, probe: int, edge: Edge) -> EdgeLatch:
         found = self._latch.channels[probe - 1]
         return found.rising if edge is Edge.POSITIVE else found.falling
 

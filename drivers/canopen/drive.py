@@ -26,7 +26,7 @@ from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler, exists, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableDrive
-from drivers.canopen.stream import AxesInStep, OneAxisStream
+from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import read_units, readings
 from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
@@ -242,14 +242,14 @@ class CanOpenDrive(StoppableDrive):
     def _stream(self, settings: SetPointSettings) -> OneAxisStream:
         return OneAxisStream(self, settings)
 
-    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> AxesInStep:
+    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> AxesBySync:
         in_step = [self, *(drive for drive in others if isinstance(drive, CanOpenDrive) and drive.link is self.link)]
         if len(in_step) <= len(others):
             names = ", ".join(drive.name for drive in (self, *others))
             raise CapabilityError(
                 f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
             )
-        return AxesInStep(in_step, settings)
+        return AxesBySync(in_step, settings)
 
     # -- storing and restoring -------------------------------------------------------------------------------------------
     @contextmanager

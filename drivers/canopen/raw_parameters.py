@@ -40,7 +40,7 @@ from drivers.raw_parameters import (
     Steps,
     Tell,
     WireTime,
-    deaf,
+    no_observer,
 )
 
 STORE_S = 10.0  # longest time of a drive's store command
@@ -210,7 +210,7 @@ class CanOpenRawParameters(RawParameters):
         word = yield from self._optional(objects.STATUSWORD)
         return DriveState.UNKNOWN if not isinstance(word, int) else decode_state(word)
 
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         accesses: list[Access] = []
         for number, address in enumerate(addresses):
             start_ns = self.clock.now_ns()
@@ -226,7 +226,7 @@ class CanOpenRawParameters(RawParameters):
             tell(1)
         return accesses
 
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         accesses: list[Access] = []
         for address, data in items:
             start_ns = self.clock.now_ns()

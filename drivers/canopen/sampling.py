@@ -55,7 +55,7 @@ class Sampler:
         self.node_id = node.node_id
         self._in_sync = True  # the TPDOs answer SYNC
         self._awaited: set[int] = set()
-        self._spoilt: ProtocolError | None = None  # a TPDO too short, received since the last request
+        self._short_tpdo: ProtocolError | None = None  # a TPDO too short, received since the last request
         self._receivers: dict[int, FrameHandler] = {}
 
     @property
@@ -146,12 +146,12 @@ class Sampler:
 
     def _answered(self, *, send: bool) -> bool:
         """Whether all TPDOs answer one SYNC, sent here or by its owner."""
-        self._awaited, self._spoilt = {spec.cob_id for spec in self.specs}, None
+        self._awaited, self._short_tpdo = {spec.cob_id for spec in self.specs}, None
         if send:
             self._link.send(SYNC, b"")
         answered = self._link.wait(self._complete, self._timeout_s)
-        if self._spoilt is not None:
-            raise self._spoilt
+        if self._short_tpdo is not None:
+            raise self._short_tpdo
         if answered:
             return True
         self.missed += 1
@@ -171,7 +171,7 @@ class Sampler:
         self.heard_ns = self._link.clock.now_ns()
 
     def _complete(self) -> bool:
-        return not self._awaited or self._spoilt is not None
+        return not self._awaited or self._short_tpdo is not None
 
     def _receiver(self, spec: PdoSpec) -> Callable[[int, bytes], None]:
         entries, codec, cob_id = spec.entries, spec.codec, spec.cob_id
@@ -179,7 +179,7 @@ class Sampler:
         def receive(time_ns: int, data: bytes) -> None:
             if len(data) < codec.size:
                 text = f"{self._sdo.name}: {spec} came with {len(data)} bytes, {codec.size} are mapped"
-                self._spoilt = ProtocolError(
+                self._short_tpdo = ProtocolError(
                     text
                 )  # raised in the call that requested the sample, not in one that waits for another frame
                 return

@@ -81,7 +81,7 @@ class FoundNode:
         return None if self.device_type is None else self.device_type & 0xFFFF
 
 
-class _Ear:
+class _FrameSorter:
     """Sorts received frames by the node that probably sent them."""
 
     def __init__(self) -> None:
@@ -104,7 +104,7 @@ class _Ear:
 
 def listen(link: CanLink, duration_s: float) -> list[FoundNode]:
     """Nodes received within `duration_s` seconds, ascending; no frame is sent. Raises LinkLostError."""
-    ear = _Ear()
+    ear = _FrameSorter()
     link.watch(ear)
     try:
         link.wait(lambda: False, duration_s)
@@ -129,7 +129,7 @@ def scan(
     are listed too: a stopped node answers no SDO.
     Raises LinkLostError when the bus does not take a frame, as without any other node to acknowledge it.
     """
-    ear = _Ear()
+    ear = _FrameSorter()
     link.watch(ear)
     wanted = sorted(set(node_ids))
     found: dict[int, FoundNode] = {}

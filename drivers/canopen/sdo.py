@@ -133,7 +133,7 @@ class Running(Generic[T]):
 
     def _finish(self) -> None:
         self.finished = True
-        for frame in self.talk.farewell:
+        for frame in self.talk.closing_frames:
             self.client.transmit(frame)
 
     def fail(self, error: BridgeError) -> None:

@@ -128,7 +128,7 @@ class Conversation:
         self.skipped = 0
         self._awaited: tuple[int, ...] = ()
         self._by_blocks = False
-        self.farewell: Frames = ()  # sent when the generator has ended; not answered
+        self.closing_frames: Frames = ()  # sent when the generator has ended; not answered
 
     def place(self) -> str:
         return f"{self.index:04X}h:{self.subindex:02X}"
@@ -205,7 +205,7 @@ class Conversation:
 
     def fail(self, what: str, code: int) -> NoReturn:
         """Set an abort for the server and raise ProtocolError."""
-        self.farewell = (abort_frame(self.index, self.subindex, code),)
+        self.closing_frames = (abort_frame(self.index, self.subindex, code),)
         raise ProtocolError(f"SDO {self.place()}: {what}")
 
 
@@ -310,7 +310,7 @@ def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LA
         talk.fail("CRC of the block does not match", ABORT_CRC)
     if size is not None and size != len(data):
         talk.fail(f"{len(data)} bytes came, {size} were announced", ABORT_LENGTH)
-    talk.farewell = (bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)),)
+    talk.closing_frames = (bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)),)
     return bytes(data)
 
 

@@ -18,7 +18,7 @@ from drivers.raw_parameters import Line, Pause, Steps
 T = TypeVar("T")
 
 
-class _Resting:
+class _Pausing:
     """Work that pauses."""
 
     def __init__(self, pause: Pause, clock: Clock) -> None:
@@ -75,7 +75,7 @@ class CanLine(Line):
                 results[number] = error
                 return
             if isinstance(step, Pause):
-                turns[number] = _Resting(step, self.link.clock)
+                turns[number] = _Pausing(step, self.link.clock)
                 return
             if not isinstance(step, Running):
                 raise StateError(f"{type(step).__name__} is no work for a CAN bus")

@@ -47,7 +47,7 @@ from drivers.errors import (
 from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 
-__all__ = ["AxesInStep", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings", "SyncSource"]
+__all__ = ["AxesBySync", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings", "SyncSource"]
 
 HEARTBEATS_WATCHED_S = 0.05
 """Interval of the checks of every drive's heartbeat while its feedback comes, s."""
@@ -245,7 +245,7 @@ class CyclicStream:
         if len(values) != len(axes):
             raise InputError(f"{len(values)} values for {len(axes)} drives")
         try:
-            self._heed_stops()
+            self._end_when_stopped()
             for axis, value in zip(axes, values, strict=False):
                 axis.planned = axis.counts_of(value)
             self._exchange()
@@ -282,7 +282,7 @@ class CyclicStream:
             self._missed_in_a_row = 0
         for axis in self._axes:
             link.send_message(axis.message_with(_RUN, axis.planned))
-        self._heed_stops()  # before SYNC: a stop that came just now was sent before the set-point, which would cancel it
+        self._end_when_stopped()  # before SYNC: a stop that came just now was sent before the set-point, which would cancel it
         clock.sleep_until_ns(self._next_sync_ns)
         link.poll()  # late frames belong to the cycle before
         self._begin_cycle()
@@ -299,7 +299,7 @@ class CyclicStream:
         self._account_for_missed(missed)
         for axis in self._axes:
             self.link.send_message(axis.message_with(_RUN, axis.planned))
-        self._heed_stops()
+        self._end_when_stopped()
         if not self.link.wait(lambda: self._sync_count > self._sync_taken, 2.5 * self.settings.period_s):
             self.counters.sync_losses += 1
             raise LinkLostError(f"stream: no SYNC on the bus for {2.5e3 * self.settings.period_s:g} ms")
@@ -330,7 +330,7 @@ class CyclicStream:
             axis.fresh = False
             axis.demand_counts = axis.next_counts
 
-    def _heed_stops(self) -> None:
+    def _end_when_stopped(self) -> None:
         """End the stream when a stop was sent to an axis: no further set-point enables it. Raises StateError."""
         for axis in self._axes:
             if axis.power.stopped:
@@ -459,7 +459,7 @@ class OneAxisStream(_BySync, SetPointStream):
         return self._stream.next_sync_ns
 
 
-class AxesInStep(_BySync, SetPointGroup):
+class AxesBySync(_BySync, SetPointGroup):
     """Set-points to several axes on one bus, all paced by one SYNC."""
 
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:

@@ -111,7 +111,7 @@ class ModbusDrive(ServoDrive):
             self.moves.under_way = None
             self.orders.forget()
             self.way_out.over()
-            self.link.heed(self.unit, self.way_out)
+            self.link.limit_by(self.unit, self.way_out)
             self.access.note(self.map.quick_stop)
             self.sample()
         except BaseException:

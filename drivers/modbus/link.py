@@ -156,7 +156,7 @@ class ModbusLink:
                 self._wire.disconnect()
                 self._wire = None
 
-    def heed(self, unit: int, way_out: WayOut) -> None:
+    def limit_by(self, unit: int, way_out: WayOut) -> None:
         """Limit requests to this unit to the time that is left for shutting it down."""
         self._unit(unit).way_out = way_out
 

@@ -42,7 +42,7 @@ from drivers.raw_parameters import (
     Steps,
     Tell,
     WireTime,
-    deaf,
+    no_observer,
 )
 
 T = TypeVar("T")
@@ -190,7 +190,7 @@ class ModbusRawParameters(RawParameters):
                 return rule.state
         return DriveState.UNKNOWN
 
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         yield from ()
         found: dict[str, Access] = {}
         for request in self._plan(addresses):
@@ -226,7 +226,7 @@ class ModbusRawParameters(RawParameters):
         seconds = self._since_s(start_ns)
         return [Access(name, seconds, _bytes(words[name])) for name in names]
 
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         """Neighbours in one request; where that is refused, one by one, to find the one that is refused."""
         yield from ()
         accesses: list[Access] = []

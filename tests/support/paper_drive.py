@@ -19,7 +19,7 @@ from drivers.raw_parameters import (
     T,
     Tell,
     WireTime,
-    deaf,
+    no_observer,
 )
 from sim_backends.clock import SimClock
 
@@ -143,7 +143,7 @@ class PaperDrive(RawParameters):
             return Access(address, 1e-9 * (self.clock.now_ns() - before_ns), error=error)
         return Access(address, 1e-9 * (self.clock.now_ns() - before_ns), data)
 
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         found = []
         for address in addresses:
             yield None
@@ -157,7 +157,7 @@ class PaperDrive(RawParameters):
             tell(1)
         return found
 
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         found = []
         for address, data in items:
             yield None
