@@ -1,5 +1,5 @@
-"""Drivers talk to real things: servo drives, instruments, sensors.
+"""Drivers for real devices: servo drives, instruments, sensors.
 
-What may go in: the abstractions the rest of the project works against (`drive`, `instrument`), what they share
-(`errors`, `clock`, `scaling`, `toml_types`, `toml_schema`), and one folder per wire. Nothing here knows of `hil` or of `sim_backends`.
+The loose modules hold what the rest of the project works against (`drive`, `instrument`) and what the wires share (`errors`, `clock`,
+`scaling`, `toml_types`, `toml_schema`); each wire has a folder of its own. No module here imports `hil` or `sim_backends`.
 """

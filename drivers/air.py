@@ -1,4 +1,4 @@
-"""Refractive index of air, by which a laser interferometer's wavelength is shorter than in vacuum.
+"""Refractive index of air; a laser interferometer's wavelength is shorter by it than in vacuum.
 
 Modified Edlén equation: K. P. Birch and M. J. Downs, Metrologia 30 (1993) 155 with the corrections of Metrologia 31 (1994) 315, in
 the form of NIST's engineering metrology toolbox; saturation vapour pressure over water by the IAPWS formulation it names.
@@ -18,7 +18,7 @@ HELIUM_NEON_VACUUM_NM = 632.9912  # two-frequency laser heads; a plain stabilise
 
 
 def saturation_vapour_pressure_pa(temperature_c: Quantity) -> Quantity:
-    """Over liquid water, IAPWS-IF97 region 4, for 0 to 100 °C."""
+    """Saturation vapour pressure over liquid water in Pa, for 0 to 100 °C (IAPWS-IF97, region 4). Float or array, shape kept."""
     t = temperature_c + 273.15
     omega = t - 2.38555575678e-01 / (t - 6.50175348448e02)
     a = omega * omega + 1.16705214528e03 * omega - 7.24213167032e05
@@ -30,7 +30,7 @@ def saturation_vapour_pressure_pa(temperature_c: Quantity) -> Quantity:
 
 
 def check_air(temperature_c: float, pressure_hpa: float, humidity_percent: float) -> None:
-    """Raises InputError for air that no workshop has."""
+    """Raise InputError for air outside −10…50 °C, 500…1200 hPa, 0…100 % relative humidity."""
     for name, value, low, high in (
         ("air temperature", temperature_c, -10.0, 50.0),
         ("air pressure", pressure_hpa, 500.0, 1200.0),
@@ -46,7 +46,7 @@ def refractive_index(
     humidity_percent: float,
     vacuum_wavelength_nm: float = HELIUM_NEON_VACUUM_NM,
 ) -> float:
-    """n of air with 450 ppm CO₂. Raises InputError outside −10…50 °C, 500…1200 hPa, 0…100 %."""
+    """Phase index n of air with 450 ppm CO₂ from °C, hPa, % and nm. Raises InputError outside −10…50 °C, 500…1200 hPa, 0…100 %."""
     check_air(temperature_c, pressure_hpa, humidity_percent)
     return 1.0 + refractivity(temperature_c, pressure_hpa, humidity_percent, vacuum_wavelength_nm)
 
@@ -57,7 +57,7 @@ def refractivity(
     humidity_percent: Quantity,
     vacuum_wavelength_nm: float = HELIUM_NEON_VACUUM_NM,
 ) -> Quantity:
-    """n − 1, shape of the inputs, which are not checked."""
+    """n − 1 from °C, hPa, % and nm; floats or arrays, shape of the inputs. The inputs are not checked: see `check_air`."""
     s = (1000.0 / vacuum_wavelength_nm) ** 2  # µm⁻²
     standard = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
     pressure_pa = 100.0 * pressure_hpa

@@ -1,7 +1,7 @@
-"""Time as something one is given, never something one looks up.
+"""Clock: the time base of every wait and time-out, handed to each object that waits.
 
-Every wait and every time-out of the project goes through a `Clock`, so that the same procedure runs on a machine in real
-time and on the bench as fast as the processor allows (`sim_backends.clock` advances the plant instead of waiting).
+The same procedure so runs on a machine in real time and on the bench as fast as the processor allows (`sim_backends.clock` advances
+the simulated machine instead of waiting).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ IO_SLICE_S = 0.005
 
 
 class Clock(ABC):
-    """A monotonic clock in nanoseconds; its zero means nothing."""
+    """A monotonic clock in nanoseconds; its zero is arbitrary."""
 
     @abstractmethod
     def now_ns(self) -> int:
@@ -33,15 +33,15 @@ class Clock(ABC):
 
     @abstractmethod
     def check_interrupt(self) -> None:
-        """Raise whatever ends the present wait (the operator's stop). Called at least every `IO_SLICE_S` while input or output blocks.
+        """Raise the error that ends the present wait (the operator's stop). Called at least every `IO_SLICE_S` while I/O blocks.
 
-        A clock that nobody can interrupt does nothing here.
+        A clock without an operator does nothing here.
         """
 
     def side_by_side(self, works: Sequence[Callable[[], None]]) -> Sequence[Callable[[], None]]:
-        """These works on this clock, each for a thread of its own; all of the threads have to be started.
+        """The same calls, wrapped so that each can run in a thread of its own on this clock; all of the threads have to be started.
 
-        A clock whose time passes by itself gives them back as they are.
+        A clock in real time returns them unchanged.
         """
         return works
 
@@ -51,17 +51,17 @@ class Clock(ABC):
 
 
 class Waiting(Protocol):
-    """How time really passes for whoever waits on a clock; here somebody else can end the wait, by an error raised in the waiter."""
+    """How real time passes while a clock waits. An implementation ends the wait by raising an error in the waiting thread."""
 
     def real(self, duration_s: float) -> None:
-        """Let this much real time pass (0.0: only look whether the wait is to end)."""
+        """Let this much real time pass, s (0.0: only check whether the wait is to end)."""
 
     def simulated(self, now_ns: int) -> None:
-        """Simulated time has come to `now_ns`: hold it back for as long as it should last."""
+        """Simulated time has reached `now_ns`: block for as long as it should last in real time."""
 
 
 class WallClock(Clock):
-    """Real time."""
+    """Real time (`time.monotonic_ns`). waiting: used instead of `time.sleep`, so that a wait can be interrupted."""
 
     def __init__(self, waiting: Waiting | None = None) -> None:
         self._waiting = waiting
@@ -81,7 +81,7 @@ class WallClock(Clock):
 
 
 class Deadline:
-    """A moment by which something must have happened."""
+    """A moment by which a wait must have ended. end_ns: in the clock's time, ns."""
 
     def __init__(self, clock: Clock, end_ns: int) -> None:
         self._clock = clock

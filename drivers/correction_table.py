@@ -1,8 +1,8 @@
 """CorrectionTable: the table by which a drive corrects its axis itself, whatever wire it is on.
 
-What may go in: what such a table is (units, nodes, interpolation, directions, sign), its contents as the drive keeps them, and the one
-face to read, write and switch it. Everything here is raw and in the drive's frame: positions count as motor counts do, and the curve
-`plus` is for rising ones. What a table means at the load is the business of whoever computes tables.
+Describes such a table (units, nodes, interpolation, directions, sign) and its contents, and reads, writes and switches it. All values
+are raw and in the drive's frame: positions count as motor counts do, and the curve `plus` is for rising counts. Values at the load are
+converted by `hil.drive_table`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from drivers.scaling import AxisScaling
 from drivers.toml_types import Limits, SchemaError, Text, one_of
 
 UNITS = ("counts", "rev", "um", "mm")
-"""What positions and values may be kept in: of the encoder, revolutions of the motor, or travel of the load."""
+"""Allowed units of positions and values: encoder counts, motor revolutions, or travel of the load."""
 
 COLUMNS = ("plus", "minus", "position")
 
@@ -27,37 +27,37 @@ _UM_PER_MM = 1000.0
 
 
 class Nodes(Enum):
-    """Where the values stand."""
+    """How the positions of the nodes are given."""
 
-    EQUIDISTANT = "equidistant"  # an origin and a step
-    EXPLICIT = "explicit"  # a position for each
+    EQUIDISTANT = "equidistant"  # by an origin and a step
+    EXPLICIT = "explicit"  # by a position for each node
 
 
 class Interpolation(Enum):
-    """What holds between two nodes."""
+    """The value between two nodes."""
 
     LINEAR = "linear"
-    STEP = "step"  # the value of the node before, counted upwards in the drive's frame
+    STEP = "step"  # the value of the lower node, in the drive's frame
 
 
 class Outside(Enum):
-    """What holds beyond the first and the last node."""
+    """The value beyond the first and the last node."""
 
     HOLD = "hold"  # the value at the end
     ZERO = "zero"
 
 
 class Directions(Enum):
-    """What the drive keeps of the two directions."""
+    """What the table holds for the two directions of motion."""
 
     BOTH = "both"  # a curve for each
-    BACKLASH = "backlash"  # the curve for rising counts, and an amount less for falling ones
+    BACKLASH = "backlash"  # the curve for rising counts, and an amount to subtract for falling ones
     ONE = "one"  # one curve, whatever the direction
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Whole numbers as the drive keeps them: raw · scale is the value in `unit`; raw from low to high."""
+    """The number format of positions or values: raw · scale is the value in `unit`; raw lies within low…high."""
 
     unit: str
     scale: float
@@ -65,7 +65,7 @@ class Quantity:
     high: int
 
     def um(self, scaling: AxisScaling) -> float:
-        """Travel of the load that one raw step stands for, µm, in the drive's frame. Raises InputError for an unknown unit."""
+        """Load travel of one raw step, µm, in the drive's frame. Raises InputError for a unit not in `UNITS`."""
         per_unit = {
             "counts": _UM_PER_MM / scaling.counts_per_load_mm,
             "rev": _UM_PER_MM / scaling.counts_per_load_mm * scaling.encoder_counts_per_motor_rev,
@@ -79,11 +79,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class TableDescription:
-    """What a drive's table is like.
+    """The properties of a drive's table.
 
-    points: the most it holds. sign: 1 where a positive value is added to what the drive is told, -1 where it is subtracted.
-    step: of equidistant nodes; backlash: the amount of Directions.BACKLASH. wears: each change goes into a memory that bears only so
-    many writes. shows_applied: the drive tells what it adds at present.
+    points: the largest number it holds. sign: 1 where a positive value is added to the commanded position, -1 where it is subtracted.
+    step: of equidistant nodes; backlash: the amount of Directions.BACKLASH. wears: each change is written to a memory with a limited
+    number of write cycles. shows_applied: the drive reports the value that it adds at present.
     """
 
     name: str
@@ -101,7 +101,7 @@ class TableDescription:
     shows_applied: bool = False
 
     def check(self, table: RawTable) -> None:
-        """Raise InputError for contents that such a table cannot hold; an empty one can always be held."""
+        """Raise InputError for contents that such a table cannot hold; an empty table is always accepted."""
         count = len(table.plus)
         if count > self.points:
             raise InputError(f"{self.name} holds {self.points} points, {count} were to be written")
@@ -176,7 +176,7 @@ class TableHead:
 
 @dataclass(frozen=True)
 class RawTable:
-    """The contents, raw, as many points as are in use. position: of explicit nodes; origin and step: of equidistant ones."""
+    """The contents, raw, one value per point in use. position: of explicit nodes; origin and step: of equidistant ones."""
 
     plus: tuple[int, ...] = ()
     minus: tuple[int, ...] = ()
@@ -187,26 +187,26 @@ class RawTable:
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """Where the values stand, raw, ascending."""
+        """Positions of the nodes, raw, ascending."""
         return self.position or tuple(self.origin + index * self.step for index in range(len(self.plus)))
 
 
 class CorrectionTable(ABC):
-    """The table of one open drive. All of it raises what access to a parameter raises."""
+    """The table of one open drive. Its methods raise what reading or writing a parameter raises (`drivers.parameters`)."""
 
     drive: str
     description: TableDescription
 
     @abstractmethod
     def read(self) -> RawTable:
-        """What the drive holds now."""
+        """The contents that the drive holds now."""
 
     def changes_left(self) -> int | None:
-        """How many changes the memory of its contents is still allowed; None where writing does not wear it."""
+        """How many changes the memory of the contents still allows; None where writing does not wear it."""
         return None
 
     def write(self, table: RawTable, present: RawTable | None = None) -> None:
-        """Write what differs from `present`, everything without it. Does not read back: whoever writes a table does.
+        """Write what differs from `present`, everything without it. Does not read back: the caller does.
 
         Raises InputError, before anything is written, for what the table cannot hold.
         """
@@ -218,10 +218,10 @@ class CorrectionTable(ABC):
 
     @abstractmethod
     def enabled(self) -> bool:
-        """Whether the drive corrects by it, asked now. Raises ProtocolError for a switch that is neither on nor off."""
+        """Whether the drive applies the table, read now. Raises ProtocolError for a switch value that is neither on nor off."""
 
     def switch(self, on: bool) -> None:
-        """Switch it on or off, and read back. Raises ProtocolError when it stands otherwise."""
+        """Switch the table on or off and read the switch back. Raises ProtocolError when it reads otherwise."""
         if self.enabled() is on:
             return
         self._switch(on)
@@ -234,5 +234,5 @@ class CorrectionTable(ABC):
     def _switch(self, on: bool) -> None: ...
 
     def applied(self) -> int | None:
-        """What the drive adds at present, raw in the table's value unit and sign; None where it does not tell."""
+        """The value that the drive adds at present, raw in the table's value unit and sign; None where it does not report it."""
         return None

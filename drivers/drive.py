@@ -1,9 +1,9 @@
-"""ServoDrive: the one abstraction of a drive that moves one axis.
+"""ServoDrive: the abstraction of a drive that moves one axis.
 
 Backends (CANopen, Modbus, the in-process virtual drive) implement the underscored methods; the public ones check limits and
 states first, so that no backend can move an axis outside its limits or enable it unsafely. All calls are synchronous and
-short: a motion is *started*, and whoever started it watches samples (see `hil.machine.supervisor`). Positions are load mm as
-the motor encoder sees them (`scaling` converts); what the table really did only an instrument can tell.
+short: a motion is *started*, and the caller watches its samples (see `hil.machine.supervisor`). Positions are load mm as the motor
+encoder sees them (`scaling` converts); where the table is, only an instrument measures.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from drivers.touch_probe import TouchProbe
 from drivers.undo import undo_all
 
 _LONGEST_LOOK_S = 0.1
-"""Looks at a velocity run further apart than this, s, do not make the next one as late: a script may have slept."""
+"""Longest time between two samples of a velocity run, s, that counts as the next sample's delay: a script may have slept."""
 
 
 class DriveState(Enum):
-    """What the power stage does, in the terms of CiA-402; every backend maps its own states onto these."""
+    """State of the power stage in CiA-402 terms (IEC 61800-7-201); every backend maps its own states onto these."""
 
-    UNKNOWN = "unknown"  # nothing heard yet
+    UNKNOWN = "unknown"  # no statusword received yet
     NOT_READY = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
     READY = "ready to switch on"
@@ -44,7 +44,7 @@ class DriveState(Enum):
 
 
 class Capability(Enum):
-    """What a drive may or may not be able to do; asked before moving, so that a refusal comes before motion."""
+    """What a drive may or may not be able to do; checked before motion, so that a refusal comes before motion."""
 
     PROFILE_POSITION = "profile position"
     PROFILE_VELOCITY = "profile velocity"
@@ -58,7 +58,7 @@ class Capability(Enum):
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What the axis file allows; a target outside is refused, never clipped. mm, mm/s, mm/s²."""
+    """The limits of the axis file; a target outside is refused, never clipped. mm, mm/s, mm/s²."""
 
     travel_min_mm: Number
     travel_max_mm: Number
@@ -66,7 +66,7 @@ class DriveLimits:
     max_acceleration_mm_s2: Positive
 
     def check_target(self, position_load_mm: float) -> None:
-        """Raise LimitError unless the position lies within the travel (NaN lies nowhere)."""
+        """Raise LimitError unless the position, mm, lies within the travel; NaN is refused."""
         if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
             raise LimitError(
                 f"target {position_load_mm:.6f} mm is outside the travel"
@@ -74,12 +74,12 @@ class DriveLimits:
             )
 
     def check_velocity(self, velocity_mm_s: float) -> None:
-        """Raise LimitError unless 0 < velocity <= max."""
+        """Raise LimitError unless 0 < velocity <= max, mm/s."""
         if not 0 < velocity_mm_s <= self.max_velocity_mm_s:
             raise LimitError(f"velocity {velocity_mm_s:g} mm/s, allowed is 0 < v <= {self.max_velocity_mm_s:g} mm/s")
 
     def can_stop_inside(self, position_load_mm: float, velocity_mm_s: float) -> bool:
-        """Whether an axis with this (signed) velocity can still be brought to rest within the travel."""
+        """Whether an axis at this position (mm) and signed velocity (mm/s) can brake to rest within the travel."""
         braking_mm = velocity_mm_s * abs(velocity_mm_s) / (2.0 * self.max_acceleration_mm_s2)
         return self.travel_min_mm <= position_load_mm + braking_mm <= self.travel_max_mm
 
@@ -88,8 +88,9 @@ class DriveLimits:
 class DriveSample:
     """One reading of the drive. What a backend cannot tell is None, never a made-up zero.
 
-    time_ns is the clock's time when the values were received; `age_ns` is what a user checks before trusting them.
-    limited: the drive says that a limit of its own is active (CiA-402: internal limit), such as a software limit of the position.
+    time_ns: the clock's time at which the values were received; check `age_ns` before using them.
+    limited: the drive reports that a limit of its own is active (CiA-402: statusword bit 11, internal limit), such as a software
+    limit.
     """
 
     time_ns: int
@@ -109,10 +110,10 @@ class DriveSample:
 
 @dataclass(frozen=True)
 class DriveZero:
-    """What the zero of a drive's positions rests on, as far as the drive can tell; what it cannot tell is None.
+    """The origin of a drive's positions, as far as the drive reports it; what it does not report is None.
 
-    method: of its next homing, the number of 6098h (negative ones are the maker's); home_position_mm: what the home position is
-    called (607Ch), load mm; identity: who it is, plain values by name
+    method: of its next homing, the number of 6098h (negative numbers are the manufacturer's); home_position_mm: the position assigned
+    to the home position (607Ch), load mm; identity: of the device, plain values by name
     """
 
     method: int | None = None
@@ -121,11 +122,11 @@ class DriveZero:
 
 
 class ServoDrive(ABC):
-    """One axis's drive. notes: what `open` found worth telling an engineer, one sentence each.
+    """One axis's drive. notes: findings of `open` for an engineer, one sentence each.
 
-    corrected_outside: whoever commands it adds a correction of its own at present; its own table is then not switched on.
-    on_look: hears each sample that whoever watches the axis has looked at. before_homing: asked before any homing, which it refuses by
-    raising. destination_load_mm: where the last profile move leads.
+    corrected_outside: the caller adds a correction to the set-points at present; the drive's own table is then not switched on.
+    on_look: called with each sample that the supervising code has taken. before_homing: called before any homing; refuses it by
+    raising. destination_load_mm: target of the last profile move, load mm.
     falls_without_power: gravity can move the axis and no brake holds it; its power is taken off only once it was seen at rest.
     """
 
@@ -135,7 +136,7 @@ class ServoDrive(ABC):
     on_look: Callable[[DriveSample], None] | None = None
     before_homing: Callable[[], None] | None = None
     destination_load_mm: float | None = None
-    _watched_ns = 0  # when a velocity run was looked at last
+    _watched_ns = 0  # time of the last sample of a velocity run
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
         self.name = name
@@ -143,24 +144,24 @@ class ServoDrive(ABC):
         self.limits = limits
         self.clock = clock
 
-    # -- leaving together with others ----------------------------------------------------------------------------------
+    # -- shutting down together with other axes ------------------------------------------------------------------------
     @property
     def way_out_s(self) -> float:
-        """Within which it is stopped, disabled and put back at most where it does not answer, s; 0.0 where nothing is waited for."""
+        """Longest time in which it is stopped, disabled and put back where it does not answer, s; 0.0 for a drive without a wire."""
         return 0.0
 
     def share_way_out(self, time: SharedTime) -> None:
-        """It leaves together with other axes: what dead ones use up of this time is taken off its own."""
+        """Shut down together with other axes: the time that drives without an answer use up is taken off this one's."""
         del time
 
     # -- connection ------------------------------------------------------------------------------------------------
     @abstractmethod
     def open(self) -> None:
-        """Connect and read what is needed; moves nothing, enables nothing, writes no motion parameter."""
+        """Connect and read what is needed; moves nothing, enables nothing, writes no motion parameter. Raises TransportError."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the wire; never raises for a link that is already dead. An enabled axis is disabled first."""
+        """Release the wire; never raises for a link that is already lost. An enabled axis is disabled first."""
 
     def __enter__(self) -> Self:
         self.open()
@@ -172,10 +173,10 @@ class ServoDrive(ABC):
     @property
     @abstractmethod
     def capabilities(self) -> frozenset[Capability]:
-        """What this drive can do."""
+        """What this drive supports."""
 
     def require(self, *capabilities: Capability) -> None:
-        """Raise CapabilityError naming what is missing."""
+        """Raise CapabilityError naming the capabilities that are missing."""
         missing = [capability.value for capability in capabilities if capability not in self.capabilities]
         if missing:
             raise CapabilityError(f"drive {self.name} cannot do: {', '.join(missing)}")
@@ -183,28 +184,28 @@ class ServoDrive(ABC):
     # -- reading ---------------------------------------------------------------------------------------------------
     @abstractmethod
     def sample(self) -> DriveSample:
-        """A fresh sample, asked for now."""
+        """A fresh sample, requested now."""
 
     def complaints(self) -> tuple[str, ...]:
-        """What the drive said by itself beside its samples: a warning, its last emergency. Nothing is asked for it.
+        """Messages of the drive beside its samples: a warning, its last emergency. No request is sent.
 
-        A backend whose drive has a word for such things overrides this.
+        A backend whose drive reports such things overrides this.
         """
         return ()
 
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
-        """What the drive itself says of its units, asked now: each way in which it may be meant, the likeliest first.
+        """The units that the drive itself reports, read now: each possible interpretation, the likeliest first.
 
-        Raises as reading a parameter does. A backend whose drive has a word for them overrides this.
+        Raises as reading a parameter does. A backend whose drive reports them overrides this.
         """
         return ()
 
     def zero(self) -> DriveZero:
-        """What the zero rests on, read now. Raises as reading a parameter does. A backend that can tell overrides this."""
+        """The origin of the positions, read now. Raises as reading a parameter does. A backend that can read it overrides this."""
         return DriveZero()
 
     def says_homed(self) -> bool | None:
-        """Whether the drive has a zero from an earlier homing and has kept it; None where it cannot tell. Moves nothing.
+        """Whether the drive still has a zero from an earlier homing; None where it does not report that. Moves nothing.
 
         For an axis that is not enabled: a backend may change the mode of operation to ask.
         """
@@ -214,7 +215,7 @@ class ServoDrive(ABC):
     def enable(self) -> None:
         """Target := actual position, then power on, until ENABLED.
 
-        Raises DriveFaultError from a fault state: a fault is reset by its own call and by someone's decision.
+        Raises DriveFaultError in a fault state: only `reset_fault` resets a fault.
         """
         state = self.sample()
         if state.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
@@ -232,15 +233,15 @@ class ServoDrive(ABC):
 
     @abstractmethod
     def quick_stop(self) -> None:
-        """Decelerate as fast as the drive is set up to: `send_stop`, then see it confirmed. Works, as far as the wire allows, from
-        any state. Raises what the wire raises when no confirmation came; the stop was sent all the same.
+        """Decelerate as fast as the drive is set up to: `send_stop`, then wait for the confirmation. Works, as far as the wire allows,
+        in any state. Raises TransportError or RemoteError when no confirmation came; the stop was sent all the same.
         """
 
     @abstractmethod
     def send_stop(self) -> None:
-        """The quick stop by the fastest frames that the wire has, without waiting for an answer. Never raises.
+        """Send the quick stop by the fastest frames of the wire, without waiting for an answer. Never raises.
 
-        For any thread and for a signal handler: it takes no lock for which another thread could make it wait.
+        For any thread and for a signal handler: it takes no lock that another thread may hold while it waits.
         """
 
     @abstractmethod
@@ -249,7 +250,8 @@ class ServoDrive(ABC):
 
     # -- motion ----------------------------------------------------------------------------------------------------
     def start_homing(self) -> None:
-        """Start the drive's own homing; `sample().homed` tells when it is done. Raises what `before_homing` raises, before motion."""
+        """Start the drive's own homing; `sample().homed` turns True when it is done. Raises what `before_homing` raises, before
+        motion."""
         self.require(Capability.HOMING)
         self._require_enabled("home")
         if self.before_homing is not None:
@@ -260,7 +262,7 @@ class ServoDrive(ABC):
     def _start_homing(self) -> None: ...
 
     def start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
-        """Start a profile move to an absolute position; returns once the drive has acknowledged the set-point.
+        """Start a profile move to an absolute position (mm, mm/s); returns once the drive has acknowledged the set-point.
 
         Raises LimitError outside the limits, StateError unless enabled. `sample().target_reached` turns False before this
         returns and True again when the move is over.
@@ -272,7 +274,7 @@ class ServoDrive(ABC):
         self.destination_load_mm = position_load_mm
 
     def looked_at(self, sample: DriveSample) -> None:
-        """Whoever watches the axis has looked at this sample."""
+        """To be called with each sample by the code that supervises the axis."""
         if self.on_look is not None:
             self.on_look(sample)
 
@@ -280,9 +282,9 @@ class ServoDrive(ABC):
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None: ...
 
     def start_velocity(self, velocity_mm_s: float) -> None:
-        """Run at a signed velocity until told otherwise; 0 stops and stays enabled. `start_move` ends it as well.
+        """Run at a signed velocity, mm/s, until the next order; 0 stops and stays enabled. `start_move` ends it as well.
 
-        There is no target, so whoever starts a run has to go on sampling: a sample that finds the braking distance at the end of the
+        There is no target, so the caller has to go on sampling: a sample that finds the braking distance at the end of the
         travel quick-stops the axis and raises LimitError. Raises LimitError for a speed above the limit or a direction that leads
         out of the travel, StateError unless enabled, CapabilityError.
         """
@@ -299,7 +301,7 @@ class ServoDrive(ABC):
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.PROFILE_VELOCITY.value}")
 
     def stream(self, settings: SetPointSettings) -> SetPointStream:
-        """Set-points at a fixed period instead of moves: a context manager around the enabled axis. Raises CapabilityError.
+        """Set-points at a fixed period: a context manager around the enabled axis. Raises CapabilityError.
 
         InputError, on entering it, for a period that the drive or its wire cannot keep.
         """
@@ -310,8 +312,8 @@ class ServoDrive(ABC):
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value}")
 
     def stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> SetPointGroup:
-        """The same for this drive and others of its kind, in the same periods: axes that move together. Raises CapabilityError, also
-        for drives that no common clock could pace."""
+        """Set-points for this drive and others of its kind in the same periods: axes that move together. Raises CapabilityError, also
+        for drives that no common clock can pace."""
         for drive in (self, *others):
             drive.require(Capability.STREAMING)
         return self._stream_with(others, settings)
@@ -321,9 +323,9 @@ class ServoDrive(ABC):
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value} of several axes")
 
     def _watch_travel(self, position_load_mm: float, velocity_mm_s: float | None) -> None:
-        """For a backend whose sample finds a velocity run under way: stop it while it can still stop within the travel.
+        """For a backend whose sample finds a velocity run in progress: stop it while it can still stop within the travel.
 
-        The next look may come as late as this one did, so the axis has to be able to stop from where it will be then.
+        The next sample may come as late as this one did, so the axis has to be able to stop from where it will be then.
         """
         now_ns, before_ns = self.clock.now_ns(), self._watched_ns
         self._watched_ns = now_ns
@@ -349,9 +351,9 @@ class ServoDrive(ABC):
             raise StateError(f"drive {self.name} cannot {verb}: it is {sample.state.value}")
         return sample
 
-    # -- what stands beside the motion -----------------------------------------------------------------------------------
+    # -- touch probe, parameters, correction table -----------------------------------------------------------------------
     def touch_probe(self) -> TouchProbe:
-        """The drive's touch-probe function; it remembers what was fetched, so make one and keep it. Raises CapabilityError."""
+        """The drive's touch-probe function. It keeps the last latch: make one and keep it. Raises CapabilityError."""
         self.require(Capability.TOUCH_PROBE)
         return self._touch_probe()
 
@@ -365,14 +367,14 @@ class ServoDrive(ABC):
 
     @property
     def correction_table(self) -> CorrectionTable | None:
-        """The table by which the open drive corrects its axis itself; None where it holds none, or none was described."""
+        """The table by which the open drive corrects its axis itself; None where it has none, or no map describes it."""
         return None
 
     # -- waiting, for backends and simple scripts --------------------------------------------------------------------
     def wait_for(
         self, condition: Callable[[DriveSample], bool], timeout_s: float, what: str, *, poll_s: float = 0.01
     ) -> DriveSample:
-        """Sample every `poll_s` until the condition holds; MotionTimeoutError naming `what` after `timeout_s`."""
+        """Sample every `poll_s` seconds until the condition holds. Raises MotionTimeoutError naming `what` after `timeout_s`."""
         deadline = self.clock.deadline(timeout_s)
         while True:
             sample = self.sample()

@@ -1,25 +1,25 @@
-"""One tree of errors; the branch says whose fault it is.
+"""The project's errors as one tree; the branch says which side failed.
 
     BridgeError
-    ├── TransportError        the wire: nobody answered, the port is gone
+    ├── TransportError        the wire: no answer, or the port is gone
     │   ├── NoAnswerError         a request was not answered in time (it may or may not have been carried out)
     │   └── LinkLostError         the bus or port itself went away, or a heartbeat stopped
-    ├── RemoteError           the device answered, and said no
+    ├── RemoteError           the device answered with a refusal
     │   ├── AbortError            a parameter access was refused (SDO abort, Modbus exception)
     │   ├── DriveFaultError       the drive is in a fault state
     │   └── ProtocolError         the device answered something that its protocol does not allow
-    ├── LocalError            us, or what we were given
+    ├── LocalError            this program, or what it was given
     │   ├── InputError            a file or an argument is wrong; carries place, value and what was expected
     │   ├── CapabilityError       this drive or instrument cannot do what was asked
     │   └── StateError            a call that does not fit the present state (moving while not enabled)
-    ├── UndoError             several steps failed while things were put back; its line names each
+    ├── UndoError             several steps failed while settings were put back; its line names each
     └── SafetyError           motion was refused or stopped
         ├── LimitError            a target or speed outside the axis file's limits
         ├── CorrectionBoundError  a correction larger or steeper than the axis file allows
         ├── MotionTimeoutError    a motion did not end in its time
         ├── FollowingErrorError   the axis is not where it was told to be
         ├── OverspeedError        the axis ran faster than it was told to
-        ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest, and is held instead of being disabled
+        ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest; it stays under power instead of being disabled
         └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
 
 Callers catch the branch they can do something about; `hil.app.terminal` turns each into one line on stderr.
@@ -35,7 +35,7 @@ class BridgeError(Exception):
 
 
 class TransportError(BridgeError):
-    """The wire."""
+    """The wire failed."""
 
 
 class NoAnswerError(TransportError):
@@ -47,7 +47,7 @@ class LinkLostError(TransportError):
 
 
 class RemoteError(BridgeError):
-    """The device answered, and said no."""
+    """The device answered with a refusal."""
 
 
 class AbortError(RemoteError):
@@ -74,7 +74,7 @@ class ProtocolError(RemoteError):
 
 
 class LocalError(BridgeError):
-    """Us, or what we were given."""
+    """This program failed, or what it was given is wrong."""
 
 
 class InputError(LocalError):
@@ -100,7 +100,7 @@ class StateError(LocalError):
 
 
 class UndoError(BridgeError):
-    """Several steps failed while things were put back; `errors` are those of the steps, the most dangerous first."""
+    """Several steps failed while settings were put back; `errors` are those of the steps, the most dangerous first."""
 
     def __init__(self, message: str, errors: tuple[BridgeError, ...]) -> None:
         super().__init__(message)
@@ -116,11 +116,11 @@ class LimitError(SafetyError):
 
 
 class CorrectionBoundError(SafetyError):
-    """A correction is larger, or changes more per mm, than the axis file allows; it is not used."""
+    """A correction is larger (µm), or changes more per mm, than the axis file allows; it is not used."""
 
 
 class UnprovenError(SafetyError):
-    """Runs with a correction in force do not show what it was computed from; it is not used."""
+    """Runs with a correction in force do not show the improvement that it was computed for; it is not used."""
 
 
 class MotionTimeoutError(SafetyError):
@@ -128,15 +128,15 @@ class MotionTimeoutError(SafetyError):
 
 
 class FollowingErrorError(SafetyError):
-    """The axis is not where it was told to be."""
+    """The axis is further from its set-point than allowed."""
 
 
 class OverspeedError(SafetyError):
-    """The axis ran faster than it was told to."""
+    """The axis ran faster than commanded."""
 
 
 class HeldUnderPowerError(SafetyError):
-    """An axis that gravity can move was not shown at rest; without a brake it is held by its drive, and stays under power."""
+    """An axis that gravity can move was not shown at rest; having no brake, it is held by its drive and stays under power."""
 
 
 class MeasurementLostError(SafetyError):

@@ -1,8 +1,8 @@
-"""DistanceInstrument: what measures the table itself, and the environment sensors beside it.
+"""DistanceInstrument: measures the position of the table itself, with the environment sensors beside it.
 
-An instrument is *polled*: `poll()` returns whatever arrived since the last call, without waiting, so one thread can watch
-drive and instrument together and no reading is ever waited for while an axis moves unwatched. Every reading carries its status
-and the time it arrived; a reading without a good status has no position.
+An instrument is *polled*: `poll()` returns the readings that have arrived since the last call and never waits, so that one thread can
+watch drive and instrument together. Every reading carries its status and its time of arrival; a reading without a good status has no
+position.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class Reading:
     """One reading of the displacement.
 
     position_mm is in the instrument's own frame (its zero, its direction) and None unless the status is GOOD;
-    sequence counts the instrument's samples, and lost_before how many are missing just before this one.
-    time_ns: when it was here; since_ns: it was taken no earlier than then (the look or the request before it), None where time_ns
-    is exact. How long bytes wait in a serial port nobody looks at, no instrument tells, so both travel with the value.
+    sequence counts the instrument's samples, and lost_before is the number missing just before this one.
+    time_ns: arrival; since_ns: the earliest possible time of the sample (the poll or the request before it), None where time_ns
+    is exact. How long bytes wait in a serial port that is not polled, no instrument reports, so both bounds travel with the value.
     """
 
     time_ns: int
@@ -40,19 +40,19 @@ class Reading:
 
     @property
     def earliest_ns(self) -> int:
-        """The earliest moment at which it can have been taken."""
+        """The earliest time at which the sample can have been taken, ns."""
         return self.time_ns if self.since_ns is None else self.since_ns
 
     def age_ns(self, now_ns: int) -> int:
-        """How old the value is at most."""
+        """Largest possible age of the value at `now_ns`, ns."""
         return now_ns - self.earliest_ns
 
 
 @dataclass(frozen=True)
 class Environment:
-    """The latest of every environment channel; None is 'never heard', a place is what the axis file calls it.
+    """The latest value of every environment channel; None: never received. A place is what the axis file calls it.
 
-    beside: what else the instrument measures with the position, such as the table's angles, by the name of its record column
+    beside: quantities measured together with the position, such as the table's angles, by the name of its record column
     """
 
     time_ns: int
@@ -68,31 +68,31 @@ class DistanceInstrument(ABC):
 
     name: str
     numbers_samples = False
-    """`Reading.sequence` is the instrument's own and goes on from one connection to the next for as long as it has power."""
+    """Whether `Reading.sequence` is the instrument's own counter, which goes on from one connection to the next while it has power."""
     answers_when_asked = False
-    """Each look brings one reading at most, asked for by the look before: it wants to be looked at often."""
+    """Whether each poll brings one reading at most, requested by the poll before: such an instrument has to be polled often."""
 
     @abstractmethod
     def open(self) -> None:
-        """Connect. Does not change the instrument's zero."""
+        """Connect. Does not change the instrument's zero. Raises LinkLostError."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go; never raises for a link that is already dead."""
+        """Disconnect; never raises for a link that is already lost."""
 
     @abstractmethod
     def poll(self) -> Sequence[Reading]:
         """All readings that arrived since the last call, oldest first; empty when none did. Never waits.
 
-        Raises LinkLostError when the port is gone. Looking again may find it plugged in again.
+        Raises LinkLostError when the port is gone. A later call may find it plugged in again.
         """
 
-    def acknowledge_loss(self) -> None:  # noqa: B027 - most instruments have nothing to forget
-        """After a lost signal, give positions again; their zero may be a new one."""
+    def acknowledge_loss(self) -> None:  # noqa: B027 - most instruments latch no loss
+        """After a lost signal, allow positions again; their zero may be a new one."""
 
     @abstractmethod
     def environment(self) -> Environment:
-        """The latest environment values heard, possibly none."""
+        """The latest environment values received; None where there are none."""
 
     @property
     @abstractmethod

@@ -1,7 +1,7 @@
-"""A drive and its instrument, recorded together as a procedure moves and reads them: one file that `machine_replay` plays again.
+"""Recording of a drive and its instrument together, while a procedure moves and reads them: one file that `machine_replay` plays back.
 
-CSV, a row for each look (and each reading in it) and for each order, in the order of time: `order` counts the orders given so far,
-`kind` is 1 for a row that gives a move, 2 homing, 0 for a look. Moves and homing are recorded; a recorded drive streams nothing.
+CSV, one row for each look (one per reading in it) and one for each order, in time order: `order` counts the orders given so far,
+`kind` is 1 for a row of a move, 2 of a homing, 0 of a look. Moves and homing are recorded; a recorded drive streams nothing.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from drivers.instrument import DistanceInstrument, Environment, Reading, Reading
 
 LOOK, MOVE, HOME = 0, 1, 2
 STATES, STATUSES = tuple(DriveState), tuple(ReadingStatus)
-"""What the numbers in the columns `state` and `status` stand for."""
+"""The codes of the columns `state` and `status`."""
 ORDER = ("time_s", "order", "kind", "ordered_mm", "ordered_mm_s")
 DRIVE = ("state", "motor_mm", "reached", "homed", "torque_percent")
 INSTRUMENT = ("status", "laser_mm", "rate_hz", "air_temp_c", "air_pressure_hpa", "air_humidity_percent")
 
 
 class MachineRecorder:
-    """The file. places: of the instrument's thermometers, a column temp_<place>_c each; beside: columns of what else it measures.
+    """The file. places: of the instrument's thermometers, a column temp_<place>_c (°C) each; beside: columns of its other quantities.
 
-    Raises InputError for a file that is there.
+    Raises InputError for a file that exists already or cannot be written.
     """
 
     def __init__(self, path: Path, clock: Clock, places: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
@@ -51,18 +51,18 @@ class MachineRecorder:
         self._file.close()
 
     def sampled(self, sample: DriveSample) -> None:
-        """What the drive said; it goes into the rows that follow."""
+        """Keep the drive's sample; it goes into the rows that follow."""
         self._sample = sample
 
     def ordered(self, kind: int, position_mm: float, velocity_mm_s: float, give: Callable[[], None]) -> None:
-        """Give an order: a row for it, and one for when the drive had taken it."""
+        """Give an order (mm, mm/s): a row before it, and one once the drive has taken it."""
         self._order += 1
         self._write({"kind": kind, "ordered_mm": position_mm, "ordered_mm_s": velocity_mm_s})
         give()
         self._write({"kind": LOOK})
 
     def looked(self, readings: Sequence[Reading], rate_hz: float | None, environment: Environment) -> None:
-        """What the instrument sent since the last look."""
+        """Write the readings that the instrument sent since the last look, one row each."""
         air = {
             "rate_hz": rate_hz,
             "air_temp_c": environment.air_temp_c,
@@ -101,7 +101,7 @@ def _cell(value: float | None) -> str:
 
 
 class RecordedDrive(ServoDrive):
-    """An open drive that is recorded. Orders and states are the drive's own; what is not recorded is refused."""
+    """An open drive that is recorded. Orders and states are passed to the drive; what cannot be recorded raises CapabilityError."""
 
     def __init__(self, drive: ServoDrive, recorder: MachineRecorder) -> None:
         super().__init__(drive.name, drive.scaling, drive.limits, drive.clock)
@@ -121,7 +121,7 @@ class RecordedDrive(ServoDrive):
 
     @property
     def correction_table(self) -> CorrectionTable | None:
-        """The drive's own, so that it is refused to correct twice; what is asked of it is not recorded."""
+        """The drive's own table, so that a second correction is refused; access to it is not recorded."""
         return self._drive.correction_table
 
     def sample(self) -> DriveSample:
@@ -130,7 +130,7 @@ class RecordedDrive(ServoDrive):
         return sample
 
     def zero(self) -> DriveZero:
-        """The drive's own; what is asked of it is not recorded."""
+        """The drive's own zero; reading it is not recorded."""
         return self._drive.zero()
 
     def says_homed(self) -> bool | None:

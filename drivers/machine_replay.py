@@ -1,7 +1,7 @@
-"""A recording of `machine_recording` played as drive and instrument together: a procedure made again on what was measured once.
+"""Playback of a recording of `machine_recording` as drive and instrument together: a procedure repeated on a recorded measurement.
 
-The recording is cut at its orders. An order must be the one that was given then, and starts its stretch; within it, looks find what
-was found at that time after the order. A procedure that asks for something else than was recorded is told so: nothing is made up.
+The recording is cut at its orders. An order must equal the recorded one, and starts its stretch; within it, looks return what
+was recorded at that time after the order. An order that was not recorded raises StateError: nothing is made up.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SAME_MM = 1e-6
 
 
 class MachineReplay:
-    """Where the playing stands; shared by drive and instrument."""
+    """The playback position, shared by drive and instrument. Raises InputError for a file that is no such recording."""
 
     def __init__(self, recording: Recording, clock: Clock) -> None:
         missing = [name for name in (*ORDER, *DRIVE, *INSTRUMENT) if name not in recording.columns]
@@ -35,16 +35,16 @@ class MachineReplay:
         self._start_ns = clock.now_ns()
 
     def start(self) -> None:
-        """From the beginning, now."""
+        """Play from the beginning, now."""
         self._stretch, self._start_ns = 0, self.clock.now_ns()
 
     @property
     def first_row(self) -> int:
-        """Of the stretch being played."""
+        """First row of the stretch being played."""
         return self._starts[self._stretch]
 
     def rows_until_now(self) -> int:
-        """One more than the last row of the stretch that has been played."""
+        """One more than the last row of the stretch that has been played by now."""
         first, end = self._starts[self._stretch : self._stretch + 2]
         times = self.columns["time_s"]
         now_s = (
@@ -53,12 +53,12 @@ class MachineReplay:
         return bisect_right(times, now_s, first, end)
 
     def time_ns(self, row: int) -> int:
-        """When a row of this stretch is played."""
+        """The clock's time at which a row of this stretch is played, ns."""
         times = self.columns["time_s"]
         return self._start_ns + round((times[row] - times[self.first_row]) * NS_PER_S)
 
     def order(self, kind: int, position_mm: float) -> None:
-        """Go on to the next stretch, if that is what began it; returns when the order had been taken. Raises StateError."""
+        """Go on to the next stretch (position in mm); returns once the order had been taken. Raises StateError for another order."""
         if self._stretch + 2 >= len(self._starts):
             raise StateError("the recording ends here: no order comes after the last one")
         row = self._starts[self._stretch + 1]
@@ -74,7 +74,7 @@ class MachineReplay:
 
 
 class ReplayDrive(ServoDrive):
-    """The drive of a recording."""
+    """The drive of a recording. A move or homing other than the recorded one raises StateError."""
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, replay: MachineReplay) -> None:
         super().__init__(name, scaling, limits, replay.clock)
@@ -103,7 +103,7 @@ class ReplayDrive(ServoDrive):
             self.clock.now_ns(),
             state,
             columns["motor_mm"][row],
-            # the row of an order still holds the sample from before it
+            # the row of an order holds the sample from before it
             target_reached=bool(columns["reached"][row] == 1) and columns["kind"][row] == 0,
             torque_percent=None if isnan(torque) else torque,
             homed=None if isnan(homed) else homed == 1,
@@ -122,7 +122,7 @@ class ReplayDrive(ServoDrive):
         self._enabled = False
 
     def reset_fault(self) -> None:
-        """A recorded fault stays."""
+        """Does nothing: a recorded fault stays."""
 
     def _start_homing(self) -> None:
         self._replay.order(HOME, nan)
@@ -132,7 +132,7 @@ class ReplayDrive(ServoDrive):
 
 
 class ReplayedInstrument(DistanceInstrument):
-    """The instrument of a recording, beside its drive."""
+    """The instrument of a recording, to be used with its drive."""
 
     name = "replay"
 
@@ -147,7 +147,7 @@ class ReplayedInstrument(DistanceInstrument):
         self._next = 0
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Does nothing: no file is kept open."""
 
     def poll(self) -> list[Reading]:
         end = self._replay.rows_until_now()

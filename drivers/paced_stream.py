@@ -1,7 +1,7 @@
 """PacedStream: a stream of set-points that the host paces by its clock, for wires without a SYNC.
 
-What may go in: the supervision that such a wire needs - missed cycles, steps that are too long, state, following error. How a
-set-point reaches the drive is the backend's.
+Holds the supervision that such a wire needs: missed cycles, steps that are too long, state, following error. A backend
+implements how a set-point reaches the drive.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from drivers.undo import undo_all
 
 
 class PacedStream(SetPointStream):
-    """A stream that the host paces by its clock, over whatever `_begin`, `_send` and `_end` do."""
+    """A stream paced by the host's clock; a backend implements `_begin`, `_send` and `_end`."""
 
     def __init__(self, drive: ServoDrive, settings: SetPointSettings) -> None:
         self.drive = drive
@@ -36,7 +36,7 @@ class PacedStream(SetPointStream):
         self._missed = 0
         self._missed_in_a_row = 0
         self._period_ns = round(settings.period_s * NS_PER_S)
-        self._due_ns = 0  # when the next set-point is due
+        self._due_ns = 0  # time of the next set-point
         self._found = 0, math.nan
         self._begun = False
         self._last_mm = self._before_mm = 0.0
@@ -69,7 +69,7 @@ class PacedStream(SetPointStream):
             self.end()
 
     def end(self) -> None:
-        """Clean leaving. An axis that was stopped stays so; one that cannot be put back is stopped."""
+        """Leave without an error. A stopped axis stays stopped; one that cannot be put back is stopped."""
         running, self.running = self.running, False
         if not running:
             return
@@ -90,13 +90,13 @@ class PacedStream(SetPointStream):
             raise
 
     def give(self, position_load_mm: float) -> None:
-        """The first half of a cycle: the set-point, checked before, is with the drive."""
+        """First half of a cycle: send a set-point (load mm) that `check` has accepted. Raises as `SetPointStream.cycle`."""
         self._account_for_lateness()
         self._send(position_load_mm)
         self._before_mm, self._last_mm = self._last_mm, position_load_mm
 
     def settle(self) -> float:
-        """The second half: judge how the axis follows, wait for the set-point's time."""
+        """Second half of a cycle: check the following error, wait until the set-point's time; the axis's position, load mm."""
         sample = self.drive.sample()
         self._found = sample.time_ns, sample.position_load_mm
         self._judge(sample, self._before_mm, self._last_mm)
@@ -104,7 +104,7 @@ class PacedStream(SetPointStream):
         return sample.position_load_mm
 
     def check(self, position_load_mm: float) -> None:
-        """Before a set-point is given: the stream runs, and the step is allowed."""
+        """Raise StateError unless the stream runs, LimitError for a position outside the travel (mm) or a step that is too long."""
         if not self.running:
             raise StateError("the stream is not running")
         limits, period_s = self.drive.limits, self.settings.period_s
@@ -117,10 +117,10 @@ class PacedStream(SetPointStream):
             )
 
     def _account_for_lateness(self) -> None:
-        """The time of the next set-point; what lies whole periods behind was missed."""
+        """Advance the time of the next set-point; whole periods that lie behind count as missed cycles."""
         now_ns = self.drive.clock.now_ns()
         if not self._begun:
-            self._begun, self._due_ns = True, now_ns  # time runs from the first set-point on
+            self._begun, self._due_ns = True, now_ns  # the first set-point is the zero of time
         missed = max(0, now_ns - self._due_ns) // self._period_ns
         self._due_ns += (missed + 1) * self._period_ns
         self._missed += missed
@@ -145,18 +145,19 @@ class PacedStream(SetPointStream):
 
     @abstractmethod
     def _begin(self) -> DriveSample:
-        """Bring the enabled drive into its streaming mode without moving it; where it stands. Raises StateError unless enabled."""
+        """Bring the enabled drive into its streaming mode without moving it; its sample. Raises StateError unless enabled."""
 
     @abstractmethod
     def _send(self, position_load_mm: float) -> None: ...
 
     @abstractmethod
     def _end(self) -> None:
-        """Hold the axis where it is, in the mode for profile moves."""
+        """Hold the axis where it is, and return to the mode for profile moves."""
 
 
 def stop_all(streams: Sequence[PacedStream], error: BaseException) -> None:
-    """Quick-stop the axes whose streams run: the stop leaves to all before any is waited for. What fails is added to the error."""
+    """Quick-stop the axes whose streams run: all stops are sent before any confirmation is waited for. Failures become notes of the
+    error."""
     running = [stream for stream in streams if stream.running]
     for stream in running:
         stream.running = False
@@ -165,10 +166,10 @@ def stop_all(streams: Sequence[PacedStream], error: BaseException) -> None:
 
 
 class PacedGroup(SetPointGroup):
-    """Several axes by the host's clock: all set-points of a cycle are checked before the first is sent."""
+    """Several axes paced by the host's clock: all set-points of a cycle are checked before the first is sent."""
 
     def __init__(self, drives: Sequence[ServoDrive], settings: SetPointSettings) -> None:
-        """Raises CapabilityError for a drive that is paced otherwise."""
+        """Raises CapabilityError for a drive that is not paced by the host's clock."""
         self._streams: list[PacedStream] = []
         for drive in drives:
             stream = drive.stream(settings)

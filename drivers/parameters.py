@@ -1,7 +1,7 @@
 """DriveParameters: a drive's own parameters by name, whatever wire it is on.
 
-Values are in the drive's own units, and `describe` says which. What moves the axis is no parameter: targets, modes and commands are
-refused. Whole sets (snapshot, all or nothing, audit) are built on top of this.
+Values are in the drive's own units, and `describe` names them. Objects that move the axis are no parameters: targets, modes and
+commands are refused. Whole sets (snapshot, all-or-nothing transaction, audit) are built by `hil.parameters`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ ParameterValue = int | float | str | bytes
 
 
 class ParameterKind(Enum):
-    """What a parameter's value is."""
+    """The type of a parameter's value."""
 
     INTEGER = "whole number"
     NUMBER = "number"
@@ -25,9 +25,9 @@ class ParameterKind(Enum):
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """What is known of a parameter. low and high: what it may be, in its unit, its type's range at most; None is unlimited.
+    """Description of a parameter. low and high: allowed range in its unit, its type's range at most; None is unlimited.
 
-    wears: each change goes into a memory that bears only so many writes.
+    wears: each change is written to a memory with a limited number of write cycles.
     """
 
     name: str
@@ -41,25 +41,25 @@ class ParameterInfo:
 
 
 class DriveParameters(ABC):
-    """Parameter access of one open drive."""
+    """Parameter access of one open drive. Raises NoAnswerError and LinkLostError from every access."""
 
     @property
     @abstractmethod
     def names(self) -> Sequence[str]:
-        """Every parameter that can be read."""
+        """Names of all parameters that can be read."""
 
     @abstractmethod
     def describe(self, name: str) -> ParameterInfo:
-        """Raises InputError for a name that the drive does not have, as the others do."""
+        """The description of a parameter. It and the methods below raise InputError for a name that the drive does not have."""
 
     @abstractmethod
     def read(self, name: str) -> ParameterValue:
-        """The present value. Raises AbortError, NoAnswerError, ProtocolError."""
+        """The present value in the drive's unit. Raises AbortError, NoAnswerError, ProtocolError."""
 
     @abstractmethod
     def write(self, name: str, value: ParameterValue) -> bool:
-        """Check, write, read back; False when the drive held the value already and was not written to.
+        """Check, write, read back; False when the drive held the value already and nothing was written.
 
-        Raises InputError for what does not fit type or limits, CapabilityError for what is read only or moves the axis, AbortError
-        when the drive refuses, ProtocolError when it took the value but shows another.
+        Raises InputError for a value outside type or limits, CapabilityError for a parameter that is read only or moves the axis,
+        AbortError when the drive refuses, ProtocolError when it took the value but reads back another.
         """

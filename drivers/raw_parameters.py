@@ -1,8 +1,9 @@
-"""RawParameters: a drive's parameters as the bytes that stand on its wire, for whoever handles whole sets of them.
+"""RawParameters: a drive's parameters as the bytes on its wire, for code that handles whole sets of them.
 
-`DriveParameters` is the face for one parameter by name. This one is for hundreds, on several drives at a time: work on a drive is a
-generator that hands its line one transfer after another, so that the line can serve other drives while this one thinks. Nothing here
-decides what is to be written; it says what a parameter is, why it may not be written, what the drive shows, and what that costs.
+`DriveParameters` accesses one parameter by name. This interface serves hundreds, on several drives at a time: work on a drive is a
+generator that yields one transfer after another, so that the line serves other drives while this drive prepares its answer. It reports
+what a parameter is, why it may not be written, its present bytes, and what an access costs; which ones to write is the caller's
+decision.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from drivers.parameters import ParameterInfo, ParameterValue
 
 T = TypeVar("T")
 Steps = Generator[object, None, T]
-"""Work on one drive. It yields `Pause`s, which every line knows, or what its own line carries out; `Line.run` returns its result."""
+"""Work on one drive. It yields `Pause`s, which every line carries out, or steps of its own kind of line; `Line.run` returns its
+result."""
 
 Tell = Callable[[int], None]
-"""tell(n): n more accesses are through."""
+"""tell(n): n more accesses are done."""
 
 RawForm = int | str
-"""A raw value as a person reads it: a whole number where the type is one, else the bytes as hexadecimal digits."""
+"""A raw value as text for a person: a whole number where the type is one, else the bytes as hexadecimal digits."""
 
 
 def _never() -> bool:
@@ -34,21 +36,21 @@ def _never() -> bool:
 
 @dataclass(frozen=True)
 class Pause:
-    """A step of work that lets time pass, while the line serves its other drives: `duration_s` at most, less once `done()`."""
+    """A step of work that lets time pass while the line serves its other drives: at most `duration_s`, until `done()`."""
 
     duration_s: float
     done: Callable[[], bool] = _never
 
 
-def deaf(_count: int) -> None:
-    """Nobody wants to be told."""
+def no_observer(_count: int) -> None:
+    """No observer is registered; progress is dropped."""
 
 
 @dataclass(frozen=True)
 class RawParameter:
-    """One parameter. address: where it stands ("2210h:01", or a register's name); type: as the drive's own file names it.
+    """One parameter. address: its place ("2210h:01", or a register's name); type: as the drive's own file names it.
 
-    refusal: why it is never written as a parameter (read only, moves the axis, …), None for one that is the user's.
+    refusal: why it is never written as a parameter (read only, moves the axis, …), None for one that the user may write.
     """
 
     address: str
@@ -59,7 +61,7 @@ class RawParameter:
 
 @dataclass(frozen=True)
 class Access:
-    """One access that was tried: what the drive showed (None after a write), how long its answer took, or why there is none."""
+    """One attempted access: the bytes read (None after a write), how long the answer took, or the error."""
 
     address: str
     seconds: float
@@ -69,7 +71,8 @@ class Access:
 
 @dataclass(frozen=True)
 class DriveIdentity:
-    """Who a drive says it is. model: a set for one never goes into another; version: what a set may not survive; unit: this one."""
+    """The identity that a drive reports. model: a set is never loaded into another model; version: of hardware and firmware, in which
+    a set may lose its meaning; unit: this device."""
 
     protocol: str
     model: Mapping[str, int | str] = field(default_factory=dict)
@@ -79,9 +82,9 @@ class DriveIdentity:
 
 @dataclass(frozen=True)
 class WireTime:
-    """What accesses cost. frames and bits on the bus (Modbus: characters as bits), seconds the bus is busy, answers the drive gives.
+    """The cost of accesses: frames and bits on the bus (Modbus: characters as bits), seconds the bus is busy, number of answers.
 
-    least and most: without stuffing and with the worst; likely: with the values that are known beforehand.
+    least and most: without stuffing and with the worst stuffing; likely: with the values that are known beforehand.
     """
 
     frames: int = 0
@@ -112,13 +115,13 @@ class WireTime:
 
 
 class Line(ABC):
-    """What one or several drives hang on."""
+    """The bus or serial line of one or several drives."""
 
     @abstractmethod
     def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
-        """Run work on *different* drives side by side, as far as the wire allows; in its place, the result of each or its BridgeError.
+        """Run work on *different* drives side by side, as far as the wire allows; returns, in order, each result or its BridgeError.
 
-        Other exceptions end all of it and are raised.
+        Any other exception ends all of it and is raised.
         """
 
 
@@ -132,19 +135,19 @@ class RawParameters(ABC):
     line: Line
     clock: Clock
 
-    # -- what there is; no I/O -----------------------------------------------------------------------------------------
+    # -- description; no I/O -------------------------------------------------------------------------------------------
     @property
     @abstractmethod
     def entries(self) -> Mapping[str, RawParameter]:
-        """All that can be read, by address, in the drive's order."""
+        """All parameters that can be read, by address, in the drive's order."""
 
     def find(self, address: str) -> RawParameter | None:
-        """The parameter at an address, None for one that the drive does not have."""
+        """The parameter at an address, None where the drive has none."""
         return self.entries.get(address)
 
     @abstractmethod
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
-        """A value in its unit -> bytes. Raises InputError for what does not fit the type; limits are `objection`'s."""
+        """A value in its unit -> bytes. Raises InputError for a value outside the type; `objection` checks the limits."""
 
     @abstractmethod
     def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
@@ -152,7 +155,7 @@ class RawParameters(ABC):
 
     @abstractmethod
     def from_raw(self, entry: RawParameter, raw: RawForm) -> bytes:
-        """A raw value -> bytes. Raises InputError."""
+        """A raw value -> bytes. Raises InputError for one that is not of the type."""
 
     @abstractmethod
     def to_raw(self, entry: RawParameter, data: bytes) -> RawForm:
@@ -163,71 +166,71 @@ class RawParameters(ABC):
         """Why these bytes may not be written there (no parameter, type, limits, wear), None when they may."""
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
-        """Whether what the drive shows is what was meant."""
+        """Whether the bytes shown by the drive equal the bytes meant."""
         del entry
         return shown == meant
 
     def rank(self, address: str) -> int:
-        """What has to be written first has the lower rank (units before values in them)."""
+        """Order of writing: the lower rank first (units before values that are given in them)."""
         del address
         return 0
 
     @property
     def limit_pairs(self) -> Sequence[tuple[str, str]]:
-        """Addresses (lowest, highest) of limits that drives refuse to have crossed."""
+        """Addresses (lowest, highest) of pairs of limits; drives refuse a write that makes the lowest exceed the highest."""
         return ()
 
     @abstractmethod
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
-        """What reading these (with what they will show, as far as one can guess) and writing those costs on a free bus.
+        """The cost on a free bus of reading these (with the bytes that they will probably show) and writing those.
 
-        The drive's own time is not in it: it comes on top for each of `answers`.
+        The drive's own processing time is not included: it is added for each of `answers`.
         """
 
     # -- on the wire -----------------------------------------------------------------------------------------------------
     @abstractmethod
     def identify(self) -> Steps[DriveIdentity]:
-        """Who it is."""
+        """The identity that the drive reports."""
 
     @abstractmethod
     def state(self) -> Steps[DriveState]:
-        """Its present state."""
+        """Its present state (CiA-402 terms)."""
 
     @abstractmethod
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
-        """Read; one Access each, in order. What is not answered at all ends the rest, which then carries the same error."""
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
+        """Read; one Access each, in order. After one without any answer the rest is not tried and carries the same error."""
 
     @abstractmethod
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
-        """Write in order, up to the first that fails: the accesses that were tried. Nothing is read back here."""
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
+        """Write in order, up to the first that fails; returns the attempted accesses. Nothing is read back here."""
 
     @abstractmethod
     def objection_to_store(self) -> Steps[str | None]:
-        """Why it cannot be told to keep its parameters, None when it can."""
+        """Why the drive cannot store its parameters on command, None when it can."""
 
     @abstractmethod
     def store(self) -> Steps[None]:
-        """Have it keep its parameters, targets being made harmless before. Raises CapabilityError, StateError."""
+        """Have the drive store its parameters; its targets are made harmless before. Raises CapabilityError, StateError."""
 
     @abstractmethod
     def load_defaults(self) -> Steps[None]:
-        """Factory defaults, in force after its next start. Raises CapabilityError."""
+        """Restore factory defaults, in force after its next start. Raises CapabilityError."""
 
     @abstractmethod
     def restart(self) -> Steps[None]:
-        """Start it anew as a power cycle would. Raises CapabilityError where only its supply can."""
+        """Restart it as a power cycle would. Raises CapabilityError where only switching its supply can."""
 
     @property
     def restarts(self) -> int:
-        """How often it was heard to start; 0 for good where it says nothing of it."""
+        """Number of its starts that were received; always 0 where the drive does not announce them."""
         return 0
 
     @property
     def hears_restarts(self) -> bool:
-        """Whether a start of the drive would be heard."""
+        """Whether a start of the drive would be noticed."""
         return False
 
     @property
     def gone(self) -> bool:
-        """Whether our own end of the line is known to be lost, so that trying again makes no sense."""
+        """Whether this program's end of the line is known to be lost, so that retrying is useless."""
         return False

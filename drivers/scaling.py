@@ -1,4 +1,4 @@
-"""The only place where motor counts become millimetres at the load, and back.
+"""AxisScaling: conversion between motor counts and millimetres at the load. No other module converts them.
 
 Frames: *motor counts* are the position units the drive speaks on its wire (6064h, 607Ah); *load mm* is the nominal position of
 the table, without any correction, in the axis's own direction.
@@ -66,9 +66,10 @@ class AxisScaling:
 
 @dataclass(frozen=True)
 class ReportedScaling:
-    """What a drive itself says of its units, exact; None where it has no word for it.
+    """The units that a drive reports of itself, exact fractions; None where it has no object for it.
 
-    position_units_per_shaft_rev: what its wire counts per revolution of the driving shaft, where it states that apart from the encoder
+    position_units_per_shaft_rev: position units per revolution of the driving shaft, where the drive states them apart from the
+    encoder
     """
 
     encoder_counts_per_motor_rev: Fraction | None = None
@@ -78,7 +79,7 @@ class ReportedScaling:
 
     @property
     def counts_per_shaft_rev(self) -> Fraction | None:
-        """What the wire counts per revolution of the driving shaft."""
+        """Position units per revolution of the driving shaft."""
         if self.position_units_per_shaft_rev is not None:
             return self.position_units_per_shaft_rev
         counts, gear = self.encoder_counts_per_motor_rev, self.motor_revs_per_shaft_rev
@@ -86,6 +87,6 @@ class ReportedScaling:
 
     @property
     def counts_per_load_mm(self) -> Fraction | None:
-        """What the wire counts per mm of load travel."""
+        """Position units per mm of load travel."""
         counts, feed = self.counts_per_shaft_rev, self.feed_mm_per_shaft_rev
         return None if counts is None or feed is None else counts / feed

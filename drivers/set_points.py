@@ -1,6 +1,6 @@
 """SetPointStream: set-points to one axis, one per period, whatever wire it is on; SetPointGroup: to several in the same periods.
 
-`drivers.paced_stream` is what wires without a SYNC build theirs from; on CANopen `drivers.canopen.stream` paces several axes at once.
+`drivers.paced_stream` builds them for wires without a SYNC; on CANopen `drivers.canopen.stream` paces several axes at once.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from drivers.errors import InputError
 
 @dataclass(frozen=True)
 class SetPointSettings:
-    """period_s: one set-point each. following_error_mm: largest allowed distance between a position and the set-point before it.
+    """period_s: one set-point each, s. following_error_mm: largest allowed distance between a position and the set-point before it,
+    mm.
 
-    missed_limit: so many periods in a row may pass without a set-point before the stream is stopped.
+    missed_limit: number of consecutive periods without a set-point after which the stream is stopped.
     """
 
     period_s: float
@@ -31,7 +32,7 @@ class SetPointSettings:
 
 
 class SetPoints(ABC):
-    """A context manager around enabled axes, one or several; leaving it holds them, enabled, an error quick-stops them all."""
+    """A context manager around enabled axes, one or several. Leaving it holds them, enabled; an error quick-stops them all."""
 
     @abstractmethod
     def __enter__(self) -> Self: ...
@@ -44,15 +45,15 @@ class SetPoints(ABC):
     @property
     @abstractmethod
     def missed_cycles(self) -> int:
-        """Periods that went by without a new set-point for an axis."""
+        """Number of periods without a new set-point for an axis."""
 
 
 class SetPointStream(SetPoints):
-    """To one axis."""
+    """Set-points to one axis."""
 
     @abstractmethod
     def cycle(self, position_load_mm: float) -> float:
-        """Give one set-point, wait for its time; the axis's position (load mm) as it was in this cycle, see `found`.
+        """Give one set-point, load mm, and wait until its time; the axis's position (load mm) in this cycle, see `found`.
 
         Raises LimitError before anything is sent, SafetyError (cycles missed), FollowingErrorError, DriveFaultError, StateError,
         TransportError - each with the axis quick-stopped.
@@ -66,15 +67,15 @@ class SetPointStream(SetPoints):
     @property
     @abstractmethod
     def found(self) -> tuple[int, float]:
-        """Where the last `cycle` found the axis, load mm, and the clock's time when it was there, as well as the wire can tell."""
+        """(clock's time in ns, load mm) of the axis in the last `cycle`, as exactly as the wire can tell."""
 
 
 class SetPointGroup(SetPoints):
-    """To several axes that move together."""
+    """Set-points to several axes that move together."""
 
     @abstractmethod
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
-        """Give every axis its set-point, wait for their time; the axes' positions (load mm) as they were in this cycle.
+        """Give every axis its set-point (load mm, one per axis), wait until their time; the axes' positions (load mm) in this cycle.
 
         Raises as `SetPointStream.cycle`, with all axes quick-stopped.
         """

@@ -1,4 +1,4 @@
-"""SharedTime: one time in which all axes that leave together are stopped, disabled and put back, whichever of them are dead."""
+"""SharedTime: one time limit for stopping, disabling and putting back several axes together, whichever of them do not answer."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from drivers.clock import NS_PER_S, Clock
 
 
 class SharedTime:
-    """Runs from the first step that fails: axes that answer have the time they need. budget_s: the longest of theirs."""
+    """Runs from the first step that fails; axes that answer are not limited. budget_s: the longest of the axes' limits, s."""
 
     def __init__(self, clock: Clock, budget_s: float) -> None:
         self._clock = clock
@@ -15,12 +15,12 @@ class SharedTime:
         self._unanswered_s = 0.0
 
     def failed(self, began_ns: int) -> None:
-        """A step of one of them, begun at this moment, was of no avail."""
+        """A step of one axis, begun at this time (ns), has failed."""
         if self._since_ns is None:
             self._since_ns = began_ns
 
     def unanswered(self, waited_s: float) -> None:
-        """So much real time went to a request that was not answered, which a simulated clock does not show."""
+        """A request was not answered for this much real time, s, which a simulated clock does not show."""
         self._unanswered_s += waited_s
 
     def left_s(self) -> float:

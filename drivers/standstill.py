@@ -1,4 +1,4 @@
-"""Standstill: whether an axis stands, and whether what is shown of it is alive, judged from looks in a row, on any wire."""
+"""Standstill: judges from successive samples whether an axis is at rest, and whether its values still change, on any wire."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from collections.abc import Sequence
 from drivers.clock import NS_PER_S
 
 STILL_S = 0.2
-"""An axis whose positions have agreed for so long stands, whatever its drive shows, s. One that shows arrivals has done so by then."""
+"""An axis whose positions agree for this long is at rest, whatever its drive shows, s. A drive that shows arrivals has done so by
+then."""
 AGREED_S = 0.02
-"""The same where a velocity of 0 is shown by a drive that has no word for arrival, s: it may be stuck."""
+"""The same where a drive without an arrival status shows a velocity of 0, s: its value may be stuck."""
 STILL_MM = 0.005
-"""Positions of an axis at rest lie within this, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
+"""Window of the positions of an axis at rest, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
 STILL_MM_S = 0.5
-"""The velocity shown by an axis at rest stays below this, mm/s: noise of an encoder of 0.5 µm, differentiated over 1 ms."""
+"""The velocity shown by an axis at rest is below this, mm/s: noise of an encoder of 0.5 µm, differentiated over 1 ms."""
 
 
 FROZEN_S = 1.0
-"""A drive that has shown one position and one velocity for so long, the velocity above `STILL_MM_S`, shows neither, s."""
+"""Values are frozen when a drive shows one position and one velocity above `STILL_MM_S` for this long, s."""
 
 
 class FrozenValues:
-    """Whether a drive's values have ceased to be of its axis, judged from looks in a row at one that was told to move."""
+    """Detects frozen values of a drive from successive samples of an axis that was ordered to move."""
 
     def __init__(self) -> None:
         self._shown: tuple[float, float] | None = None
@@ -32,7 +33,8 @@ class FrozenValues:
         self._shown = None
 
     def look(self, time_ns: int, position_mm: float, velocity_mm_s: float | None) -> bool:
-        """True once they contradict each other: it is said to move, and does not."""
+        """True once position (mm) and velocity (mm/s) contradict each other: the drive shows a velocity and its position does not
+        change."""
         if velocity_mm_s is None or Standstill.is_slow(velocity_mm_s):
             self._shown = None
             return False
@@ -42,11 +44,11 @@ class FrozenValues:
 
 
 class Standstill:
-    """count_mm: what the drive tells apart; an encoder at rest may stand between two counts.
+    """Standstill of one axis. count_mm: resolution of the drive, mm; an encoder at rest may alternate between two counts.
 
-    An arrival that is shown counts once two looks agree with it. Positions count by themselves when they stay within a window, and
-    within a wider one where the velocity is low all the time. A velocity in other units, or an arrival that a drive forgets or shows
-    late, is thus not relied on by itself.
+    An arrival shown by the drive counts once two samples agree with it. Positions count by themselves when they stay within a
+    window, and within a wider one where the velocity is low all the time. A velocity in other units, or an arrival that a drive
+    forgets or shows late, is thus never the only evidence.
     """
 
     def __init__(self, count_mm: float) -> None:
@@ -55,7 +57,7 @@ class Standstill:
 
     @staticmethod
     def is_slow(velocity_mm_s: float) -> bool:
-        """A velocity that an axis at rest may show."""
+        """Whether an axis at rest may show this velocity, mm/s."""
         return abs(velocity_mm_s) <= STILL_MM_S
 
     def look(
@@ -67,8 +69,8 @@ class Standstill:
         reached: bool | None = None,
         still_s: float = STILL_S,
     ) -> bool:
-        """True when it stands. velocity_mm_s: None where none is shown. reached: the drive shows its arrival, None where it has no
-        word for that; still_s: for how long positions have to agree where they are the only evidence."""
+        """True when the axis is at rest (ns, mm, mm/s). velocity_mm_s: None where none is shown. reached: the drive's arrival status,
+        None where it has none; still_s: for how long positions have to agree where they are the only evidence, s."""
         looks = self._looks
         looks.append((time_ns, position_mm, velocity_mm_s))
         while len(looks) > 2 and time_ns - looks[1][0] >= still_s * NS_PER_S:
@@ -84,13 +86,13 @@ class Standstill:
         return spans and all(v is not None and self.is_slow(v) for _, _, v in looks) and self._agree(list(looks))
 
     def _stays(self, for_s: float) -> bool:
-        """The positions of the last for_s lie within the window."""
+        """Whether the positions of the last for_s seconds lie within the window."""
         since_ns = self._looks[-1][0] - for_s * NS_PER_S
         before = [index for index, (time_ns, _, _) in enumerate(self._looks) if time_ns <= since_ns]
         return bool(before) and _spread(list(self._looks)[before[-1] :]) <= self._window_mm
 
     def _agree(self, looks: Sequence[tuple[int, float, float | None]]) -> bool:
-        """The positions do not contradict a velocity below the threshold."""
+        """Whether the positions are compatible with a velocity below the threshold."""
         return _spread(looks) <= self._window_mm + STILL_MM_S * (looks[-1][0] - looks[0][0]) / NS_PER_S
 
 

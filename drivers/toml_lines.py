@@ -1,4 +1,4 @@
-"""The line of each table, key and member of a list of a TOML document, which `tomllib` does not tell. No I/O."""
+"""Line numbers of each table, key and list member of a TOML document, which `tomllib` does not give. No I/O."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TOKEN = re.compile(
 
 
 def lines_of(text: str) -> dict[Place, int]:
-    """Of a valid document, the line on which each of its parts begins, from 1."""
+    """The line, from 1, on which each part of a valid document begins."""
     return _Scanner(text).found
 
 

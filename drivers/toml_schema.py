@@ -1,8 +1,8 @@
-"""The one reader of TOML files: dataclasses say what a file may hold; a refusal names file, line, key, value and expectation.
+"""The reader of TOML files: dataclasses define the contents of a file; an error names file, line, key, value and what was expected.
 
 A field's annotation is its schema. `msgspec` converts and checks single values: types, ranges, choices, patterns. Tables, lists, keys,
-lines and the words of a refusal are here. An `Annotated` may carry what `drivers.toml_types` has, and functions that take value and
-document and return the value checked. A `__post_init__` that compares fields raises `SchemaError` with the key to blame. Every refusal
+lines and error texts are handled here. An `Annotated` may carry the marks of `drivers.toml_types`, and functions that take value and
+document and return the value checked. A `__post_init__` that compares fields raises `SchemaError` with the key at fault. Every error
 is an `InputError` of one line.
 """
 
@@ -52,7 +52,7 @@ _UNITS = {
 
 
 class Document:
-    """One TOML file. context: what functions in annotations compare values with, where they need more than the value."""
+    """One TOML file. context: data that functions in annotations need besides the value. Raises InputError for invalid TOML."""
 
     def __init__(self, path: str | Path, text: str, context: Any = None) -> None:
         self.path = Path(path)
@@ -72,7 +72,7 @@ class Document:
 
     @classmethod
     def read(cls, path: str | Path) -> Document:
-        """Raises InputError naming file and line for what cannot be read, is not UTF-8 or is not TOML."""
+        """Read a file. Raises InputError naming file and line for one that cannot be read, is not UTF-8 or is not TOML."""
         try:
             data = Path(path).read_bytes()
         except OSError as error:
@@ -90,7 +90,7 @@ class Document:
         return name in self.values
 
     def table(self, name: str) -> dict[str, Any]:
-        """A table as it was written, unchecked; an empty one where there is none."""
+        """A table as written, unchecked; an empty one where there is none."""
         values = self.values.get(name)
         return values if isinstance(values, dict) else {}
 
@@ -104,7 +104,7 @@ class Document:
         return next((self.lines[place[:size]] for size in range(len(place), 0, -1) if place[:size] in self.lines), None)
 
     def fail(self, place: str | Place, what: str) -> InputError:
-        """A refusal of what stands at a place such as "drive.homing.method"; of a table where the place ends in ""."""
+        """An InputError for a place such as "drive.homing.method"; for a table where the place ends in ""."""
         parts = tuple(place.split(".")) if isinstance(place, str) else place
         own = max((at for at, part in enumerate(parts) if isinstance(part, str)), default=0)
         table, key = _dotted(parts[:own]), _dotted(parts[own:])
@@ -138,7 +138,7 @@ class Document:
         return cast(T, self._guarded(kind, place, values, build))
 
     def finish(self) -> None:
-        """Refuse the first table of the file that nobody has asked for."""
+        """Raise InputError for the first table of the file that was not loaded."""
         self._refuse_unknown((), self.values, self._taken)
 
     def _refuse_unknown(self, place: Place, values: Mapping[str, Any], known: Collection[str]) -> None:
@@ -209,7 +209,7 @@ class Document:
         return built
 
     def _guarded(self, annotation: Any, place: Place, value: Any, build: Callable[[], Any]) -> Any:
-        """Say of whatever goes wrong where it stands in the file."""
+        """Add the place in the file to any error."""
         try:
             with self.blaming(*place, table=isinstance(value, dict)):
                 return build()
@@ -223,7 +223,7 @@ class Document:
 
     @contextmanager
     def blaming(self, *place: str | int, table: bool = True) -> Iterator[None]:
-        """A `SchemaError` inside is raised again with file and line; its key is one of the table at this place."""
+        """A `SchemaError` inside is raised again as an InputError with file and line; its key is one of the table at this place."""
         try:
             yield
         except SchemaError as error:
@@ -231,16 +231,16 @@ class Document:
 
 
 def shown(value: object) -> str:
-    """A wrong value as an error quotes it: on one line, and not all of it when it is long."""
+    """A wrong value as quoted in an error: on one line, and cut when it is long."""
     try:
         text = value if isinstance(value, str) and value.isidentifier() else repr(value)
-    except ValueError:  # an integer with more digits than Python is willing to print
+    except ValueError:  # an integer with more digits than Python prints
         return "a number of thousands of digits"
     return text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
 
 
 def either(words: Iterable[Any]) -> str:
-    """ "a, b or c"."""
+    """The words as "a, b or c"."""
     *most, last = (str(word) for word in words)
     return f"{', '.join(most)} or {last}" if most else last
 
@@ -263,7 +263,7 @@ def _schema(kind: Any) -> dict[str, tuple[str, Any, bool]]:
 
 
 def _unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
-    """The type itself and what its `Annotated`s carry; X of X | None."""
+    """The type itself and the marks of its `Annotated`s; X of X | None."""
     marks: tuple[Any, ...] = ()
     while True:
         if get_origin(annotation) is Annotated:
@@ -276,7 +276,7 @@ def _unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def _limited(kind: Any, marks: tuple[Any, ...]) -> Any:
-    """A type with its limits, as msgspec has them."""
+    """A type with its limits in msgspec's form."""
     for mark in marks:
         if isinstance(mark, Limits):
             given = {name: each for name in ("ge", "le", "pattern") if (each := getattr(mark, name)) is not None}
@@ -285,13 +285,13 @@ def _limited(kind: Any, marks: tuple[Any, ...]) -> Any:
 
 
 def _table_kind(annotation: Any) -> Any:
-    """The type that stands in the file."""
+    """The type as it is in the file."""
     kind, marks = _unwrap(annotation)
     return next((_table_kind(mark.kind) for mark in marks if isinstance(mark, Via)), kind)
 
 
 def _expected(annotation: Any, key: str) -> str:
-    """What an annotation asks for, in words, with the unit that ends the key's name."""
+    """The expectation of an annotation in words, with the unit that ends the key's name."""
     kind, marks = _unwrap(annotation)
     limits = [mark for mark in marks if isinstance(mark, Limits)]
     described = [mark.description for mark in limits if mark.description]

@@ -1,6 +1,6 @@
-"""What annotations of a dataclass say of the TOML file it is read from: limits, names of keys, conversions, kinds of values.
+"""Marks for annotations of a dataclass that is read from a TOML file: limits, names of keys, conversions, kinds of values.
 
-Nothing is read here, and no library imported: `drivers.toml_schema` is the reader.
+No file is read here, and no library imported: `drivers.toml_schema` is the reader.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Annotated, Any, Literal
 
 from drivers.errors import InputError
 
-_LARGEST = 1e9  # mm, mm/s, s, µm: no axis, and nothing that could still be waited for, is larger
-_SMALLEST = 1e-9  # of what must be > 0
+_LARGEST = 1e9  # mm, mm/s, s, µm: larger than any axis or any reasonable wait
+_SMALLEST = 1e-9  # smallest value where one > 0 is required
 
 
 class SchemaError(InputError):
-    """A value does not fit the others of its table; `key` is the one to blame, "" the table itself."""
+    """A value is inconsistent with the others of its table; `key` is the one at fault, "" the table itself."""
 
     def __init__(self, key: str, what: str) -> None:
         self.key = key
@@ -28,7 +28,7 @@ class SchemaError(InputError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a single value may be: least, greatest, a regular expression of the whole text; and how an error says it."""
+    """Limits of a single value: least, greatest, a regular expression of the whole text; and their description in an error."""
 
     ge: float | None = None
     le: float | None = None
@@ -45,7 +45,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Via:
-    """The value is read as `kind` and then converted; a ValueError means that it is not what was expected."""
+    """The value is read as `kind` and then converted; a ValueError becomes an error with the expectation."""
 
     kind: Any
     convert: Callable[[Any, Any], Any]

@@ -1,7 +1,7 @@
-"""TouchProbe: positions that a drive itself latches on the edges of its probe inputs, whatever wire it is on.
+"""TouchProbe: positions that a drive latches itself on the edges of its probe inputs, whatever wire it is on.
 
-The latch is made in the drive within microseconds; how late the host fetches it does not matter to the position. A backend says how
-an input is armed and where its latches stand; what counts as new is decided here, once for all.
+The drive latches within microseconds; how late the host reads the latch does not affect the position. A backend implements how
+an input is armed and where its latches are read; which latch is new is decided here for all backends.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class Edge(IntEnum):
 
 @dataclass(frozen=True)
 class Latch:
-    """One latched position. time_ns is the clock's when the host fetched it.
+    """One latched position, load mm. time_ns: the clock's time at which the host read it.
 
-    device_stamp is the drive's own time stamp (its unit and zero are the drive's), edges how many edges the drive has counted there;
-    None where a drive has no such thing.
+    device_stamp: the drive's own time stamp (its unit and zero are the drive's); edges: the number of edges that the drive has
+    counted; None where a drive has neither.
     """
 
     probe: int
@@ -40,7 +40,7 @@ class Latch:
 
 @dataclass(frozen=True)
 class LatchReading:
-    """What a drive shows of one edge; as in `Latch`."""
+    """The values of one edge in the drive; fields as in `Latch`."""
 
     position_load_mm: float
     device_stamp: int | None
@@ -58,13 +58,13 @@ class TouchProbe(ABC):
     def __init__(self, drive_name: str, clock: Clock) -> None:
         self._name = drive_name
         self._clock = clock
-        self._armed: dict[tuple[int, Edge], LatchReading | None] = {}  # what was fetched last of each armed edge
+        self._armed: dict[tuple[int, Edge], LatchReading | None] = {}  # last reading of each armed edge
         self._continuous: set[int] = set()
 
     def arm(self, probe: int, edges: Collection[Edge], *, continuous: bool = False) -> None:
         """Latch the next of these edges of a probe, or each of them (the last counts) where `continuous`.
 
-        What was latched before is forgotten. Raises InputError for another probe or no edge, ProtocolError when the drive does
+        Earlier latches are discarded. Raises InputError for another probe or no edge, ProtocolError when the drive does
         not arm it, CapabilityError where it cannot latch such edges, AbortError when it refuses.
         """
         if probe not in self.probes or not edges:
@@ -88,11 +88,11 @@ class TouchProbe(ABC):
         self._switch_off(probe)
 
     def poll(self) -> list[Latch]:
-        """What was latched since the last call, never waiting; at most one latch per armed edge."""
+        """Latches since the last call, at most one per armed edge. Never waits. Raises as reading a parameter does."""
         found = []
         wanted = [
             key for key, last in sorted(self._armed.items()) if last is None or key[0] in self._continuous
-        ]  # a single latch is fetched once
+        ]  # a single latch is read once
         for probe, edge in self._latched(wanted) if wanted else ():
             reading, last = self._read(probe, edge), self._armed[probe, edge]
             if last is not None and (reading.position_load_mm, reading.edges) == (last.position_load_mm, last.edges):
@@ -103,10 +103,10 @@ class TouchProbe(ABC):
             )
         return found
 
-    # -- what a backend does -------------------------------------------------------------------------------------------
+    # -- implemented by a backend --------------------------------------------------------------------------------------
     @abstractmethod
     def _switch_on(self, probe: int, edges: frozenset[Edge], continuous: bool) -> bool:
-        """Arm a probe that is off; whether the drive shows it armed."""
+        """Arm a probe that is off; whether the drive shows it as armed."""
 
     @abstractmethod
     def _switch_off(self, probe: int) -> None: ...

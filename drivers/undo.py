@@ -1,4 +1,4 @@
-"""`undo_all`: what is undone on the way out is undone to the end, and every failure is told."""
+"""`undo_all`: runs every step that puts something back, whatever fails, and reports every failure."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 from drivers.errors import BridgeError, UndoError
 
 Step = tuple[str, Callable[[], None]]
-"""What is undone, for the error's line ("" where the error says it itself), and the call that does it."""
+"""(description for the error's line, "" where the error names it itself; the call that puts it back)."""
 
 
 def undo_all(steps: Sequence[Step], *, during: BaseException | None = None) -> None:
-    """Try every step, in the order given: first what is most dangerous if it is left undone. Failures are told in that order.
+    """Try every step in the order given: first the one that is most dangerous if it is left out. Failures are reported in that order.
 
-    One failure is raised as it is, several as an `UndoError` of one line. during: the error that led here. It is the one to raise,
-    so failures are added to it as notes and nothing else is raised. An interrupt (KeyboardInterrupt) or an error that is no
-    BridgeError ends its step only: the steps after it are tried, then the first such exception is raised.
+    One failure is raised as it is, several as an `UndoError` of one line. during: the error that caused the undoing. It is the one to
+    raise, so failures are added to it as notes and nothing else is raised. An interrupt (KeyboardInterrupt) or an error that is no
+    BridgeError ends its own step only: the steps after it are tried, then the first such exception is raised.
     """
     failures: list[tuple[str, BridgeError]] = []
     interrupt: BaseException | None = None
@@ -39,6 +39,6 @@ def undo_all(steps: Sequence[Step], *, during: BaseException | None = None) -> N
 
 
 def one_line(error: BaseException) -> str:
-    """An error with what was added to it on the way out, as one line for a person."""
+    """An error with the notes added to it, as one line of text."""
     texts = (str(error), *getattr(error, "__notes__", ()))
     return " ".join("; ".join(text for text in texts if text).split())

@@ -1,6 +1,6 @@
-"""The drive's own backlash compensation: after a reversal the motor turns a little further than the drive shows.
+"""The simulated drive's own backlash compensation: after a reversal the motor turns further than the drive shows.
 
-Sits between the servo and what it turns. The amount is a parameter of the drive and may change at any time; it comes into force with
+Stage between the servo and the mechanics. The amount is a parameter of the drive and may change at any time; it comes into force with
 the next motion, as on a real drive.
 """
 
@@ -11,12 +11,12 @@ from collections.abc import Callable
 from sim_backends.servo_face import Mechanics
 
 SLOW_S, QUICK_S = 0.2, 0.01
-"""Time over which the amount is added after a reversal: without the acceleration that hides it, and with it."""
-_REVERSAL_COUNTS = 1.0  # a motor that stands trembles by less
+"""Time over which the amount is added after a reversal, s: without and with the acceleration parameter."""
+_REVERSAL_COUNTS = 1.0  # motion of a motor at rest is smaller
 
 
 class BacklashCompensation:
-    """`follow` says where amount (motor counts, >= 0) and acceleration switch are kept; without it nothing is added."""
+    """`follow` sets the sources of amount (motor counts, >= 0) and acceleration switch; without it nothing is added."""
 
     def __init__(self, mechanics: Mechanics, counts_per_rev: int) -> None:
         self._mechanics = mechanics
@@ -24,16 +24,16 @@ class BacklashCompensation:
         self._amount: Callable[[], float] = lambda: 0.0
         self._accelerated: Callable[[], bool] = lambda: False
         self._direction = 0
-        self._turn_counts: float | None = None  # the furthest place in the present direction
-        self._largest_counts = 0.0  # ever asked for: an amount that was taken away leaves at the same rate
+        self._turn_counts: float | None = None  # the furthest position in the present direction
+        self._largest_counts = 0.0  # largest amount so far: an amount set to 0 is taken away at the same rate
         self.added_counts = 0.0
 
     def follow(self, amount: Callable[[], float], accelerated: Callable[[], bool]) -> None:
-        """Take both from the drive's parameters from now on."""
+        """Read both from the drive's parameters from now on."""
         self._amount, self._accelerated = amount, accelerated
 
     def step(self, shown_counts: float, dt_s: float) -> None:
-        """The servo went to `shown_counts` within dt_s; turn the shaft there, and by what is added."""
+        """Turn the shaft to `shown_counts`, and by the amount added, within dt_s seconds."""
         moving = self._watch(shown_counts)
         amount = self._amount()
         if moving and (amount or self.added_counts):
@@ -44,7 +44,7 @@ class BacklashCompensation:
         self._mechanics.step((shown_counts + self.added_counts) / self._counts_per_rev, dt_s)
 
     def _watch(self, shown_counts: float) -> bool:
-        """Whether it moves, and which way it moved last."""
+        """Whether the motor moves; keeps the direction of the last motion."""
         if self._turn_counts is None:
             self._turn_counts = shown_counts
         moved = shown_counts - self._turn_counts

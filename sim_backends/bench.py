@@ -1,6 +1,6 @@
-"""The bench: clock, feed axis, servo and laser put together in the right order from one frozen description.
+"""The bench: clock, feed axis, servo and laser, connected in the right order from one frozen description.
 
-What a test or a demonstration needs of the simulated side. Faces of the servo on a wire are attached to `clock` by their owners.
+The code that makes a face of the servo on a wire attaches it to `clock`.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from sim_backends import laser_effects
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
 from sim_backends.gauge import GaugeParameters, SimulatedGauge
-from sim_backends.homing import HOMING_METHODS
+from sim_backends.homing import HOMING_METHODS, Switches
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis, worn_axis
 from sim_backends.servo import ServoParameters, SimulatedServo
-from sim_backends.servo_parameters import Switches
 
 HOMING_REV_S = 5.0
-"""Towards the switch, motor revolutions per second: 50 mm/s with the usual screw, which stops within 1.3 mm behind the switch."""
+"""Homing velocity towards the switch, motor revolutions per second: 50 mm/s with the usual screw, which stops within 1.3 mm behind the
+switch."""
 HOMING_SLOW_REV_S = 0.5
-"""Away from it, to the edge and the index pulse."""
+"""Homing velocity away from the switch, to the edge and the index pulse, motor revolutions per second."""
 SWITCH_SPREAD_REV = 1e-4
-"""Standard deviation of where a limit switch trips: 1 µm with the usual screw, as makers of precision switches state it."""
+"""Standard deviation of the switching point of a limit switch: 1 µm with the usual screw, as stated for precision switches."""
 
 
 @dataclass(frozen=True)
 class BenchParameters:
-    """Everything seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm).
+    """All randomness is seeded; the default is a typical 500 mm axis with 10 nm per count (1 000 000 counts/rev, lead 10 mm).
 
-    gauge: a display or gauge that measures the axis instead of the laser; the laser's faults are then its own
+    gauge: a display or gauge that measures the axis instead of the laser; the laser's faults then apply to it
     homing_method: of a drive on a wire, by 6098h, until its axis file says otherwise: 1 is the negative limit switch and the index
     pulse above it
-    trigger_input: fast input of the drive, 1 or 2, that shares a line with the instrument: a pulse with each of its samples
+    trigger_input: fast input of the drive, 1 or 2, connected to the instrument: a pulse with each of its samples
     """
 
     plant: PlantParameters = field(default_factory=lambda: typical_axis(1))
@@ -63,7 +63,7 @@ class BenchParameters:
 
     @property
     def scaling(self) -> AxisScaling:
-        """What a drive on this bench has to be told."""
+        """The scaling that a drive on this bench is given."""
         return AxisScaling(self.servo.counts_per_rev, self.plant.screw.lead_mm)
 
     @property
@@ -79,7 +79,7 @@ class BenchParameters:
 
     @property
     def objects(self) -> dict[tuple[int, int], int]:
-        """What a CiA-402 drive of this machine leaves its builder with: (index, subindex) -> value.
+        """Factory settings of a CiA-402 drive for this machine: (index, subindex) -> value.
 
         Encoder, gear, feed per shaft revolution in units of position, and that unit (60A8h) as a power of ten of a metre where
         the count is one, else as increments (B5h); stopping and homing fit for this motor.
@@ -104,9 +104,9 @@ class BenchParameters:
 
     @property
     def home_counts(self) -> int:
-        """Where the homing method ends, in the frame in which the axis's nominal zero is 0.
+        """End position of the homing method, motor counts, in the frame in which the axis's nominal zero is 0.
 
-        0 for a method that takes the place where the axis stands, or the index pulse beside it.
+        0 for a method that takes the present position, or the index pulse beside it.
         """
         method, switches = HOMING_METHODS.get(self.homing_method), Switches(self.servo)
         if method is None or method.sensor is None:
@@ -118,7 +118,7 @@ class BenchParameters:
 
     @property
     def vendor_settings(self) -> dict[str, int]:
-        """Homing of the drive with a vendor's own registers; its speeds are in 0.01 rpm."""
+        """Homing settings of the drive with a vendor's own registers; speeds in 0.01 rpm."""
         return {
             "origin_method": self.homing_method,
             "origin_offset": self.home_counts,
@@ -128,7 +128,7 @@ class BenchParameters:
 
     @property
     def micrometre_objects(self) -> dict[tuple[int, int], int]:
-        """The same for a drive whose feed per revolution is in µm, whatever its position unit."""
+        """As `objects`, for a drive whose feed per revolution is in µm, whatever its position unit."""
         own = self.objects
         del own[(0x60A8, 0)]
         return {**own, (0x6092, 1): round(self.plant.screw.lead_mm * 1000.0)}
@@ -150,10 +150,10 @@ def known_bench(kind: str, seed: int) -> BenchParameters:
 
 
 class Bench:
-    """A running bench. Use as a context manager: the laser's terminal is closed at the end.
+    """A running bench. Use as a context manager: the laser's terminal is closed at the end. Raises InputError.
 
-    wait_for_arrival False is for readers in other threads or processes (real time), who may take bytes while they are waited for.
-    clock: of another axis of the same machine.
+    wait_for_arrival False: for readers in other threads or processes (real time), which may take bytes during the wait.
+    clock: an existing one, such as that of another axis of the same machine.
     """
 
     def __init__(
@@ -185,8 +185,8 @@ class Bench:
             hear(number)
 
     def switch_on(self, effect: str, size_um: float) -> None:
-        """From now on the machine or its instrument has one more effect, by its id in the catalogue; for what `size_um` means see
-        `plant.switches` and `laser_effects`. Raises InputError for an unknown id."""
+        """Add an effect to the machine or its instrument from now on, by its id in the catalogue; `plant.switches` and `laser_effects`
+        define `size_um`, µm. Raises InputError for an unknown id."""
         if effect in laser_effects.SWITCHES and self.gauge is not None:
             raise InputError(f"effect {effect!r} is a laser's, and this bench measures with a gauge")
         if effect in laser_effects.SWITCHES:
@@ -199,16 +199,16 @@ class Bench:
 
     @property
     def laser_path(self) -> str:
-        """The port that a reader of the instrument opens."""
+        """Path of the port that a reader of the instrument opens."""
         return self.laser.path if self.gauge is None else self.gauge.path
 
     @property
     def has_instrument(self) -> bool:
-        """Whether its terminal is there."""
+        """Whether the instrument's terminal is open."""
         return self.laser.is_open or (self.gauge is not None and self.gauge.is_open)
 
     def close_instrument(self) -> None:
-        """Take the instrument's terminal away; readers then see the port vanish."""
+        """Close the instrument's terminal; readers then see the port vanish."""
         self.laser.close()
         if self.gauge is not None:
             self.gauge.close()

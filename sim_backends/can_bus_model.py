@@ -1,6 +1,6 @@
-"""How long a CAN frame lasts: exact bit counts with stuffing and CRC (ISO 11898-1, base format), bus load, wire time.
+"""Duration of CAN frames: exact bit counts with stuffing and CRC (ISO 11898-1, base format), bus load, wire time.
 
-What may go in: arithmetic on frames, nothing that sends any.
+Pure functions; written apart from `drivers.canopen.wire_time`, which predicts the same.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ ERROR_FRAME_BITS = 6 + 6 + 8  # flag, superposed flags at most, delimiter
 
 
 def _frame_head(identifier: int, data: bytes, remote: bool) -> list[int]:
-    """The bits that stuffing covers, before the CRC: SOF, identifier, RTR, IDE, r0, DLC, data."""
+    """The bits to which stuffing applies, before the CRC: SOF, identifier, RTR, IDE, r0, DLC, data."""
     bits = [0]
     bits += [identifier >> place & 1 for place in range(10, -1, -1)]
     bits += [int(remote), 0, 0]
@@ -26,7 +26,7 @@ def _frame_head(identifier: int, data: bytes, remote: bool) -> list[int]:
 
 
 def crc15(bits: list[int]) -> int:
-    """CAN's CRC over unstuffed bits: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1, start 0."""
+    """CAN's CRC over unstuffed bits: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1, start 0 (ISO 11898-1)."""
     register = 0
     for bit in bits:
         feed = bit ^ (register >> 14)
@@ -37,7 +37,7 @@ def crc15(bits: list[int]) -> int:
 
 
 def stuff_bits(bits: list[int]) -> int:
-    """How many bits stuffing inserts: one after each five equal ones, the inserted ones counting too."""
+    """Number of bits that stuffing inserts: one after each five equal ones, inserted ones included."""
     inserted = 0
     previous, run = -1, 0
     for bit in bits:
@@ -61,11 +61,11 @@ def frame_bits(identifier: int, data: bytes, *, remote: bool = False) -> int:
 
 
 def frame_bits_range(data_bytes: int) -> tuple[int, int]:
-    """(without stuffing, with the worst stuffing) of a base-format frame with that many data bytes."""
+    """(without stuffing, with the worst stuffing) in bits, of a base-format frame with that many data bytes."""
     plain = 47 + 8 * data_bytes
     return plain, plain + (33 + 8 * data_bytes) // 4
 
 
 def wire_time_ns(identifier: int, data: bytes, bitrate: int) -> int:
-    """How long the frame keeps the bus busy, ns."""
+    """Time on the bus, ns, at `bitrate` bit/s."""
     return frame_bits(identifier, data) * 1_000_000_000 // bitrate

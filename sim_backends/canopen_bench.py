@@ -1,7 +1,6 @@
-"""The smallest CANopen bench: bare motors on a simulated wire, for whatever is about the bus and not about the machine.
+"""The smallest CANopen bench: bare motors on a simulated wire, for tests of the bus rather than of the machine.
 
-What may go in: putting clock, servos, wire and drives together in the right order. A machine with screw, table and laser is
-`sim_backends.bench`.
+Connects clock, servos, wire and drives in the right order. `sim_backends.bench` has screw, table and laser.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from sim_backends.servo import ServoParameters, SimulatedServo
 
 
 class BareShaft:
-    """A motor that turns nothing but some friction."""
+    """A motor whose only load is friction."""
 
     def __init__(self, friction_permille: float = 40.0) -> None:
         self._at_rev = 0.0
@@ -30,7 +29,7 @@ class BareShaft:
         self.friction_permille = 0.0
 
     def step(self, motor_rev: float, dt_s: float) -> None:
-        """The shaft went to `motor_rev`."""
+        """The shaft has turned to `motor_rev` revolutions."""
         del dt_s
         if motor_rev != self._at_rev:
             self.friction_permille = math.copysign(self._friction, motor_rev - self._at_rev)
@@ -49,10 +48,10 @@ SMALL_SERVO = ServoParameters(
 
 @dataclass
 class CanBench:
-    """Drives with the given node ids on one wire. bitrate None: frames take no time.
+    """Drives with the given node ids on one wire. bitrate in bit/s; None: frames take no time.
 
-    faults: {node id: what goes wrong with it}; parameters: laid over every drive's defaults; lacking: objects that no drive has;
-    refused: objects that no drive lets be written.
+    faults: {node id: faults of that node}; parameters: laid over every drive's defaults; lacking: objects that no drive has;
+    refused: objects that every drive refuses to write.
     """
 
     node_ids: Sequence[int] = (5,)
@@ -61,11 +60,11 @@ class CanBench:
     parameters: Mapping[tuple[int, int], int] = field(default_factory=dict)
     servo_parameters: ServoParameters = SMALL_SERVO
     servo_faults: Sequence[Fault] = ()
-    flash: Flash | None = None  # of the drive (all of them share it): what it kept from a life before
+    flash: Flash | None = None  # memory of the drives (one for all): values stored in an earlier run
     lacking: Sequence[int] = ()
     refused: Sequence[tuple[int, int]] = ()
     eds: Path = EDS
-    table: TableForm | None = None  # of every drive: the correction table that it holds itself
+    table: TableForm | None = None  # the correction table of every drive itself
     clock: SimClock = field(default_factory=SimClock)
 
     def __post_init__(self) -> None:
@@ -105,5 +104,5 @@ class CanBench:
         return self.slaves[self.node_ids[0]]
 
     def port(self) -> WirePort:
-        """A further place on the bus, for a master."""
+        """Another node on the bus, for a master."""
         return self.wire.port()

@@ -1,7 +1,7 @@
-"""The object dictionary of the simulated CANopen drive: an EDS file come alive.
+"""The object dictionary of the simulated CANopen drive, made from an EDS file.
 
-What may go in: typed storage with access rights and limits, values that are computed when read, and hooks that act (or refuse)
-when written. Values are held as the bytes that stand on the wire. Nothing here knows what an object means.
+Typed storage with access rights and limits, values that are computed when read, and hooks that act (or refuse)
+when written. Values are held as their bytes on the wire. The meaning of the objects is in `canopen_profile`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _FORMATS = {
 
 
 class RefusedError(Exception):
-    """An access that the drive answers with an SDO abort."""
+    """An access that the drive answers with an SDO abort; `code` is the abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")
@@ -54,7 +54,7 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Item:
-    """What the EDS says about one entry. `codec` is None for strings and domains; low and high are None without a limit."""
+    """One entry as the EDS describes it. `codec` is None for strings and domains; low and high are None without a limit."""
 
     index: int
     subindex: int
@@ -94,7 +94,7 @@ def load_items(path: Path, node_id: int) -> dict[Key, Item]:
 
 @lru_cache(maxsize=256)
 def _load_items(path: Path, node_id: int, _changed_ns: int) -> dict[Key, Item]:
-    """Parsing takes a hundred times longer than copying."""
+    """As `load_items`, cached by the file's time: parsing takes a hundred times longer than copying."""
     try:
         source = canopen.import_od(str(path), node_id)
     except (OSError, ValueError, KeyError) as error:
@@ -132,31 +132,31 @@ def _item(variable: canopen.objectdictionary.ODVariable) -> Item:
 
 
 class Dictionary:
-    """Values behind the entries. `on_read` and `on_write` give an entry a life of its own."""
+    """Values of the entries. `on_read` and `on_write` connect an entry to the drive."""
 
     def __init__(self, items: dict[Key, Item]) -> None:
         self.items = items
         self._values = {key: item.default for key, item in items.items()}
-        self._numbers: dict[Key, int] = {}  # decoded on first use
+        self._numbers: dict[Key, int] = {}  # decoded at first use
         self._readers: dict[Key, Callable[[], int]] = {}
         self._writers: dict[Key, list[Callable[[int], None]]] = {}
         self._byte_writers: dict[Key, list[Callable[[bytes], None]]] = {}
         self._indices = {index for index, _ in items}
 
     def on_read(self, index: int, subindex: int, reader: Callable[[], int]) -> None:
-        """Compute a numeric entry whenever it is read."""
+        """Compute a numeric entry at each read."""
         self._readers[index, subindex] = reader
 
     def on_write(self, index: int, subindex: int, writer: Callable[[int], None]) -> None:
-        """Act when a numeric entry is written: called with the new value *before* it is stored; RefusedError keeps the old."""
+        """Call `writer` when a numeric entry is written, with the new value *before* it is stored; RefusedError keeps the old one."""
         self._writers.setdefault((index, subindex), []).append(writer)
 
     def on_write_bytes(self, index: int, subindex: int, writer: Callable[[bytes], None]) -> None:
-        """The same for entries without a numeric type."""
+        """As `on_write`, for entries without a numeric type."""
         self._byte_writers.setdefault((index, subindex), []).append(writer)
 
     def lock(self, index: int, subindex: int) -> None:
-        """The drive does not let this entry be written: "attempt to write a read only object"."""
+        """Refuse writes to this entry: "attempt to write a read only object"."""
 
         def refuse(_value: int) -> None:
             raise RefusedError(READ_ONLY)
@@ -164,14 +164,14 @@ class Dictionary:
         self._writers.setdefault((index, subindex), []).insert(0, refuse)
 
     def remove(self, index: int) -> None:
-        """The drive lacks this object."""
+        """Remove the object: the drive does not have it."""
         for key in [key for key in self.items if key[0] == index]:
             del self.items[key]
         self._indices.discard(index)
 
-    # -- from inside the drive ---------------------------------------------------------------------------------------
+    # -- access by the drive -----------------------------------------------------------------------------------------
     def number(self, index: int, subindex: int = 0) -> int:
-        """The present value of a numeric entry."""
+        """The present value of a numeric entry. Raises KeyError for another one."""
         key = (index, subindex)
         reader = self._readers.get(key)
         if reader is not None:
@@ -186,36 +186,36 @@ class Dictionary:
         return value
 
     def set_number(self, index: int, subindex: int, value: int) -> None:
-        """Set a numeric entry past its access rights and hooks, as the drive itself may."""
+        """Set a numeric entry without access rights and hooks, as the drive itself does. Raises KeyError for another one."""
         codec = self.items[index, subindex].codec
         if codec is None:
             raise KeyError(f"{index:04X}h:{subindex} is not numeric")
         self.set_raw((index, subindex), codec.pack(value))
 
     def raw(self, key: Key) -> bytes:
-        """The stored bytes, whatever a reader would compute."""
+        """The stored bytes, without computed values."""
         return self._values[key]
 
     def set_raw(self, key: Key, data: bytes) -> None:
-        """Set the stored bytes past everything."""
+        """Set the stored bytes without any check."""
         self._values[key] = data
         self._numbers.pop(key, None)
 
     def reader(self, index: int, subindex: int) -> Callable[[], int]:
-        """A function that gives the entry's present value, for use in every cycle."""
+        """A function that returns the entry's present value, for use in every cycle."""
         reader = self._readers.get((index, subindex))
         return reader if reader is not None else lambda: self.number(index, subindex)
 
-    # -- from the wire -------------------------------------------------------------------------------------------------
+    # -- access over the wire ------------------------------------------------------------------------------------------
     def item(self, index: int, subindex: int) -> Item:
-        """The entry, or RefusedError for one that does not exist."""
+        """The entry. Raises RefusedError for one that does not exist."""
         item = self.items.get((index, subindex))
         if item is None:
             raise RefusedError(NO_SUBINDEX if index in self._indices else NO_OBJECT)
         return item
 
     def read(self, index: int, subindex: int) -> bytes:
-        """What an SDO upload answers. Raises RefusedError."""
+        """The answer to an SDO upload. Raises RefusedError."""
         item = self.item(index, subindex)
         if not item.readable:
             raise RefusedError(WRITE_ONLY)
@@ -225,7 +225,7 @@ class Dictionary:
         return self._values[item.key]
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
-        """What an SDO download or an RPDO does. Raises RefusedError and leaves everything as it was."""
+        """Write by SDO download or RPDO. Raises RefusedError and changes nothing then."""
         item = self.item(index, subindex)
         if not item.writable:
             raise RefusedError(READ_ONLY)

@@ -1,7 +1,7 @@
-"""A CiA-402 drive on a CAN bus, over a simulated servo: the network side of it (CiA-301).
+"""A simulated CiA-402 drive on a CAN bus, over a simulated servo: its network functions (CiA-301).
 
-What may go in: NMT, heartbeat, SYNC, EMCY and the ways to put the drive on a bus. SDO, PDO, dictionary and device profile have a
-module each. Frames come in through `on_frame`, time through `tick`, frames leave through the `send` it was given; there is no
+NMT, heartbeat, SYNC, EMCY and the ways to put the drive on a bus; SDO, PDO, dictionary and device profile have a
+module each. Frames come in through `on_frame`, time through `tick`, frames leave through `send`; there is no
 thread and no clock inside, so the same drive runs on the simulated wire, on python-can's virtual bus and on a real one.
 """
 
@@ -36,13 +36,13 @@ PDO_LENGTH_ERROR = 0x8210
 HEARTBEAT_ERROR = 0x8130
 SYNC_ERROR = 0x8700
 MISSING_SYNCS = 5
-SUPERVISION_NS = 20_000_000  # how long the drive's firmware may go without looking at the servo
+SUPERVISION_NS = 20_000_000  # longest interval at which the drive's firmware checks the servo
 
 Send = Callable[[int, bytes], None]
 
 
 class NmtState(IntEnum):
-    """As the heartbeat shows it."""
+    """NMT state as the heartbeat shows it (CiA-301, 7.2.8.3.2)."""
 
     BOOT_UP = 0x00
     STOPPED = 0x04
@@ -53,9 +53,9 @@ class NmtState(IntEnum):
 class CanOpenSlave:
     """One simulated drive with its node id.
 
-    send(cob_id, data): puts a frame on the bus. parameters: {(index, subindex): value} laid over the EDS's defaults, the way a
-    drive leaves its factory for a certain machine. flash: what it keeps without power; a fresh one where None. table: the correction
-    table of its own that it holds, beside the EDS's objects.
+    send(cob_id, data): puts a frame on the bus. parameters: {(index, subindex): value} laid over the EDS's defaults, as factory
+    settings for a certain machine. flash: its non-volatile memory; a fresh one where None. table: the correction
+    table of the drive itself, beside the EDS's objects. Raises InputError for a node id outside 1…127.
     """
 
     def __init__(
@@ -90,11 +90,11 @@ class CanOpenSlave:
         self.pdos = PdoEngine(self.dictionary, self._transmit, lambda: self.emergency(PDO_LENGTH_ERROR))
         self.sdo = SdoServer(self.dictionary)
         self.store = ParameterStore(self.dictionary, flash if flash is not None else Flash(), lambda: not servo.powered)
-        self._owed: list[tuple[int, bytes]] = []  # answers that wait until the memory is written
+        self._owed: list[tuple[int, bytes]] = []  # answers delayed until the memory is written
         self._now_ns = 0
         self._heartbeat_ns: int | None = None
-        self._sync_ns: int | None = None  # when the last SYNC came
-        self._guarded: dict[int, int] = {}  # node id -> when its last heartbeat came
+        self._sync_ns: int | None = None  # time of the last SYNC
+        self._guarded: dict[int, int] = {}  # node id -> time of its last heartbeat
         self._guard_lost: set[int] = set()
         self._error_register = 0
         self.dictionary.on_read(0x1001, 0, lambda: self._error_register)
@@ -103,9 +103,9 @@ class CanOpenSlave:
         for index in (0x1006, 0x6060):
             self.dictionary.on_write(index, 0, self._restart_sync_watch)
 
-    # -- life ----------------------------------------------------------------------------------------------------------
+    # -- power and time ------------------------------------------------------------------------------------------------
     def boot(self, now_ns: int) -> None:
-        """Power came on, or a reset: boot-up message, then pre-operational."""
+        """Start after power on or a reset: boot-up message, then pre-operational."""
         self._now_ns = now_ns
         self.sdo.reset()
         self._owed.clear()
@@ -124,14 +124,14 @@ class CanOpenSlave:
             self.emergency(storage_error)
 
     def lose_power(self, now_ns: int) -> None:
-        """The supply is gone until `boot`: the axis coasts, a store under way stays as far as it has come."""
+        """Cut the supply until `boot`: the axis coasts, a store in progress stays incomplete."""
         self.store.tick(now_ns)
         self.store.power_lost()
         self._owed.clear()
         self.profile.lose_power()
 
     def tick(self, now_ns: int) -> None:
-        """Time has moved on: supervise, send what is due."""
+        """Advance to now_ns: supervise, send what is due."""
         self._now_ns = now_ns
         self.profile.tick(now_ns)
         self.store.tick(now_ns)
@@ -148,7 +148,7 @@ class CanOpenSlave:
             self._watch_sync(self._sync_ns)
 
     def due_ns(self) -> int | None:
-        """When `tick` should be called at the latest, None when nothing is scheduled."""
+        """Latest time of the next `tick`, ns; None when nothing is scheduled."""
         times = [self._heartbeat_ns, self.store.due_ns()]
         period_ns = 1000 * self.dictionary.number(0x1006)
         if period_ns and self._sync_ns is not None and self.profile.cyclic:
@@ -156,7 +156,7 @@ class CanOpenSlave:
         return min((time_ns for time_ns in times if time_ns is not None), default=None)
 
     def bypass(self, send: Send) -> None:
-        """Send straight onto the bus from now on."""
+        """Send directly onto the bus from now on, without the fault layer."""
         self._send = send
 
     def _transmit(self, cob_id: int, data: bytes) -> None:
@@ -164,7 +164,7 @@ class CanOpenSlave:
 
     # -- frames --------------------------------------------------------------------------------------------------------
     def on_frame(self, cob_id: int, data: bytes, now_ns: int) -> None:
-        """A frame from the bus."""
+        """Handle a frame from the bus."""
         if now_ns > self._now_ns:
             self.tick(now_ns)
         if cob_id == 0x000:
@@ -222,11 +222,12 @@ class CanOpenSlave:
                 self.profile.abort_connection()
 
     def _restart_sync_watch(self, _value: int) -> None:
-        """A new period or mode: SYNC is missed only after it has come once."""
+        """For a new period or mode: SYNC is missed only after it has come once."""
         self._sync_ns = None
 
     def _watch_sync(self, last_ns: int) -> None:
-        """Set-points that stop coming: with 1006h set, a drive in a cyclic mode notices and faults (8700h, sync controller)."""
+        """Supervise set-points: with 1006h set, a drive in a cyclic mode goes into a fault when SYNC stops (8700h, sync
+        controller)."""
         period_ns = 1000 * self.dictionary.number(0x1006)
         if period_ns and self._now_ns - last_ns > MISSING_SYNCS * period_ns:
             self._sync_ns = None
@@ -234,7 +235,7 @@ class CanOpenSlave:
 
     # -- emergencies ---------------------------------------------------------------------------------------------------
     def emergency(self, code: int) -> None:
-        """Send an EMCY and keep it in 1003h; code 0 says that the error is gone."""
+        """Send an EMCY and keep it in 1003h; code 0: the error is gone."""
         self._error_register = 0 if code == 0 else 0x01 | _register_bit(code)
         if code:
             count = min(8, self.dictionary.number(0x1003, 0) + 1)
@@ -272,7 +273,7 @@ def with_faults(
     table: TableForm | None = None,
     eds: Path = EDS,
 ) -> tuple[CanOpenSlave, FaultLayer]:
-    """A drive with a fault layer between it and the bus: frames and time go through the layer."""
+    """A drive with a fault layer between it and the bus; frames and time pass through the layer."""
     layer = FaultLayer(faults, node_id)
     slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table, eds=eds)
     layer.wire(
@@ -299,7 +300,7 @@ def attach_to_wire(
     table: TableForm | None = None,
     eds: Path = EDS,
 ) -> CanOpenSlave:
-    """Put a drive on the simulated wire and boot it; the servo is attached to the clock by whoever made it, before."""
+    """Put a drive on the simulated wire and boot it; its servo has to be attached to the clock before."""
     node = wire.add_node()
     faults = tuple(faults)
     slave, layer = with_faults(
@@ -329,12 +330,12 @@ def served(
     step_s: float = 0.001,
     table: TableForm | None = None,
 ) -> Iterator[CanOpenSlave]:
-    """Serve a drive on any python-can interface in a thread of its own, until the block ends.
+    """Serve a drive on any python-can interface in a thread of its own, until the block ends. Raises what the thread raised.
 
     options: the interface's own settings, such as host and port of a socketcand.
 
-    With a SimClock the thread answers at once in real time, and simulated time moves when its owner sleeps: what was sent before
-    is handled before time moves on. With a WallClock the thread also advances the servo, every `step_s` seconds.
+    With a SimClock the thread answers at once in real time, and simulated time moves when its owner sleeps: frames sent before
+    are handled before time moves on. With a WallClock the thread also advances the servo, every `step_s` seconds.
     """
     settings: dict[str, object] = {**(options or {})} if bitrate is None else {**(options or {}), "bitrate": bitrate}
     bus = can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
@@ -349,7 +350,7 @@ def served(
 
 
 class Station:
-    """A drive at its end of a python-can bus: frames to it and from it, and when it wants to be asked in simulated time."""
+    """A drive at its end of a python-can bus: frames to it and from it, and its next time in simulated time."""
 
     def __init__(
         self,
@@ -371,18 +372,18 @@ class Station:
         self.bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
 
     def deliver(self, message: can.Message) -> None:
-        """Hand a frame to the drive; other kinds of frame are not for it."""
+        """Pass a data frame to the drive; other kinds are ignored."""
         if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
             self.layer.on_frame(message.arbitration_id, bytes(message.data), self.clock.now_ns())
 
     def bearable(self, now_ns: int) -> int:
-        """For SimClock: up to what is due next, and often enough to supervise the servo."""
+        """For SimClock: ns until the next scheduled time, at most the interval of supervision."""
         due_ns = self.slave.due_ns()
         return SUPERVISION_NS if due_ns is None else min(SUPERVISION_NS, due_ns - now_ns)
 
 
 class _Service:
-    """The thread behind `served`, and the lock that makes receive-and-handle one step."""
+    """The thread of `served`, and the lock that makes receive-and-handle one step."""
 
     def __init__(
         self,
@@ -412,7 +413,7 @@ class _Service:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread; raises what it died of."""
+        """End the thread; raises the error that ended it."""
         self._stopping.set()
         self._thread.join()
         if self._error is not None:
@@ -444,7 +445,7 @@ class _Service:
     def _run_in_real_time(self) -> None:
         while not self._stopping.is_set():
             left_ns = self._advanced_ns + self._step_ns - self._clock.now_ns()
-            # on a slow host the servo alone may take longer than a step: answer one frame in each all the same
+            # on a slow host advancing the servo may take longer than a step: one frame is answered in each all the same
             if self._handle(max(0, left_ns) / NS_PER_S) and left_ns > 0:
                 continue
             now_ns = self._clock.now_ns()
@@ -465,7 +466,7 @@ class _Service:
 
 
 def _readable(bus: can.BusABC, timeout_s: float) -> bool:
-    """Wait until a frame can be taken, and leave it where it is: taking and handling must be one step under the lock."""
+    """Wait until a frame can be taken, and leave it there: taking and handling must be one step under the lock."""
     if isinstance(bus, VirtualBus):
         frames = bus.queue
         with frames.not_empty:

@@ -1,7 +1,7 @@
-"""What can go wrong with a CANopen drive, and when, as data; and the layer between drive and bus that makes it happen.
+"""Faults of a CANopen drive and their times, as data; and the layer between drive and bus that applies them.
 
-What may go in: faults of the wire, of the drive's communication and of its firmware. Faults of motor and mechanics are the servo's
-(`sim_backends.faults`). Nothing is random here: a campaign draws its schedule from a seed and hands it over.
+Faults of the wire, of the drive's communication and of its firmware; those of motor and mechanics are in
+`sim_backends.faults`. Nothing is random here: a test draws its schedule from a seed and passes it in.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim_backends.canopen_profile import Defect, DriveProfile
 
 
 class CanFaultKind(Enum):
-    """`size` means what is said here; kinds without it ignore it."""
+    """Kinds of fault; the comment gives the meaning of `size`, which the others ignore."""
 
     # SDO
     SDO_LATE = "SDO answers come late"  # size: s
@@ -60,7 +60,8 @@ class CanFaultKind(Enum):
 
 @dataclass(frozen=True)
 class CanFault:
-    """In force from at_s for duration_s (0: for good), for the first `count` occasions only (0: for all), after `skip` of them."""
+    """In force from at_s for duration_s (s; 0: permanently), for the first `count` occasions (0: all), after skipping `skip` of
+    them."""
 
     kind: CanFaultKind
     at_s: float = 0.0
@@ -112,7 +113,7 @@ class _Armed:
         return now_ns >= self.start_ns and (end_ns is None or now_ns < end_ns)
 
     def strikes(self, now_ns: int) -> bool:
-        """Whether this occasion is one of those meant; counts it."""
+        """Whether the fault applies to this occasion; counts it."""
         if not self.in_force(now_ns):
             return False
         self.seen += 1
@@ -121,9 +122,9 @@ class _Armed:
 
 
 class FaultLayer:
-    """Sits between one drive and its bus. Build it with the faults, then `wire` it to both sides.
+    """Layer between one drive and its bus. Construct it with the faults, then `wire` it to both sides.
 
-    Frames of the bus come in by `on_frame`, the drive's by `from_drive`; `tick` and `due_ns` carry time.
+    `on_frame` takes frames of the bus, `from_drive` those of the drive; `tick` and `due_ns` pass the time.
     """
 
     def __init__(self, faults: Iterable[CanFault], node_id: int) -> None:
@@ -197,7 +198,7 @@ class FaultLayer:
         if node_function == SDO_ANSWER:
             if self._strikes(_K.SDO_LOST):
                 return
-            data = self._spoil_sdo(data)
+            data = self._alter_sdo(data)
             late = self._strikes(_K.SDO_LATE)
             delay_s = late.fault.size if late is not None else 0.0
         elif node_function in TPDOS:
@@ -217,7 +218,7 @@ class FaultLayer:
             else:
                 self._send(cob_id, data)
 
-    def _spoil_sdo(self, data: bytes) -> bytes:
+    def _alter_sdo(self, data: bytes) -> bytes:
         if self._strikes(_K.SDO_WRONG_INDEX):
             return data[:1] + bytes((data[1] ^ 0x01,)) + data[2:]
         if self._strikes(_K.SDO_GARBAGE):

@@ -1,7 +1,7 @@
-"""Drives on python-can's virtual bus without a thread: they take their turn when the master looks for a frame, or lets time pass.
+"""Drives on python-can's virtual bus without a thread: they run when the master looks for a frame, or lets time pass.
 
-For simulated time, where nothing happens between two things that one thread does. The frames go through python-can's virtual bus all
-the same, so any other bus object on the channel sees them; what is spared is a switch of threads for each of them.
+For simulated time, in which nothing happens between two actions of the one thread. The frames go through python-can's virtual bus all
+the same, so any other bus object on the channel receives them; the switch of threads for each frame is avoided.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sim_backends.servo import Servo
 
 
 class _Bus(VirtualBus):
-    """An end of the virtual bus. A frame is copied once, for all who listen, and flatly: its data are bytes of its own."""
+    """An end of the virtual bus. A frame is copied once for all receivers, with data bytes of its own."""
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self._check_if_open()
@@ -36,9 +36,9 @@ class _Bus(VirtualBus):
 
 
 class MasterBus(_Bus):
-    """The master's end. A `recv` that finds nothing lets the drives handle what they were sent, then looks once more.
+    """The master's end. A `recv` that finds nothing lets the drives handle their frames, then looks once more.
 
-    It never waits: without simulated time passing there is nothing else to come.
+    It never waits: without simulated time passing no other frame can come.
     """
 
     def __init__(self, channel: str, drives: list[_Drive]) -> None:
@@ -86,7 +86,7 @@ class _Drive:
 
 
 class DrivesInTurn:
-    """A virtual bus with drives in simulated time. `master()` gives the bus to hand to a `CanLink`, which closes it."""
+    """A virtual bus with drives in simulated time. `master()` returns the bus for a `CanLink`, which closes it."""
 
     def __init__(self, clock: SimClock, channel: str) -> None:
         self.clock = clock
@@ -102,7 +102,7 @@ class DrivesInTurn:
         faults: Iterable[CanFault] = (),
         table: TableForm | None = None,
     ) -> CanOpenSlave:
-        """Put a drive on the bus and boot it; the servo is attached to the clock by whoever made it, before."""
+        """Put a drive on the bus and boot it; its servo has to be attached to the clock before."""
         bus = _Bus(self.channel)
         station = Station(bus, self.clock, servo, node_id, parameters=parameters, faults=faults, table=table)
         self._drives.append(_Drive(station, bus, self.clock))
@@ -119,7 +119,7 @@ class DrivesInTurn:
 
 @contextmanager
 def drives_in_turn(clock: SimClock, channel: str) -> Iterator[DrivesInTurn]:
-    """A bus whose drives are gone when the block ends."""
+    """A bus whose drives are removed when the block ends."""
     bus = DrivesInTurn(clock, channel)
     try:
         yield bus

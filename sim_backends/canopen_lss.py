@@ -1,7 +1,4 @@
-"""A simulated drive that came out of its box: without a node id it speaks nothing but LSS (CiA-305, slave side).
-
-What may go in: the LSS slave, and starting the drive once it has been given an id.
-"""
+"""LSS slave (CiA-305): a simulated drive without a node id, which answers nothing but LSS, and its start once it has one."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ TABLE_ENTRIES = (0, 1, 2, 3, 4, 6, 7, 8)
 
 @dataclass(frozen=True)
 class Identity:
-    """1018h."""
+    """The four numbers of 1018h."""
 
     vendor_id: int = 0x4E1
     product_code: int = 0x402
@@ -32,9 +29,9 @@ class Identity:
 
 
 class LssSlave:
-    """Answers LSS requests. begin(node_id): the first id was given and LSS has let go of the node.
+    """Answers LSS requests. begin(node_id): called when the first id was given and LSS has released the node.
 
-    stored_node_id is what it keeps without power.
+    stored_node_id: the id kept without power.
     """
 
     def __init__(self, identity: Identity, node_id: int | None, begin: Callable[[int], None]) -> None:
@@ -44,11 +41,11 @@ class LssSlave:
         self._begin = begin
         self._pending = NO_ID if node_id is None else node_id
         self._configuring = False
-        self._matching = 0  # parts of a selection that fitted so far
+        self._matching = 0  # number of parts of a selection that matched so far
         self._scan_part = 0
 
     def handle(self, request: bytes) -> bytes | None:
-        """The answer to one request, if it gets one."""
+        """The answer to one request, None where there is none."""
         if len(request) != 8:
             return None
         command = request[0]

@@ -1,6 +1,6 @@
 """PDOs of the simulated drive: mappings that the master may change, sent and applied on SYNC or on an event (CiA-301, 7.2.2).
 
-What may go in: communication and mapping parameters 1400h to 1BFFh as a drive obeys them. Values come from and go to the dictionary.
+Communication and mapping parameters 1400h to 1BFFh as a drive obeys them. Values are read from and written to the dictionary.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class PdoEngine:
 
     # -- traffic -----------------------------------------------------------------------------------------------------
     def on_sync(self, now_ns: int) -> None:
-        """Apply what waited for this SYNC, then send what it asks for."""
+        """Apply the RPDOs received for this SYNC, then send the synchronous TPDOs."""
         for pdo in self._pdos:
             if not pdo.enabled or not pdo.synchronous:
                 continue
@@ -150,7 +150,7 @@ class PdoEngine:
                     self._transmit(pdo, data, now_ns)
 
     def on_frame(self, cob_id: int, data: bytes) -> None:
-        """An RPDO, if the identifier is one."""
+        """Handle an RPDO, if the identifier is one."""
         for pdo in self._receivers.get(cob_id, ()):
             if len(data) < pdo.codec.size:
                 self._short_pdo()
@@ -183,6 +183,6 @@ class PdoEngine:
         place = 0
         for item in pdo.items:
             size = item.bits // 8
-            with contextlib.suppress(RefusedError):  # a PDO has no answer: a value out of range is just not taken
+            with contextlib.suppress(RefusedError):  # a PDO has no answer: a value out of range is ignored
                 self._dictionary.write(item.index, item.subindex, data[place : place + size])
             place += size

@@ -1,7 +1,7 @@
 """CiA-402 as the simulated drive obeys it: power state machine, modes, set-point handshake, homing, supervision.
 
-What may go in: the meaning of the objects 6007h to 60FFh over a `Servo`. State patterns and transitions come from the role-blind
-tables that the master uses too (checked against literal vectors); everything else is written for the drive's side alone.
+Implements the objects 6007h to 60FFh over a `Servo`. State patterns and transitions come from the tables of `drivers.canopen.cia402`,
+which the master uses too (checked against literal vectors); everything else is written for the drive's side alone.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FAULT_STATES = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 class Defect(Enum):
-    """What a drive can be made to do wrong, or be kept from doing."""
+    """Faults of the drive's firmware and inputs."""
 
     SAFE_TORQUE_OFF = "STO input active: no torque, and no state above switch on disabled"
     BRAKE_STUCK = "never through with opening the brake"
@@ -59,9 +59,9 @@ class _Setpoint:
 
 
 class DriveProfile:
-    """The drive's application behind its dictionary. `tick` is called whenever simulated or real time has moved on.
+    """The drive's application behind its dictionary. `tick` is called whenever simulated or real time has advanced.
 
-    emergency(code): a fault came (code) or went (0).
+    emergency(code): called when a fault came (code) or went (0).
     """
 
     def __init__(self, dictionary: Dictionary, servo: Servo, emergency: Callable[[int], None]) -> None:
@@ -70,7 +70,7 @@ class DriveProfile:
         self._emergency = emergency
         self.state = DriveState.SWITCH_ON_DISABLED
         self.defects: set[Defect] = set()
-        self.brake_delay_ns = 0  # from power on until the brake is open and operation enabled
+        self.brake_delay_ns = 0  # time from power on until the brake is open and operation enabled
         self._control = 0
         self._mode = NO_MODE
         self._now_ns = 0
@@ -106,7 +106,7 @@ class DriveProfile:
         od.on_write(0x6071, 0, self._write_target_torque)
 
     def reset(self) -> None:
-        """Power-on of the electronics: power stage off, mode and controlword forgotten."""
+        """Power-on of the electronics: power stage off, mode and controlword reset."""
         self._servo.power_off()
         if self._servo.fault_code:
             self._servo.reset_fault()
@@ -118,7 +118,7 @@ class DriveProfile:
         self._forget_motion()
 
     def lose_power(self) -> None:
-        """The supply is gone: the axis coasts, nothing is supervised until `reset`."""
+        """Cut the supply: the axis coasts, nothing is supervised until `reset`."""
         self._servo.power_off()
         self.state = DriveState.SWITCH_ON_DISABLED
         self._enabling_since_ns = None
@@ -135,7 +135,7 @@ class DriveProfile:
 
     @property
     def cyclic(self) -> bool:
-        """Enabled and following set-points that come with SYNC."""
+        """Whether it is enabled in a cyclic mode, with set-points that come with SYNC."""
         return self.state is DriveState.ENABLED and self._mode in (CSP, CSV, CST)
 
     # -- readings ------------------------------------------------------------------------------------------------------
@@ -202,7 +202,7 @@ class DriveProfile:
 
     # -- time ----------------------------------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
-        """See what the servo did since, and do what is due by itself."""
+        """Evaluate what the servo did since, and do what is due without a command."""
         if now_ns > self._now_ns:
             demand = self._servo.position_demand_counts
             self._still = demand == self._last_demand and self._servo.velocity_actual_counts_s == 0
@@ -334,8 +334,8 @@ class DriveProfile:
         self._servo.quick_stop(self._od.number(0x6084 if ramp is Ramp.SLOW_DOWN else 0x6085))
 
     def abort_connection(self) -> None:
-        """The master is gone (heartbeat lost, node stopped): react as 6007h says."""
-        # without 6007h (it is optional) a communication error is a malfunction, as value 1 has it
+        """React as 6007h says to a lost master (heartbeat lost, node stopped)."""
+        # without 6007h (it is optional) a communication error is a malfunction, as for its value 1
         option = self._od.number(0x6007) if (0x6007, 0) in self._od.items else 1
         if self.state is not DriveState.ENABLED or option == 0:
             return
@@ -352,12 +352,14 @@ class DriveProfile:
 
     # -- modes ---------------------------------------------------------------------------------------------------------
     def _write_mode(self, mode: int) -> None:
-        if mode < 0 or (mode and not self._od.number(0x6502) & 1 << (mode - 1)):  # a maker's own modes are negative
+        if mode < 0 or (
+            mode and not self._od.number(0x6502) & 1 << (mode - 1)
+        ):  # negative modes are the manufacturer's
             raise RefusedError(INVALID_VALUE)
         if mode == self._mode or Defect.MODE_STUCK in self.defects:
             return
         if self.state is DriveState.ENABLED and self._mode in (PV, HM, CSV, CST):
-            self._servo.halt(self._od.number(0x6084))  # what the old mode was doing ends; the axis stays held
+            self._servo.halt(self._od.number(0x6084))  # the motion of the old mode ends; the axis stays held
             self._servo.resume()
         self._mode = mode
         self._forget_motion()

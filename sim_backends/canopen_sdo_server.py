@@ -1,7 +1,7 @@
 """The SDO server of the simulated drive: expedited, segmented and block transfer, one channel (CiA-301, 7.2.4).
 
-What may go in: the server's side of the protocol, frame in, frames out, written apart from the master's client. Which object is
-meant and whether an access is allowed is the dictionary's business.
+Server side of the protocol, frame in, frames out, written apart from the master's client. The dictionary decides which accesses are
+allowed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _CRC_NIBBLES = tuple(_crc_nibble(nibble) for nibble in range(16))
 
 
 class SdoServer:
-    """`handle(request)` gives the frames that answer it."""
+    """`handle(request)` returns the frames that answer it."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         self._dictionary = dictionary
@@ -56,7 +56,7 @@ class SdoServer:
         self._use_crc = False
 
     def reset(self) -> None:
-        """Forget a transfer that is under way."""
+        """Discard a transfer that is in progress."""
         self._step = None
 
     def handle(self, request: bytes) -> list[bytes]:
@@ -64,7 +64,7 @@ class SdoServer:
         if len(request) != 8:
             return []
         if self._step is not None and self._step == self._block_download_segment:
-            # within a block every frame is a segment; only an abort of ours can be told apart, by its sequence number 0
+            # within a block every frame is a segment; only an abort can be told apart, by its sequence number 0
             if request[0] == 0x80:
                 self.reset()
                 return []

@@ -1,7 +1,7 @@
-"""What the simulated drive keeps without power: 1010h store and 1011h restore (CiA-301, 7.5.2.13).
+"""Non-volatile memory of the simulated drive: 1010h store and 1011h restore (CiA-301, 7.5.2.13).
 
-What may go in: the non-volatile memory and when it is written and read. Like many real drives it stores every writable entry,
-targets and all; writing takes time, and a supply that fails meanwhile leaves a torn image, which the next start finds and discards.
+Like many real drives it stores every writable entry, targets included; writing takes time, and a supply that fails meanwhile leaves an
+incomplete image, which the next start finds and discards.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ NEVER = (0x1003, 0x1010, 0x1011)
 
 @dataclass
 class Flash:
-    """The memory itself: give the same one to the next life of a drive. writes counts how often it was worn."""
+    """The memory itself: pass the same one to a restarted drive. writes: number of write cycles."""
 
     image: dict[Key, bytes] = field(default_factory=dict)
     checksum: int = 0
     writes: int = 0
 
     def sealed(self) -> int:
-        """Checksum over the image as it stands."""
+        """Checksum over the present image."""
         return zlib.crc32(repr(sorted(self.image.items())).encode())
 
     @property
     def intact(self) -> bool:
-        """Whether the image is as it was when it was last written completely."""
+        """Whether the image equals the one that was last written completely."""
         return not self.image or self.checksum == self.sealed()
 
 
 class ParameterStore:
     """1010h and 1011h of one drive.
 
-    may_store(): whether the drive's state allows it. write_ns: how long writing takes; the answer to the SDO comes when it is done.
+    may_store(): whether the drive's state allows it. write_ns: duration of writing; the SDO is answered when it is done.
     """
 
     def __init__(
@@ -71,14 +71,14 @@ class ParameterStore:
 
     @property
     def busy(self) -> bool:
-        """Writing: the answer to the store command is still owed."""
+        """Whether writing is in progress: the store command is not answered yet."""
         return self._pending is not None
 
     def due_ns(self) -> int | None:
-        """When writing will be through."""
+        """Time at which writing is done, ns; None when nothing is written."""
         return self._done_ns if self.busy else None
 
-    # -- orders --------------------------------------------------------------------------------------------------------
+    # -- commands ------------------------------------------------------------------------------------------------------
     def _kept(self, group: int) -> list[Key]:
         belongs = GROUPS[group]
         return [
@@ -116,11 +116,11 @@ class ParameterStore:
             self._pending = None
 
     def power_lost(self) -> None:
-        """The supply failed: whatever was being written stays half written."""
+        """The supply failed: an image in progress stays incomplete."""
         self._pending = None
 
     def start(self) -> int:
-        """At every start: defaults, then what was stored. Returns an error code, 0 when all is well."""
+        """At every start: load defaults, then the stored values. Returns an error code, 0 without an error."""
         error = 0
         self._pending = None
         for group in self._restore:

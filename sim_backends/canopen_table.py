@@ -1,7 +1,7 @@
-"""The simulated drive's own correction table as objects of its dictionary: as arrays, or as one domain.
+"""The simulated drive's own correction table as objects of its dictionary: arrays or one domain.
 
-What may go in: which objects there are, and what the drive refuses. The table changes without power and switched off only; one that is
-none is refused when it is switched on. Written without the master's table map.
+Defines the objects, and what the drive refuses. The table can be changed only without power and switched off; an invalid one
+is refused when it is switched on. Written without the master's table map.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sim_backends.own_table import OwnTable, TableForm
 
 SWITCH_A, COUNT, ORIGIN, STEP, RISING, FALLING, SHOWN_A = range(0x2310, 0x2317)
 SWITCH_D, ALL, SHOWN_D = range(0x2320, 0x2323)
-_POINT = struct.Struct("<ihh")  # place, rising, falling
+_POINT = struct.Struct("<ihh")  # position, rising, falling
 
 
 def _number(index: int, subindex: int, code: str, name: str, *, access: str = "rw", high: int | None = None) -> Item:
@@ -53,7 +53,7 @@ def table_items(form: TableForm) -> dict[Key, Item]:
 
 
 class TableObjects:
-    """Ties the objects to an `OwnTable`; its contents are taken from the dictionary when it is switched on."""
+    """Connects the objects to an `OwnTable`, which takes its contents from the dictionary when it is switched on."""
 
     def __init__(self, dictionary: Dictionary, form: TableForm, powered: Callable[[], bool]) -> None:
         self._od = dictionary
@@ -70,7 +70,7 @@ class TableObjects:
                 dictionary.on_write(index, subindex, lambda _value: self._require_idle())
 
     def start(self) -> None:
-        """At every start: as it was stored."""
+        """At every start: load the stored table."""
         self.table.enabled = False
         if self._od.number(self._switch):
             self._take()
@@ -93,7 +93,7 @@ class TableObjects:
             raise RefusedError(WRONG_LENGTH)
 
     def _take(self) -> None:
-        """Contents as they stand in the dictionary. RefusedError for a table that is none."""
+        """Take the contents from the dictionary. Raises RefusedError for an invalid table."""
         table, od = self.table, self._od
         if table.form.explicit:
             points = list(_POINT.iter_unpack(od.raw((ALL, 0))))

@@ -1,6 +1,6 @@
 """The touch-probe unit of the simulated drive as objects (CiA-402, 60B8h to 60BDh, stamps 60D1h and counters 60D5h).
 
-What may go in: the bits of the objects. What is latched, and when, is `probe_latch`'s.
+Defines the bits of the objects. `probe_latch` decides what is latched, and when.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class TouchProbeUnit(ProbeLatch):
 
     def _write_function(self, word: int) -> None:
         if (word | word >> 8) & SOURCE:
-            raise RefusedError(INVALID_VALUE)  # zero pulse and other sources are not built in
+            raise RefusedError(INVALID_VALUE)  # zero pulse and other sources are not implemented
         for place, probe in enumerate(self.channels):
             bits = word >> 8 * place
             probe.arm(

@@ -1,8 +1,8 @@
 """A CAN bus in simulated time: arbitration, exact frame lengths, and a master's port that python-can users can use.
 
-What may go in: the medium. The master holds a `WirePort`, an ordinary `can.BusABC`: waiting in its `recv` lets simulated time run
+The master holds a `WirePort`, an ordinary `can.BusABC`: waiting in its `recv` lets simulated time run
 until a frame arrives, so a time-out costs simulated time and no real one, and a run depends on its seeds alone. Without a bit rate
-frames take no time at all and are handled within `send`.
+frames take no time and are handled within `send`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim_backends.clock import SimClock
 OnFrame = Callable[[int, bytes, int], None]
 """on_frame(cob_id, data, now_ns)"""
 FOREVER_NS = 1 << 62
-_LOOK_NS = 10_000_000  # how long a receiver sleeps through at most when nothing is known to be coming
+_LOOK_NS = 10_000_000  # longest step of a waiting receiver when no frame is scheduled
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Frame:
 
 
 class Node:
-    """Somebody's place on the wire: frames out in order, frames in by callback."""
+    """One node's connection to the wire: frames out in order, frames in by callback."""
 
     def __init__(self, wire: SimWire) -> None:
         self._wire = wire
@@ -42,11 +42,11 @@ class Node:
         self.due_ns: Callable[[], int | None] = lambda: None
 
     def connect(self, on_frame: OnFrame, tick: Callable[[int], None], due_ns: Callable[[], int | None]) -> None:
-        """Who receives, who is told that time moved on, and when that is needed at the latest."""
+        """Set the receiver of frames, the callback for advanced time, and the latest time at which it is needed."""
         self.on_frame, self.tick, self.due_ns = on_frame, tick, due_ns
 
     def send(self, cob_id: int, data: bytes) -> None:
-        """Queue a frame; it goes out when the bus is free and nothing more urgent waits."""
+        """Queue a frame; it is sent when the bus is free and no frame of higher priority waits."""
         self.outgoing.append(Frame(cob_id, data))
         self._wire.pump()
 
@@ -54,19 +54,19 @@ class Node:
 class SimWire:
     """The medium. bitrate in bit/s; None for a bus on which frames take no time.
 
-    Make it after the servos that its drives show have been attached to the clock: time reaches them first.
+    Make it after the servos of its drives have been attached to the clock: they have to be advanced first.
     """
 
     def __init__(self, clock: SimClock, bitrate: int | None = None) -> None:
         self.clock = clock
         self.bitrate = bitrate
-        self.busy_ns = 0  # how long the bus has carried frames
+        self.busy_ns = 0  # time in which the bus has carried frames
         self.frames = 0
         self._nodes: list[Node] = []
-        self._current: tuple[set[Node], Frame, int] | None = None  # on the wire now: who sends it, what, until when
+        self._current: tuple[set[Node], Frame, int] | None = None  # on the wire now: senders, frame, end in ns
         self._free_ns = 0
         self._delivering = False
-        self._event_ns = 0  # the moment that is being handled, at or before the clock's
+        self._event_ns = 0  # time of the event being handled, at or before the clock's
         clock.attach(self._advance, bearable=self._bearable)
 
     def add_node(self) -> Node:
@@ -79,12 +79,12 @@ class SimWire:
         return WirePort(self)
 
     def load(self, since_busy_ns: int, since_ns: int) -> float:
-        """Share of the time since a moment (with `busy_ns` as it stood then) in which the bus was busy, 0…1."""
+        """Share of the time, 0…1, in which the bus was busy since a moment (with `busy_ns` of that moment)."""
         return (self.busy_ns - since_busy_ns) / max(1, self.clock.now_ns() - since_ns)
 
     # -- frames ------------------------------------------------------------------------------------------------------
     def pump(self) -> None:
-        """Move frames as far as the present moment allows."""
+        """Advance the frames up to the present time."""
         if self._delivering:
             return
         self._delivering = True
@@ -105,7 +105,7 @@ class SimWire:
             self._deliver({node}, frame, now_ns)
 
     def _winner(self) -> Node | None:
-        """Arbitration: the lowest identifier among those who wait."""
+        """Arbitration: the node with the lowest identifier among those that wait."""
         best: Node | None = None
         for node in self._nodes:
             if node.outgoing and (best is None or node.outgoing[0].cob_id < best.outgoing[0].cob_id):
@@ -123,7 +123,7 @@ class SimWire:
         for other in self._nodes:
             if (
                 other is not node and other.outgoing and other.outgoing[0] == frame
-            ):  # the same bits at the same time are one
+            ):  # identical frames sent at the same time count as one
                 other.outgoing.popleft()
                 senders.add(other)
         start_ns = max(self._free_ns, self._event_ns)
@@ -142,7 +142,7 @@ class SimWire:
         return self.next_event_ns() - now_ns
 
     def next_event_ns(self) -> int:
-        """When something happens next by itself."""
+        """Time of the next event, ns."""
         next_ns = FOREVER_NS if self._current is None else self._current[2]
         for node in self._nodes:
             due_ns = node.due_ns()
@@ -170,7 +170,7 @@ class SimWire:
 
 
 class WirePort(can.BusABC):
-    """A python-can bus over a `SimWire`. `recv` lets simulated time pass; it must be called by the thread that owns the time."""
+    """A python-can bus over a `SimWire`. `recv` lets simulated time pass; only the thread that owns the time may call it."""
 
     def __init__(self, wire: SimWire) -> None:
         super().__init__(channel="simulated")
@@ -183,7 +183,7 @@ class WirePort(can.BusABC):
         self._bus_off: tuple[int, int] | None = None
 
     def schedule_bus_off(self, start_s: float, duration_s: float) -> None:
-        """This controller goes bus-off: nothing is sent or received, and every call raises, as drivers of real ones do."""
+        """Set this controller bus-off from start_s for duration_s seconds: nothing is sent or received, and every call raises."""
         self._bus_off = (round(start_s * 1e9), round((start_s + duration_s) * 1e9))
 
     def _is_off(self) -> bool:
@@ -210,7 +210,7 @@ class WirePort(can.BusABC):
         self._node.send(msg.arbitration_id, bytes(msg.data))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, running simulated time on for `timeout` seconds at most."""
+        """The next frame; simulated time advances by at most `timeout` seconds."""
         self._check()
         received = self._received
         if received:
@@ -220,7 +220,7 @@ class WirePort(can.BusABC):
         clock = self._wire.clock
         end_ns = FOREVER_NS if timeout is None else clock.now_ns() + round(timeout * 1e9)
         while not received and clock.now_ns() < end_ns:
-            now_ns = clock.now_ns()  # what is due already is handled by time moving on
+            now_ns = clock.now_ns()  # events that are due already are handled when time advances
             clock.sleep_until_ns(max(now_ns + 1, min(end_ns, self._wire.next_event_ns(), now_ns + _LOOK_NS)))
         return received.popleft() if received else None
 
@@ -228,7 +228,7 @@ class WirePort(can.BusABC):
         super().shutdown()
         self._periodic.clear()
 
-    # -- the broadcast manager: periodic frames in simulated time --------------------------------------------------------
+    # -- periodic frames in simulated time -------------------------------------------------------------------------------
     def _send_periodic_internal(
         self,
         msgs: Sequence[can.Message] | can.Message,
@@ -256,7 +256,7 @@ class WirePort(can.BusABC):
                 self._node.send(cob_id, data)
                 self._take(
                     cob_id, data, now_ns
-                )  # SocketCAN shows its broadcast manager's frames to the sockets of this host
+                )  # SocketCAN delivers its broadcast manager's frames to the sockets of this host
 
     def add_periodic(self, task: _PeriodicTask) -> None:
         task.next_ns = self._wire.clock.now_ns() + task.period_ns

@@ -1,8 +1,8 @@
-"""Simulated time: whoever sleeps on this clock makes the machine move on instead of waiting.
+"""SimClock: simulated time; a thread that sleeps on this clock advances the machine instead of waiting.
 
 One thread owns simulated time: the procedure that sleeps. While it sleeps, everything attached is advanced in small steps, in the
-order of attachment (the servo with its plant first, then what shows them on a wire), so a run depends on its seeds alone and not
-on how fast the host is. Works that `side_by_side` was given own it in turns: one of their threads runs, the others sleep.
+order of attachment (the servo with its plant first, then the faces on a wire), so a run depends on its seeds alone and not
+on the speed of the host. Calls given to `side_by_side` own it in turns: one of their threads runs, the others sleep.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from functools import partial
 from drivers.clock import NS_PER_S, Clock, Waiting
 
 Advance = Callable[[int, float], None]
-"""advance(now_ns, dt_s): bring yourself from now_ns - dt_s to now_ns."""
+"""advance(now_ns, dt_s): advance from now_ns - dt_s to now_ns."""
 
 Bearable = Callable[[int], int]
-"""bearable(now_ns): how many ns the next step may last without you missing anything, at least 1."""
+"""bearable(now_ns): longest allowed length of the next step, ns, at least 1."""
 
 Settle = Callable[[], None]
-"""settle(): a sleep is over and its sleeper is about to look; put on the wire what you still hold."""
+"""settle(): a sleep is over; put on the wire what is still buffered, before its caller looks."""
 
 
 BEAT_NS = 10_000_000
-"""How often simulated time that is held back (`Waiting`) asks how long it should last."""
+"""Interval at which simulated time that is held back (`Waiting`) calls it, s."""
 
 
 class SimClock(Clock):
-    """A clock whose sleep is the only thing that makes simulated time pass.
+    """A clock on which simulated time passes only while a thread sleeps on it.
 
-    step_s: the longest step of anything that does not say itself how long a step it can bear.
-    waiting: who holds it back, so that a person can watch, and may end a sleep by an error; None: as fast as it goes.
+    step_s: the longest step of anything attached without a `bearable`, s.
+    waiting: slows it down, so that a person can watch, and may end a sleep by an error; None: as fast as possible.
     """
 
     def __init__(self, step_s: float = 0.005, waiting: Waiting | None = None) -> None:
@@ -41,13 +41,13 @@ class SimClock(Clock):
         self._attached: list[Advance] = []
         self._bearable: list[Bearable] = []
         self._settle: list[Settle] = []
-        self._all_bear = True  # everything attached states its own longest step
+        self._all_bear = True  # everything attached has a `bearable`
         self._turns: _Turns | None = None
 
     def attach(self, advance: Advance, *, bearable: Bearable | None = None, settle: Settle | None = None) -> None:
         """Advance this too, after everything attached before it.
 
-        Steps last as long as the least patient bears, and `step_s` at most if anything attached does not say.
+        Steps last as long as the smallest `bearable` allows, and at most `step_s` if anything attached has none.
         """
         self._attached.append(advance)
         if bearable is None:
@@ -116,40 +116,40 @@ class SimClock(Clock):
 
 
 class _Turns:
-    """Who runs, of several threads on one clock: always one, and the next when that one sleeps or ends: whose sleep is over first, of
-    those the one with the lowest number. So a run with threads is as repeatable as one without.
+    """Scheduling of several threads on one clock: one runs at a time, and when it sleeps or ends the next is the one whose sleep ends
+    first, of equal ones that with the lowest number. So a run with threads is as repeatable as one without.
 
-    pass_until_ns: advances the clock, called by the thread that runs.
+    pass_until_ns: advances the clock; called by the running thread.
     """
 
     def __init__(self, now_ns: int, count: int, pass_until_ns: Callable[[int], None]) -> None:
         self._pass_until_ns = pass_until_ns
-        self._wakes_ns = dict.fromkeys(range(count), now_ns)  # of those that have not ended
+        self._wakes_ns = dict.fromkeys(range(count), now_ns)  # of the threads that have not ended
         self._runs: int | None = 0
         self._changed = threading.Condition()
         self._own = threading.local()
 
     def is_one_of_them(self) -> bool:
-        """Whether the calling thread is, and has not ended."""
+        """Whether the calling thread is one of these, and has not ended."""
         return getattr(self._own, "number", None) is not None
 
     def begin(self, number: int) -> None:
-        """Called by each thread first; returns when it is its turn."""
+        """To be called by each thread first; returns when it may run."""
         self._own.number = number
         self._await(number)
 
     def sleep_until_ns(self, time_ns: int) -> None:
-        """Let the others run until then. Raises what ends the sleep; then the calling thread goes on."""
+        """Let the others run until then. Raises the error that ends the sleep; then the calling thread continues."""
         number: int = self._own.number
         self._wakes_ns[number] = time_ns
         following = self._next()
         if following != number:
             self._hand_on(following)
             self._await(number)
-        self._pass_until_ns(time_ns)  # this one's is the earliest sleep
+        self._pass_until_ns(time_ns)  # this thread's sleep ends first
 
     def end(self) -> None:
-        """Called by each thread last, however it ended."""
+        """To be called by each thread last, however it ended."""
         del self._wakes_ns[self._own.number]
         self._own.number = None
         self._hand_on(self._next() if self._wakes_ns else None)

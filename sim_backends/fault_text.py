@@ -1,4 +1,4 @@
-"""Faults as a user types them: which, when, for how long, how bad.
+"""Parser of faults as a user types them: kind, time, duration, size.
 
     beam-lost@20+3        from 20 s on, for 3 s              drive-fault@12=0x8611       at 12 s, with this size
     heartbeat-stops@30    from 30 s on, for good             no-reply#5*2                the 5th request and the one after it
@@ -29,7 +29,7 @@ _DRIVE_KINDS = (FaultKind.DRIVE_FAULT, FaultKind.JAM, FaultKind.TORQUE_NOISE)
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong, by the part that it happens to."""
+    """Faults by the part to which they apply."""
 
     laser: tuple[Fault, ...] = ()
     servo: tuple[Fault, ...] = ()
@@ -38,7 +38,7 @@ class Faults:
 
 
 def fault_names(kind: type[Enum]) -> tuple[str, ...]:
-    """The kinds as they are typed."""
+    """The names of the kinds as they are typed."""
     return tuple(member.name.lower().replace("_", "-") for member in kind)
 
 

@@ -1,4 +1,4 @@
-"""What can go wrong, and when, as data: a simulated part is given a schedule of faults and acts on those of its kinds.
+"""Faults of a simulated part and their times, as data; each part acts on the faults of its own kinds.
 
 Times are seconds of simulated time since the clock's zero.
 """
@@ -31,7 +31,7 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong from at_s on for duration_s; with duration 0 it happens once."""
+    """One fault in force from at_s on for duration_s, s; with duration 0 it happens once."""
 
     kind: FaultKind
     at_s: float
@@ -40,7 +40,7 @@ class Fault:
 
 
 class FaultSchedule:
-    """The faults of one part, asked as time goes by. A fault of duration 0 is delivered exactly once."""
+    """The faults of one part, in time order. A fault of duration 0 is returned exactly once."""
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults = sorted(faults, key=lambda fault: fault.at_s)
@@ -48,7 +48,7 @@ class FaultSchedule:
         self.next_s = self._faults[0].at_s if self._faults else math.inf
 
     def active(self, time_s: float) -> list[Fault]:
-        """Those in force at this time, the single ones only at the first call after their moment."""
+        """The faults in force at this time, s; single ones only at the first call after their time."""
         if time_s < self.next_s:
             return []
         found = []
@@ -64,6 +64,6 @@ class FaultSchedule:
         return found
 
     def next_change_s(self, time_s: float) -> float:
-        """When a fault begins or ends next after this time; inf when none does."""
+        """Time of the next begin or end of a fault after this time, s; inf when there is none."""
         changes = [f.at_s for f in self._faults] + [f.at_s + f.duration_s for f in self._faults]
         return min((change for change in changes if change > time_s), default=math.inf)

@@ -1,8 +1,8 @@
-"""Simulated displays and gauges: look at the feed axis's true position and talk over a pseudo-terminal as their makers' do.
+"""Simulated displays and gauges: they measure the feed axis's true position and use their makers' protocols on a pseudo-terminal.
 
 Kinds: "nd2xx" (a HEIDENHAIN display, answers Ctrl-B and ESC A0200), "mitutoyo" (a counter that sends by itself) and "ascii" (a number
-with its unit, by itself). Lines are formatted here and not with anything of the decoders', which they are there to prove. Faults are
-those of `faults`: a lost beam is a scale that is not read (its own word for it), a restart is a count that begins anew.
+with its unit, by itself). Lines are formatted here without the decoders' code, which they test. Faults are
+those of `faults`: a lost beam is a scale that is not read (with the device's own message), a restart is a count that begins at 0.
 """
 
 from __future__ import annotations
@@ -12,27 +12,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import InputError
-from sim_backends.delayed_line import DelayedLine
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.plant.axis import FeedAxis
-from sim_backends.terminal import InstrumentTerminal
+from sim_backends.terminal import DelayedLine, InstrumentTerminal
 
 GAUGE_KINDS = ("nd2xx", "mitutoyo", "ascii")
 _NS = 1_000_000_000
-_LISTEN_NS = (
-    1_000_000  # a display stores its value within this time of a request (HEIDENHAIN ND 261: Ctrl-B, at most 1 ms)
-)
+_LISTEN_NS = 1_000_000  # longest time from a request to the stored value (HEIDENHAIN ND 261: Ctrl-B, at most 1 ms)
 _UNREAD = {FaultKind.BEAM_LOST, FaultKind.HEAD_ERROR, FaultKind.OVERSPEED}
 
 
 @dataclass(frozen=True)
 class GaugeParameters:
-    """kind: one of GAUGE_KINDS; rate_hz: lines per second of those that send by themselves; answer_s: a display's time to answer.
+    """kind: one of GAUGE_KINDS; rate_hz: lines per second of those that send by themselves; answer_s: a display's time to answer, s.
 
     pulse_hz: a display stores and sends a value at each pulse on its external input, and is not asked; None: it is asked;
-    latency_s, jitter_s: from a sample to its line at the reader beyond that, and how much later it may come;
-    resolution_mm: one step of the count; direction: it rises (+1) or falls (−1) with the axis; zero_mm: where on the axis it is
-    zero; noise_um: white; drift_um_per_h: of the mount.
+    latency_s, jitter_s: delay from a sample to its line at the reader beyond that, and its largest variation;
+    resolution_mm: one step of the count; direction: it rises (+1) or falls (−1) with the axis; zero_mm: position of the axis at which
+    it is zero; noise_um: white; drift_um_per_h: of the mount. Raises InputError.
     """
 
     kind: str = "nd2xx"
@@ -56,7 +53,7 @@ class GaugeParameters:
 class SimulatedGauge:
     """The instrument on its pseudo-terminal; attach `advance`, `bearable` and `settle` to the clock after what moves the axis.
 
-    pulse: the line that its sampling is tied to, called at the very moment of each sample.
+    pulse: its trigger output, called at the exact time of each sample.
     """
 
     pulse: Callable[[], None] | None = None
@@ -77,7 +74,7 @@ class SimulatedGauge:
         self._wire = InstrumentTerminal(wait_for_arrival=wait_for_arrival)
         self.path = self._wire.path
         self.counters = self._wire.counters
-        self._offset_mm = 0.0  # what a restart took
+        self._offset_mm = 0.0  # lost by a restart
         self._asked = b""
         p = self.parameters
         self._period_ns = round(_NS / (p.pulse_hz or p.rate_hz))
@@ -95,19 +92,19 @@ class SimulatedGauge:
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is still there."""
+        """Whether the terminal is open."""
         return self._wire.is_open
 
     def bearable(self, now_ns: int) -> int:
-        """For SimClock: until the next line is due, or the line is listened to."""
+        """For SimClock: ns until the next line is due, or requests are read."""
         return min(self._next_ns, self._line.next_ns) - now_ns if self._wire.is_open else _NS
 
     def settle(self) -> None:
-        """Send what is due; return once it lies at the reader's end."""
+        """Send what is due; return once it is at the reader's end."""
         self._wire.settle()
 
     def advance(self, now_ns: int, dt_s: float) -> None:
-        """Take the samples that are due, or those that were asked for."""
+        """Take the samples that are due, or those that were requested."""
         if not self._wire.is_open:
             return
         while self._next_ns <= now_ns:
@@ -119,7 +116,7 @@ class SimulatedGauge:
                 self._next_ns += self._period_ns
         self._line.release(now_ns)
 
-    # -- a display that is asked ------------------------------------------------------------------------------------------
+    # -- a display that answers requests ----------------------------------------------------------------------------------
     def _listen(self, time_ns: int) -> None:
         self._asked += self._wire.heard()
         while self._asked:
@@ -168,7 +165,7 @@ class SimulatedGauge:
         return b"\x02ENCODER ERR. " if steps is None else b"\x02%+010d" % steps
 
     def _text(self, steps: int | None) -> bytes:
-        """What is displayed; None: the scale cannot be read."""
+        """The displayed text; None: the scale cannot be read."""
         kind, step_mm = self.parameters.kind, self.parameters.resolution_mm
         decimals = len(f"{step_mm:.9f}".rstrip("0").partition(".")[2])
         sign = b"-" if steps is not None and steps < 0 else b"+"

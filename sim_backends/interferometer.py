@@ -1,6 +1,6 @@
-"""Optics and counter of a simulated laser interferometer: from the truth of an axis to units of displacement. No wire.
+"""Optics and counter of a simulated laser interferometer: from the true position of an axis to units of displacement. No wire.
 
-Its air is the true one, by another equation than hosts compensate with; set-up errors (angle, dead path, drift) are physics here.
+The air is the true one, computed by another equation than hosts compensate with; set-up errors (angle, dead path, drift) are physics.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from sim_backends.plant.axis import FeedAxis
 
 @dataclass(frozen=True)
 class LaserParameters:
-    """The instrument and how it stands.
+    """The instrument and its set-up.
 
     rate_hz: lines per second; units_per_wavelength: 2, 4 or 8 by the optics; direction: counts rise (+1) or fall (−1) with the axis;
     zero_mm: where on the axis the count is zero (true position, beam aligned); dead_path_mm: air between optics and that place;
     misalignment_mrad: angle between beam and axis; wavelength_error_ppm: of the true vacuum wavelength;
     noise_um: white, per sample; drift_um: wander of the beam or mount over hours, 1/f; drift_um_per_h: steady part;
     subdivision_nm: periodic error of the interpolation; reference_hz: frequency difference of the two-frequency head;
-    latency_s, jitter_s: from a sample to its line at the reader, and how much later it may come;
+    latency_s, jitter_s: delay from a sample to its line at the reader, and its largest variation;
     angle_urad_per_unit: angle optics on axes 2 (pitch) and 3 (yaw), one unit of them; None: not fitted, lines of 8 numbers.
     """
 
@@ -48,13 +48,13 @@ class LaserParameters:
 
 
 class Interferometer:
-    """Optics and counter: from the truth of an axis to counts. No wire."""
+    """Optics and counter: from the true position of an axis to counts. No wire."""
 
     def __init__(self, axis: FeedAxis, parameters: LaserParameters) -> None:
         self.axis = axis
         self._rng = random.Random(parameters.seed)
         self._time_s = 0.0
-        # 1/f: walks of equal size, each with a memory four times as long as the one before
+        # 1/f: random walks of equal size, each with a memory four times as long as the one before
         self._walks = [self._rng.gauss(0.0, 1.0) for _ in range(6)]
         self._walk_due_s = 0.0
         self._drift_um = 0.0
@@ -66,7 +66,7 @@ class Interferometer:
         self._index_at_zero = self.index
 
     def configure(self, parameters: LaserParameters) -> None:
-        """Exchange the set-up while it runs; a new dead path counts from the air of this moment, a drift from where it is."""
+        """Change the set-up while it runs; a new dead path counts from the present air, a drift from its present value."""
         if parameters.dead_path_mm != self.parameters.dead_path_mm:
             self._look_at_air()
             self._index_at_zero = self.index
@@ -106,7 +106,7 @@ class Interferometer:
         return sum(self._walks) / math.sqrt(len(self._walks))
 
     def units(self, time_s: float, extra_um: float = 0.0) -> float:
-        """The displacement now, in units of the optics, not yet quantised."""
+        """The displacement at time_s (s) plus extra_um (µm), in units of the optics, not yet quantised."""
         p = self.parameters
         self._look_at_air()
         shift_um = self._drift(time_s) + extra_um + self._rng.gauss(0.0, p.noise_um)

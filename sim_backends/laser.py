@@ -1,7 +1,7 @@
-"""A simulated µMD interferometer: looks at the feed axis's true position and sends lines over a pseudo-terminal.
+"""A simulated µMD interferometer: measures the feed axis's true position and sends lines over a pseudo-terminal.
 
-Optics, air and set-up errors are in `interferometer`, the wire is `terminal`'s; the line is formatted here and not with anything of
-the decoder's, which it is there to prove. Lines that a full terminal loses leave a gap in the sequence.
+Optics, air and set-up errors are in `interferometer`, the wire is `terminal`; the line is formatted here without the decoder's code,
+which it tests. Lines that a full terminal loses leave a gap in the sequence.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim_backends.delayed_line import DelayedLine
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.interferometer import Interferometer, LaserParameters
 from sim_backends.plant.axis import FeedAxis
-from sim_backends.terminal import InstrumentTerminal
+from sim_backends.terminal import DelayedLine, InstrumentTerminal
 
 __all__ = ["Interferometer", "LaserParameters", "SimulatedLaser"]
 
@@ -39,7 +38,7 @@ class _Line:
 class SimulatedLaser:
     """The instrument on its pseudo-terminal. Use `serve.laser_pty` or the context manager; `path` is what a reader opens.
 
-    pulse: its trigger output, called at the very moment of each sample.
+    pulse: its trigger output, called at the exact time of each sample.
     """
 
     pulse: Callable[[], None] | None = None
@@ -68,7 +67,7 @@ class SimulatedLaser:
         self._sequence = 0
         self._displacement = 0
         self._angle_counts = [0, 0]
-        self._runaway = 0  # counts gained or lost while the beam was away
+        self._runaway = 0  # counts gained or lost while the beam was lost
         self._next_ns = self._due_ns(1)
 
     def close(self) -> None:
@@ -77,11 +76,11 @@ class SimulatedLaser:
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is still there."""
+        """Whether the terminal is open."""
         return self._wire.is_open
 
     def configure(self, parameters: LaserParameters) -> None:
-        """Exchange the set-up while it runs; the rate stays."""
+        """Change the set-up while it runs; the rate stays."""
         self.parameters = parameters
         self.interferometer.configure(parameters)
 
@@ -94,7 +93,7 @@ class SimulatedLaser:
         return self._start_ns + round(number * _NS / self.parameters.rate_hz)
 
     def bearable(self, now_ns: int) -> int:
-        """For SimClock: until the next sample, so that it is taken at its moment."""
+        """For SimClock: ns until the next sample, so that it is taken at its time."""
         return min(self._next_ns, self._line.next_ns) - now_ns if self._wire.is_open else _NS
 
     def advance(self, now_ns: int, dt_s: float) -> None:
@@ -153,7 +152,7 @@ class SimulatedLaser:
             self._line.put(text, time_ns)
 
     def _angles(self, urad_per_unit: float, reference: int, *, lost: bool) -> bytes:
-        """Axes 2 and 3: what the table's pitch and yaw make of their optics."""
+        """Fields of axes 2 and 3: the table's pitch and yaw as their optics measure them."""
         text = b""
         for index, urad in enumerate((self._axis.pitch_urad, self._axis.yaw_urad)):
             units = urad / urad_per_unit
@@ -188,7 +187,7 @@ class SimulatedLaser:
         return line
 
     def _slow(self) -> tuple[int, int]:
-        """One slow value per line, in turn as the firmware sends them."""
+        """One slow value per line (lsCode, lsData), in turn as the firmware sends them."""
         turn = self._sequence & 0x1F
         if turn == 1:
             return 10, 5704
@@ -207,5 +206,5 @@ class SimulatedLaser:
         return round(readings.air_pressure_hpa * 100.0) if code == 5 else round(readings.air_humidity_percent * 10.0)
 
     def settle(self) -> None:
-        """Send what was sampled since the last time; return once it lies at the reader's end."""
+        """Send what was sampled since the last call; return once it is at the reader's end."""
         self._wire.settle()

@@ -1,7 +1,7 @@
-"""Effects of the instrument and its set-up, switched on in a running laser; what must be named and not compensated.
+"""Effects of the instrument and its set-up, switched on in a running laser: errors to be identified and not compensated.
 
-Sizes are µm at the stated condition. Dead path and air index show only while the air changes, so the air is made to: the workshop's
-walk is widened and the instrument's own sensors show it.
+Sizes are µm at the stated condition. Dead path and air index show only while the air changes, so the variation of the workshop's air
+is increased, which the instrument's own sensors show.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def switch_on(laser: SimulatedLaser, axis: FeedAxis, effect: str, size_um: float
     switch(laser, axis, size_um)
 
 
-def _restless_air(axis: FeedAxis, pressure_hpa: float) -> None:
+def _varied_air(axis: FeedAxis, pressure_hpa: float) -> None:
     p = axis.parameters
     ambient = replace(
         p.ambient,
@@ -38,25 +38,25 @@ def _restless_air(axis: FeedAxis, pressure_hpa: float) -> None:
 
 
 def _dead_path(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:
-    """Shift by 5 hPa of air pressure, with the zero set now."""
+    """Size: shift by 5 hPa of air pressure, with the zero set now."""
     path_mm = size_um * 1e-3 / (INDEX_PER_HPA * PRESSURE_CHANGE_HPA)
     laser.configure(replace(laser.parameters, dead_path_mm=laser.parameters.dead_path_mm + path_mm))
-    _restless_air(axis, PRESSURE_CHANGE_HPA)
+    _varied_air(axis, PRESSURE_CHANGE_HPA)
 
 
 def _air_index(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:
-    """Standard deviation at the end of the travel that the wandering pressure gives to a host that does not compensate."""
-    _restless_air(axis, size_um * 1e-3 / (INDEX_PER_HPA * axis.parameters.length_mm))
+    """Size: standard deviation at the end of the travel caused by the varying pressure, for a host that does not compensate."""
+    _varied_air(axis, size_um * 1e-3 / (INDEX_PER_HPA * axis.parameters.length_mm))
 
 
 def _cosine(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:
-    """How much it reads short at the end of the travel."""
+    """Size: amount by which it reads short at the end of the travel."""
     mrad = math.sqrt(2.0 * size_um * 1e-3 / axis.parameters.length_mm) * 1e3
     laser.configure(replace(laser.parameters, misalignment_mrad=mrad))
 
 
 def _beam_drift(laser: SimulatedLaser, axis: FeedAxis, size_um: float) -> None:
-    """Standard deviation of a 1/f wander over hours."""
+    """Size: standard deviation of a 1/f drift over hours."""
     laser.configure(replace(laser.parameters, drift_um=size_um))
 
 

@@ -1,6 +1,6 @@
 """A simulated machine as a process of its own, in real time: its drive on a real bus or line, its laser on a terminal, one plant.
 
-What may go in: how a running bench is shown to other processes. What it consists of is `bench`'s, who may hear it `reach`'s.
+Shows a running `bench` to other processes; `reach` limits which ones.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from sim_backends.serve import Pace
 from sim_backends.slcan import SlcanDevice
 
 MODBUS_SHAPES = ("cia402", "vendor")
-_SUPERVISION_NS = 20_000_000  # how long the drive's firmware may go without looking at the servo
-_MOST_FRAMES = 64  # handled in a row before anything else gets its turn
+_SUPERVISION_NS = 20_000_000  # longest interval at which the drive's firmware checks the servo
+_MOST_FRAMES = 64  # handled in a row before anything else runs
 
 
 def open_bus(interface: str, channel: str, bitrate: int | None) -> can.BusABC:
@@ -43,9 +43,9 @@ def open_bus(interface: str, channel: str, bitrate: int | None) -> can.BusABC:
 
 
 class CanDrive:
-    """The bench's servo as a CANopen node; frames are handled by the thread that lets time pass, so nothing is shared.
+    """The bench's servo as a CANopen node; the thread that advances time handles the frames, so nothing is shared.
 
-    Use `serve` where that thread would sleep.
+    Use `serve` where that thread would sleep. Raises LinkLostError when the bus is lost.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class CanDrive:
             raise LinkLostError(f"CAN bus {self._bus.channel_info} does not take a frame: {error}") from error
 
     def serve(self, timeout_s: float) -> None:
-        """Wait for a frame, `timeout_s` at most; handle it and what came with it, each at its time."""
+        """Wait at most `timeout_s` seconds for a frame; handle it and those that came with it, each at its time."""
         for _ in range(_MOST_FRAMES):
             try:
                 message = self._bus.recv(timeout_s)
@@ -93,7 +93,9 @@ class CanDrive:
 
 
 def modbus_face(bench: Bench, shape: str) -> Face:
-    """The bench's servo as registers: "cia402" (objects in blocks of holding registers) or "vendor" (coils and a trigger register)."""
+    """The bench's servo as registers: "cia402" (objects in blocks of holding registers) or "vendor" (coils and a trigger register).
+
+    Raises InputError for another shape."""
     if shape == "vendor":
         counts, settings = bench.parameters.servo.counts_per_rev, bench.parameters.vendor_settings
         return VendorRegisters(bench.servo, counts_per_rev=counts, settings=settings)
@@ -111,9 +113,9 @@ def modbus_server(
     tcp: tuple[str, int] | None,
     faults: tuple[WireFault, ...] = (),
 ) -> Iterator[tuple[Pace, str]]:
-    """Serve units on a TCP address, or on a new terminal when `tcp` is None; yields the pace to keep and the place to connect to.
+    """Serve units on a TCP address, or on a new terminal when `tcp` is None; yields the pace to keep and the address to connect to.
 
-    Requests are answered by a thread of the server's; the pace holds its lock while time moves.
+    A thread of the server answers requests; the pace holds its lock while time advances. Raises InputError, LinkLostError.
     """
     for unit in faces:
         if tcp is None and not 1 <= unit <= 247:

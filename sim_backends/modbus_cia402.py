@@ -1,7 +1,8 @@
 """The simulated drive's CiA-402 objects shown as blocks of holding registers.
 
-The table says which object stands at which address; the objects themselves, the state machine and the hand-shakes are those of the
-CANopen slave (`canopen_profile`), as in drives that speak both. Written without the client's register map, which a test compares.
+The table maps addresses to objects; the objects themselves, the state machine and the hand-shakes are those of the
+CANopen slave (`canopen_profile`), as in drives that have both protocols. Written without the client's register map; a test compares
+them.
 """
 
 from __future__ import annotations
@@ -80,14 +81,14 @@ _OBJECTS: tuple[tuple[int, str, int, int], ...] = (
     *((0x260A + 2 * place, "I", 0x60D1 + place, 0) for place in range(4)),
     *((0x2612 + place, "H", 0x60D5 + place, 0) for place in range(4)),
 )
-_FIXED = (0x608F, 0x1018)  # not to be written over Modbus
+_FIXED = (0x608F, 0x1018)  # read only over Modbus
 KEPT = (0x607C, 0x6091, 0x6092, 0x607D, 0x6065, 0x6067, 0x6072)  # objects in EEPROM, written on every change
 
 
 class Cia402Registers:
     """`Face` of a CiA-402 drive. parameters: {(index, subindex): value} over the EDS's defaults.
 
-    eeprom_writes counts writes per kept object; store_s is how long saving all takes.
+    eeprom_writes: number of writes per kept object; store_s: duration of saving all, s.
     """
 
     max_read = 125

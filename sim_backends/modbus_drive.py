@@ -1,7 +1,7 @@
 """Simulated drives on a real Modbus wire: a TCP server on loopback, or a slave on a pseudo-terminal.
 
-What may go in: ports, the one thread behind them, and the faults of the wire. Frames are `modbus_framing`'s, registers the faces'.
-One lock makes receive-and-handle one step, so that everything received before simulated time moves on has been handled by then.
+Ports, the one thread behind them, and the faults of the wire. Frames are in `modbus_framing`, registers in the faces.
+One lock makes receive-and-handle one step, so that everything received before simulated time advances has been handled by then.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from sim_backends.modbus_faults import WireFault, WireFaultKind, WireFaultPlan
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 from sim_backends.modbus_registers import GATEWAY_NO_RESPONSE, Face, answer
 
-_SILENCE_S = 0.02  # real time without a byte that ends an RTU frame whose length its function does not tell
+_SILENCE_S = 0.02  # real time without a byte that ends an RTU frame whose length does not follow from its function, s
 _FOREVER_NS = 3600 * NS_PER_S
 
 
 @dataclass
 class _Port:
-    """A descriptor that requests come in on."""
+    """A file descriptor on which requests come in."""
 
     handle: int
     send: Callable[[bytes], None]
     hang_up: Callable[[], None]
     decoder: TcpDecoder | RtuDecoder
-    held: bytes = b""  # leaves before whatever is sent next
+    held: bytes = b""  # sent before the next reply
 
     @property
     def serial(self) -> bool:
@@ -53,10 +53,10 @@ class _Late:
 
 
 class ModbusServer:
-    """Units behind one wire. faces: unit id -> `Face`. Start it with `tcp_server` or `rtu_slave` below.
+    """Units on one wire. faces: unit id -> `Face`. Start it with `tcp_server` or `rtu_slave` below.
 
-    `faults.add(...)` arms a fault at any time; `requests` counts what was received, `advance` is for the clock. remember: keep every
-    request in `seen`. What its thread dies of is raised by the next `advance`, or by `stop`.
+    `faults.add(...)` arms a fault at any time; `requests` is the number received, `advance` is for the clock. remember: keep every
+    request in `seen`. The next `advance`, or `stop`, raises an error of its thread.
     """
 
     def __init__(self, faces: Mapping[int, Face], faults: Iterable[WireFault] = (), *, remember: bool = True) -> None:
@@ -77,7 +77,7 @@ class ModbusServer:
         os.set_blocking(self._wake_read, False)
         self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
 
-    # -- life ----------------------------------------------------------------------------------------------------------
+    # -- start and stop ------------------------------------------------------------------------------------------------
     def listen(self, host: str = "127.0.0.1", port: int = 0) -> int:
         """Serve TCP; returns the port."""
         self._listener = socket.create_server((host, port))
@@ -86,11 +86,11 @@ class ModbusServer:
         return int(self._listener.getsockname()[1])
 
     def serve_terminal(self, master: int) -> None:
-        """Serve RTU on the master side of a pseudo-terminal, which stays its owner's to close."""
+        """Serve RTU on the master side of a pseudo-terminal, which the caller closes."""
         os.set_blocking(master, False)
 
         def send(data: bytes) -> None:
-            with contextlib.suppress(BlockingIOError):  # nobody reads: a wire forgets
+            with contextlib.suppress(BlockingIOError):  # without a reader the bytes are lost
                 os.write(master, data)
 
         self._ports[master] = _Port(master, send, lambda: None, RtuDecoder())
@@ -100,7 +100,7 @@ class ModbusServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and close what is open; raises what the thread died of."""
+        """End the thread and close everything open; raises an error of the thread."""
         self._stopping = True
         os.write(self._wake_write, b"x")
         self._thread.join()
@@ -117,14 +117,14 @@ class ModbusServer:
             raise self._error
 
     def drop_connections(self) -> None:
-        """Close every TCP connection, as a server that restarts does."""
+        """Close every TCP connection, as a restarting server does."""
         with self._lock:
             for port in [port for port in self._ports.values() if not port.serial]:
                 self._hang_up(port)
 
     # -- time ----------------------------------------------------------------------------------------------------------
     def advance(self, now_ns: int, _dt_s: float) -> None:
-        """Bring the faces to now_ns, after handling what has been received, and send replies that were held back until now."""
+        """Advance the faces to now_ns, after handling the requests received, and send replies delayed until now."""
         if self._stopping:
             return
         if self._error is not None:
@@ -184,17 +184,17 @@ class ModbusServer:
                         self._pump()
                     else:
                         self._silence()
-        except BaseException as error:  # noqa: BLE001 - whoever owns this server raises it
+        except BaseException as error:  # noqa: BLE001 - `advance` or `stop` raises it
             self._error = error
 
     def _pump(self) -> None:
-        """Take and handle everything that is there, without waiting."""
+        """Handle everything that has been received, without waiting."""
         with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 64)
         if self._listener is not None:
             with contextlib.suppress(
                 BlockingIOError, ConnectionError
-            ):  # nobody waits, or went away before it was let in
+            ):  # no connection waits, or it was closed before it was accepted
                 while True:
                     self._accept(self._listener.accept()[0])
         for port in list(self._ports.values()):
@@ -202,16 +202,16 @@ class ModbusServer:
 
     def _accept(self, connection: socket.socket) -> None:
         connection.setblocking(False)
-        with contextlib.suppress(OSError):  # it may be gone already: reading it will say so
+        with contextlib.suppress(OSError):  # it may be closed already: the next read handles that
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         handle = connection.fileno()
 
         def send(data: bytes) -> None:
-            with contextlib.suppress(OSError):  # the peer is gone: its next read says so
+            with contextlib.suppress(OSError):  # the peer is gone: the next read handles that
                 connection.send(data)
 
         self._ports[handle] = _Port(handle, send, connection.close, TcpDecoder())
-        self._wake()  # the thread is to watch it too, whoever accepted it
+        self._wake()  # the thread has to watch it too, whichever thread accepted it
 
     def _receive(self, port: _Port) -> None:
         while port.handle in self._ports:
@@ -250,7 +250,7 @@ class ModbusServer:
         fault = self.faults.hit_by(request.unit, function)
         face = self.faces.get(request.unit)
         if face is None:
-            if not port.serial:  # a gateway says so; on a serial line nobody speaks up
+            if not port.serial:  # a gateway answers for a missing unit; on a serial line there is no answer
                 self._reply(port, request.with_pdu(bytes((function | 0x80, GATEWAY_NO_RESPONSE))), fault)
             return
         if fault is not None and fault.kind in (WireFaultKind.LOST_REQUEST, WireFaultKind.DROP_REQUEST):
@@ -321,9 +321,10 @@ def _attach(server: ModbusServer, clock: Clock) -> None:
 def tcp_server(
     faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = (), port: int = 0
 ) -> Iterator[tuple[ModbusServer, int]]:
-    """Serve units on 127.0.0.1 until the block ends; yields the server and its port (0 asks for a free one).
+    """Serve units on 127.0.0.1 until the block ends; yields the server and its port (0: a free one is chosen).
 
-    With a SimClock the faces live in its time (attach the servo before); with another clock whoever runs the servo calls `advance`.
+    With a SimClock it advances the faces (attach the servo before); with another clock the code that advances the servo calls
+    `advance`.
     """
     server = ModbusServer(faces, faults)
     number = server.listen(port=port)
@@ -338,7 +339,7 @@ def tcp_server(
 def rtu_slave(
     faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = ()
 ) -> Iterator[tuple[ModbusServer, str]]:
-    """Serve units on a new pseudo-terminal until the block ends; yields the server and the path of the port to open."""
+    """Serve units on a new pseudo-terminal until the block ends; yields the server and the path of the port. Raises InputError."""
     for unit in faces:
         if not 1 <= unit <= 247:
             raise InputError(f"unit id is {unit}, expected 1 to 247 on a serial line")

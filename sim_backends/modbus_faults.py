@@ -1,4 +1,4 @@
-"""What can go wrong on a Modbus wire, and at which request, as data."""
+"""Faults of a Modbus wire, and the requests to which they apply, as data."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class WireFaultKind(Enum):
 
 @dataclass(frozen=True)
 class WireFault:
-    """Hits the nth request that matches (1 = the next), and the `count` − 1 after it.
+    """Applies to the nth request that matches (1 = the next), and the `count` − 1 after it.
 
     function None matches every function, writes=True only those that write; unit None every unit.
     """
@@ -49,20 +49,20 @@ class WireFault:
 
 
 class WireFaultPlan:
-    """The faults of one server and how many requests each has seen; at most one fault hits a request, the first that is due."""
+    """The faults of one server and how many requests each has matched; at most one fault applies to a request, the first one due."""
 
     def __init__(self, faults: Iterable[WireFault] = ()) -> None:
         self._faults = [(fault, [0]) for fault in faults]
 
     def add(self, fault: WireFault) -> None:
-        """Arm one more; it counts from now."""
+        """Arm another fault; it counts from now."""
         self._faults.append((fault, [0]))
 
     def clear(self) -> None:
         self._faults.clear()
 
     def hit_by(self, unit: int, function: int) -> WireFault | None:
-        """The fault that this request meets; every fault that matches counts it."""
+        """The fault that applies to this request; every fault that matches counts it."""
         hit: WireFault | None = None
         for fault, seen in self._faults:
             if fault.matches(unit, function):

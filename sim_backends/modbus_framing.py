@@ -1,7 +1,7 @@
 """Modbus frames as a server sees them: MBAP headers, RTU frames and their CRC, and where a request ends. Bytes only, no ports.
 
-Written from "Modbus messaging on TCP/IP V1.0b" (3.1.3) and "Modbus over serial line V1.02" (2.5.1, 6.2.2), apart from any
-library, since it is there to judge one.
+Written from "Modbus messaging on TCP/IP V1.0b" (3.1.3) and "Modbus over serial line V1.02" (2.5.1, 6.2.2), independent of any
+library, since it tests one.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def pack_rtu(frame: Frame) -> bytes:
 
 
 class TcpDecoder:
-    """Cuts a stream into frames. `broken` once it holds what no Modbus header may: the connection has then to be closed."""
+    """Cuts a stream into frames. `broken` after an invalid Modbus header: the connection has then to be closed."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -80,14 +80,14 @@ class TcpDecoder:
 
 
 class RtuDecoder:
-    """Cuts a serial line into requests, by their length where the function tells it and by silence where it does not."""
+    """Cuts a serial line into requests, by the length that the function implies, else by silence."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     @property
     def waiting(self) -> bool:
-        """Bytes are there that are no frame yet; call `silence` when no more have come for a while."""
+        """Whether there are bytes that are no complete frame; call `silence` when no more have come for a while."""
         return bool(self._buffer)
 
     def feed(self, data: bytes) -> list[Frame]:
@@ -96,20 +96,20 @@ class RtuDecoder:
         while (length := _request_bytes(self._buffer)) is not None and len(self._buffer) >= length:
             frame = _checked(bytes(self._buffer[:length]))
             if frame is None:
-                break  # damaged: only silence tells where the next one begins
+                break  # damaged: only silence shows where the next one begins
             frames.append(frame)
             del self._buffer[:length]
         return frames
 
     def silence(self) -> list[Frame]:
-        """The line has been quiet: what is there was one frame, or none."""
+        """To be called when the line has been quiet: the bytes so far were one frame, or none."""
         frame = _checked(bytes(self._buffer))
         self._buffer.clear()
         return [] if frame is None else [frame]
 
 
 def _request_bytes(buffer: bytearray) -> int | None:
-    """Length of the request that starts here, with unit and CRC; None while or where that cannot be told."""
+    """Length of the request that starts here, with unit and CRC; None where it cannot be determined (yet)."""
     if len(buffer) < 2:
         return None
     if buffer[1] in (1, 2, 3, 4, 5, 6):

@@ -1,7 +1,7 @@
-"""The register side of a simulated Modbus device: cells with address, format and a life of their own, and functions over them.
+"""The registers of a simulated Modbus device: cells with address, format and access functions, and the Modbus functions over them.
 
-What may go in: Modbus functions 1 to 6, 15 and 16 as the application protocol V1.1b3 has them (section 6, with its exception codes).
-Nothing here knows drives. Values are packed here by their own code, not by the client's.
+Modbus functions 1 to 6, 15 and 16 of the application protocol V1.1b3 (section 6, with its exception codes).
+Independent of drives. Values are packed here by separate code, not by the client's.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Value = int | float | bytes
 
 
 class RefusedRequestError(Exception):
-    """A request that is answered with an exception code."""
+    """A request that is answered with an exception; `code` is the exception code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"exception {code}")
@@ -40,7 +40,7 @@ class Cell:
     """One value at an address (0-based).
 
     code: a letter of `struct` (H h I i Q q f d), "?" for a coil or input, or "8s" for text.
-    low_word_first, low_byte_first: how the words are laid out. low, high: what may be written; write None is read only.
+    low_word_first, low_byte_first: order of the words and bytes. low, high: allowed values; write None: read only.
     """
 
     address: int
@@ -66,7 +66,7 @@ class Cell:
         value = self.read()
         if self.code == "?":
             return [int(bool(value))]
-        if isinstance(value, int) and self.code in "HhIiQq":  # a counter that is full begins anew, as in any firmware
+        if isinstance(value, int) and self.code in "HhIiQq":  # a counter that is full wraps, as in any firmware
             data = (value & (1 << 16 * self.words) - 1).to_bytes(2 * self.words, "big")
         else:
             data = struct.pack(f">{self.code}", value)
@@ -86,14 +86,14 @@ class Cell:
         return value
 
     def _arranged(self, words: list[int]) -> list[int]:
-        """Between the order of the wire and high word, high byte first; its own inverse."""
+        """Conversion between the order of the wire and high word, high byte first; its own inverse."""
         if self.low_byte_first:
             words = [(word & 0xFF) << 8 | word >> 8 for word in words]
         return words[::-1] if self.low_word_first and not self.code.endswith("s") else words
 
 
 class Bank:
-    """One address space. gaps_readable: an address without a cell reads as 0 (else the request is refused)."""
+    """One address space. gaps_readable: an address without a cell reads as 0 (else the request is refused). Raises ValueError."""
 
     def __init__(self, cells: Iterable[Cell], *, gaps_readable: bool) -> None:
         self._by_address: dict[int, Cell] = {}
@@ -110,7 +110,7 @@ class Bank:
         return frozenset(self._by_address)
 
     def read(self, address: int, count: int) -> list[int]:
-        """Words (or bits); every cell is read once, so that its words are of one moment."""
+        """Words (or bits); every cell is read once, so that its words are of one moment. Raises RefusedRequestError."""
         found: dict[int, list[int]] = {}
         words: list[int] = []
         for place in range(address, address + count):
@@ -126,7 +126,7 @@ class Bank:
         return words
 
     def write(self, address: int, words: Sequence[int]) -> None:
-        """All or nothing as far as addresses and limits go; half a value is refused."""
+        """Write all or nothing, as far as addresses and limits go; half a value is refused. Raises RefusedRequestError."""
         orders: list[tuple[Callable[[Value], None], Value]] = []
         place, end = address, address + len(words)
         while place < end:
@@ -140,7 +140,7 @@ class Bank:
 
 
 class Face(Protocol):
-    """What a kind of device shows on Modbus."""
+    """The registers of one kind of device."""
 
     banks: Mapping[Space, Bank]
     max_read: int
@@ -148,10 +148,10 @@ class Face(Protocol):
     single_writes: bool
 
     def tick(self, now_ns: int) -> None:
-        """Time has moved on."""
+        """Time has advanced to now_ns."""
 
     def bearable(self, now_ns: int) -> int:
-        """ns until the next tick is wanted, at most."""
+        """Longest time until the next tick, ns."""
 
 
 def answer(face: Face, pdu: bytes) -> bytes:

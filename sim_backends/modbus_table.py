@@ -1,7 +1,7 @@
-"""The correction tables that the simulated Modbus drives hold themselves, as blocks of registers.
+"""The correction tables of the simulated Modbus drives themselves, as blocks of registers.
 
-What may go in: which registers there are, and what the drive refuses. As over CANopen a table is changed without power and switched
-off only, and taken when it is switched on. Written without the client's register map.
+Defines the registers, and what the drive refuses. As over CANopen a table can be changed only without power and switched
+off, and is taken over when it is switched on. Written without the client's register map.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from sim_backends.own_table import OwnTable, TableForm
 ERROR_MAP = TableForm(points=128, explicit=True, value_counts=0.05, zero_outside=True)
 """Up to 128 nodes in µm with two curves in 0.05 µm, nothing outside."""
 PITCH_STEPS = TableForm(points=256, explicit=False, stepped=True, curves=1)
-"""Up to 256 equidistant values in counts that hold until the next node, and a backlash."""
+"""Up to 256 equidistant values in counts, each valid until the next node, and a backlash."""
 
 
 class BlockTable:
-    """Registers and the table made of them. um_counts(): motor counts of one of the form's unit, asked when it is switched on."""
+    """Registers and the table made of them. um_counts(): motor counts per unit of the form, read when it is switched on."""
 
     def __init__(self, form: TableForm, powered: Callable[[], bool], um_counts: Callable[[], float]) -> None:
         self._form = form
@@ -28,11 +28,11 @@ class BlockTable:
         self.own = OwnTable(form)
         self.numbers = {"count": 0, "origin": 0, "step": 0, "backlash": 0}
         self.columns = {name: [0] * form.points for name in ("places", "rising", "falling")}
-        self.writes = 0  # of values, which some drives keep in EEPROM
+        self.writes = 0  # number of values written, which some drives keep in EEPROM
 
-    # -- what stands where ---------------------------------------------------------------------------------------------
+    # -- cells ---------------------------------------------------------------------------------------------------------
     def map_cells(self) -> list[Cell]:
-        """Of the drive that shows CiA-402 objects: high word first."""
+        """Cells of the drive that shows CiA-402 objects: high word first."""
         cells = [
             Cell(0x3000, "H", lambda: int(self.own.enabled), self._on_switch, 0, 1),
             self._number(0x3001, "H", "count", self._form.points),
@@ -43,7 +43,7 @@ class BlockTable:
         return cells
 
     def pitch_cells(self) -> list[Cell]:
-        """Of the drive with a vendor's own registers: low word first."""
+        """Cells of the drive with a vendor's own registers: low word first."""
         return [
             Cell(300, "H", lambda: int(self.own.enabled), self._on_switch, 0, 1),
             self._number(301, "H", "count", self._form.points),
@@ -73,7 +73,7 @@ class BlockTable:
 
         return [cell(index) for index in range(self._form.points)]
 
-    # -- what the drive does with it -----------------------------------------------------------------------------------
+    # -- reactions of the drive ----------------------------------------------------------------------------------------
     def _require_idle(self) -> None:
         if self.own.enabled or self._powered():
             raise RefusedRequestError(DEVICE_FAILURE)

@@ -1,6 +1,6 @@
-"""The simulated drive with a vendor's own register set: coils to command, inputs for the status, a trigger taken back.
+"""The simulated drive with a vendor's own register set: coils for commands, inputs for the status, a self-clearing trigger register.
 
-As unpleasant as such drives are: the order in the trigger register is looked at only every few milliseconds, "in position" stays up
+With the difficulties of such drives: the trigger register is processed only every few milliseconds, "in position" stays set
 until then, an enable coil left set switches power on as soon as the alarm is reset. Written without the client's register map.
 """
 
@@ -13,7 +13,7 @@ from sim_backends.modbus_table import PITCH_STEPS, BlockTable
 from sim_backends.servo import Servo
 
 _MS = 1_000_000
-TASK_NS = 2 * _MS  # how often the drive looks at its orders
+TASK_NS = 2 * _MS  # interval at which the drive processes its orders
 _MOVE, _ORIGIN = 1, 2
 _NAME = b"VS-200A"
 
@@ -68,10 +68,10 @@ class VendorRegisters:
 
     @property
     def settings(self) -> dict[str, float]:
-        """What the drive holds at present: motion values and parameters by name, raw."""
+        """Present motion values and parameters of the drive by name, raw."""
         return {**self._motion, **self._working, **self._kept}
 
-    # -- what stands where ---------------------------------------------------------------------------------------------
+    # -- cells -----------------------------------------------------------------------------------------------------------
     def _coil_cells(self) -> list[Cell]:
         acts = (self._on_servo_on, self._on_emergency_stop, self._on_alarm_reset, self._on_pause)
         return [

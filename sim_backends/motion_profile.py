@@ -1,6 +1,6 @@
 """Trapezoidal set-points as data: a list of pieces of constant acceleration, planned once and evaluated at any time.
 
-Planning ahead keeps a step of the simulation cheap and makes the demand independent of how long the steps are. Pure functions on
+Planning ahead keeps a step of the simulation cheap and makes the demand independent of the length of the steps. Pure functions on
 numbers; positions in any unit u, velocities u/s, accelerations u/s².
 """
 
@@ -23,7 +23,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Profile:
-    """Pieces one after the other; after the last one the position rests at `end` with velocity `end_velocity`."""
+    """Successive pieces; after the last one the position is `end` with velocity `end_velocity`."""
 
     pieces: tuple[Piece, ...]
     duration_s: float  # inf for a profile that ends in a constant velocity other than 0
@@ -31,7 +31,7 @@ class Profile:
     end_velocity: float = 0.0
 
     def at(self, t_s: float) -> tuple[float, float, float]:
-        """(position, velocity, acceleration) at a time since the plan began."""
+        """(position, velocity, acceleration) at a time since the plan began, s."""
         if t_s >= self.duration_s:
             return self.end, self.end_velocity, 0.0
         for piece in self.pieces:
@@ -42,7 +42,7 @@ class Profile:
 
 
 class _Builder:
-    """Appends pieces, each from where the last one ended."""
+    """Appends pieces, each from the end of the last one."""
 
     def __init__(self, position: float, velocity: float) -> None:
         self.t = 0.0
@@ -75,7 +75,7 @@ def plan_move(
     stop = _stopping_distance(velocity, deceleration)
     gap = target - position
     if velocity != 0.0 and (gap * velocity < 0 or abs(stop) > abs(gap)):
-        build.accelerate_to(0.0, deceleration)  # it cannot stop before the target, or goes the other way: stop first
+        build.accelerate_to(0.0, deceleration)  # it cannot stop before the target, or moves away from it: stop first
     gap = target - build.p
     if gap != 0.0:
         sign = math.copysign(1.0, gap)
@@ -96,7 +96,7 @@ def plan_move(
 
 
 def plan_velocity(position: float, velocity: float, target_velocity: float, acceleration: float) -> Profile:
-    """Ramp to a velocity and keep it."""
+    """Ramp to a velocity and keep it; units as above."""
     build = _Builder(position, velocity)
     build.accelerate_to(target_velocity, acceleration)
     if target_velocity == 0.0:
@@ -106,7 +106,7 @@ def plan_velocity(position: float, velocity: float, target_velocity: float, acce
 
 
 def plan_stop(position: float, velocity: float, deceleration: float) -> Profile:
-    """Ramp to rest."""
+    """Ramp to rest; units as above."""
     return plan_velocity(position, velocity, 0.0, deceleration)
 
 

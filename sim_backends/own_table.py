@@ -1,7 +1,7 @@
 """The correction table that a simulated drive holds and applies itself, in its own units, in whole numbers as firmware does.
 
-What may go in: the contents, what they come to at a place, and the stage between servo and shaft that adds it. How the contents are
-shown on a wire is the faces' business.
+The contents, their value at a position, and the stage between servo and shaft that adds it. The faces define how the contents are
+shown on a wire.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-_FINE = 256  # steps into which the firmware divides one of the table's
-_HYSTERESIS_COUNTS = 2.0  # a demand that comes back by less has not turned
-_SETTLE_S = 0.02  # in which the largest value comes into force where the axis stands
+_FINE = 256  # number of steps into which the firmware divides one of the table's
+_HYSTERESIS_COUNTS = 2.0  # a demand that comes back by less has not reversed
+_SETTLE_S = 0.02  # time in which the largest value comes into force at standstill
 
 
 @dataclass(frozen=True)
 class TableForm:
-    """What kind of table it is.
+    """The form of a table.
 
-    place_counts, value_counts: motor counts that one raw position and one raw value stand for. explicit: a place for each value,
+    place_counts, value_counts: motor counts per raw position and per raw value. explicit: a position for each value,
     else origin and step. stepped: a value holds up to the next node. zero_outside: nothing is added beyond the ends. curves: two, one
     for each direction, or one. negated: values are errors, their negative is added.
     """
@@ -50,7 +50,7 @@ def known_table(name: str, counts_per_um: float) -> TableForm | None:
 
 @dataclass
 class OwnTable:
-    """Contents and switch, raw. backlash: what one curve is less by for falling demands."""
+    """Contents and switch, raw. backlash: amount by which one curve is less for falling demands."""
 
     form: TableForm
     enabled: bool = False
@@ -58,10 +58,10 @@ class OwnTable:
     rising: Sequence[int] = ()
     falling: Sequence[int] = ()
     backlash: int = 0
-    added_counts: float = field(default=0.0, init=False)  # at present, by `TableStage`
+    added_counts: float = field(default=0.0, init=False)  # added at present, by `TableStage`
 
     def usable(self) -> bool:
-        """Whether the drive takes it: at least two nodes, ascending, and as many values."""
+        """Whether the drive accepts it: at least two nodes, ascending, and as many values."""
         curves = (self.rising, self.falling) if self.form.curves == 2 else (self.rising,)
         ascending = all(first < second for first, second in zip(self.places, self.places[1:], strict=False))
         return (
@@ -69,7 +69,7 @@ class OwnTable:
         )
 
     def added(self, demand_counts: float, upwards: bool) -> float:
-        """What is added to a demand, motor counts."""
+        """The amount added to a demand, motor counts."""
         if not self.enabled:
             return 0.0
         form = self.form
@@ -81,7 +81,7 @@ class OwnTable:
         return (-fine if form.negated else fine) * form.value_counts / _FINE
 
     def _between(self, place: int, values: Sequence[int]) -> int:
-        """The value there, in 256ths."""
+        """The value at this position, in 256ths."""
         places, form = self.places, self.form
         if place < places[0] * _FINE:
             return 0 if form.zero_outside else values[0] * _FINE
@@ -96,16 +96,16 @@ class OwnTable:
         return low * _FINE + (high - low) * way // (places[after] - places[after - 1])
 
     def shown(self) -> int:
-        """What is added at present, as the drive shows it: in the table's unit and sign."""
+        """The amount added at present, as the drive shows it: in the table's unit and sign."""
         raw = self.added_counts / self.form.value_counts
         return round(-raw if self.form.negated else raw)
 
 
 class TableStage:
-    """Adds a table to what the servo tells the shaft; without one it adds nothing.
+    """Adds a table to the demand of the shaft; without one it adds nothing.
 
-    The direction is that of the demand, upwards until it first turns. Without power nothing changes; without a home position nothing
-    is corrected.
+    The direction is that of the demand, upwards until it first reverses. Without power nothing changes; without a home position
+    nothing is corrected.
     """
 
     def __init__(self) -> None:
@@ -115,11 +115,11 @@ class TableStage:
         self._largest = 1.0
 
     def follow(self, table: OwnTable) -> None:
-        """Take the drive's table from now on."""
+        """Use the drive's table from now on."""
         self._table = table
 
     def step(self, demand_counts: Callable[[], float], *, powered: bool, homed: bool, dt_s: float) -> float:
-        """What is added after dt_s at this demand (in the frame that the drive shows), motor counts."""
+        """The amount added after dt_s seconds at this demand (in the frame that the drive shows), motor counts."""
         table = self._table
         if table is None:
             return 0.0

@@ -1,7 +1,7 @@
-"""The simulated probe: a contact that depends on where X, Y and the spindle are, and what disturbs it from touch to touch.
+"""The simulated probe: a contact that depends on the positions of X, Y and the spindle, with disturbances from touch to touch.
 
-The geometry is `plant.touch_probe`'s. One draw of everything random holds for one touch, so that the contact is a function of place
-while a ball approaches; the next touch has its own.
+The geometry is in `plant.touch_probe`. All random values are drawn once for each touch, so that the contact is a function of position
+while a ball approaches.
 """
 
 from __future__ import annotations
@@ -12,16 +12,14 @@ from dataclasses import dataclass, field
 
 from sim_backends.plant.touch_probe import Bore, Chip, Face, Solid, Stylus
 
-CLEAR_MM = (
-    0.01  # a touch is over when the ball is so far away that nothing which comes between could make it signal at once
-)
+CLEAR_MM = 0.01  # a touch is over when the ball is so far away that no disturbance could make it signal at once
 
 
 @dataclass(frozen=True)
 class ProbeParameters:
-    """A probe and what it may touch; seeded.
+    """A probe and the bodies that it may touch; seeded.
 
-    play_mm: a tool that is not drawn in goes elsewhere by up to so much at every turn of the spindle
+    play_mm: largest displacement, at every turn of the spindle, of a tool that is not drawn in
     """
 
     stylus: Stylus = field(default_factory=Stylus)
@@ -32,12 +30,12 @@ class ProbeParameters:
 
 
 class SimulatedProbe:
-    """`closed` is the contact; `follow` tells it where the machine has come to."""
+    """`closed` is the contact; `follow` sets the machine's present position."""
 
     def __init__(self, parameters: ProbeParameters) -> None:
         self.parameters = parameters
-        self.touches = 0  # begun so far
-        self.deepest_mm = 0.0  # how far the ball was ever pushed beyond its signal
+        self.touches = 0  # number begun so far
+        self.deepest_mm = 0.0  # largest overtravel of the ball beyond its signal
         self._rng = random.Random(parameters.seed)
         self._play = (0.0, 0.0)
         self._angle_deg = math.nan
@@ -46,14 +44,14 @@ class SimulatedProbe:
         self._draw()
 
     def _draw(self) -> None:
-        """What the next touch will be like."""
+        """Draw the random values of the next touch."""
         p, rng = self.parameters, self._rng
         self._trigger_mm = p.stylus.pretravel_mm + rng.gauss(0.0, p.stylus.noise_mm)
         present = [chip for chip in p.chips if chip.first_touch <= self.touches <= chip.last_touch]
         self._between_mm = sum(chip.thickness_mm * (1.0 - chip.give * rng.random()) for chip in present)
 
     def pushed_mm(self, x_mm: float, y_mm: float, spindle_deg: float) -> float:
-        """How far beyond its signal the ball is pushed there; negative: no contact."""
+        """Overtravel of the ball beyond its signal at this position, mm; negative: no contact."""
         stylus = self.parameters.stylus
         x, y, z = stylus.ball_mm((x_mm, y_mm, 0.0), math.radians(spindle_deg))
         ball = (x + self._play[0], y + self._play[1], z)
@@ -61,11 +59,11 @@ class SimulatedProbe:
         return stylus.radius_mm + self._between_mm - nearest - self._trigger_mm
 
     def closed(self, x_mm: float, y_mm: float, spindle_deg: float) -> bool:
-        """Whether the probe signals there, in the touch that is under way or comes next."""
+        """Whether the probe signals there (mm, degrees), in the touch in progress or the next one."""
         return self.pushed_mm(x_mm, y_mm, spindle_deg) >= 0.0
 
     def follow(self, x_mm: float, y_mm: float, spindle_deg: float) -> bool:
-        """The machine is there now; whether the probe signals."""
+        """Set the machine's present position (mm, degrees); whether the probe signals."""
         if abs(spindle_deg - self._angle_deg) > 1.0 or math.isnan(self._angle_deg):
             self._angle_deg = spindle_deg
             play = self.parameters.play_mm
@@ -91,9 +89,9 @@ def known_probe(
     bore_mm: tuple[float, float] | None = None,
     bore_radius_mm: float = 10.0,
 ) -> ProbeParameters:
-    """A probe as it sits in a spindle somewhere, in front of a block that stands where it is said to, to ±20 µm in the radius.
+    """A probe with a random position in the spindle, in front of a block at its nominal position, to ±20 µm in the radius.
 
-    bore_mm: where the bore was meant to be; it is within ±0.3 mm of that.
+    bore_mm: nominal position of the bore; the true one is within ±0.3 mm of that.
     """
     rng = random.Random(seed)
     stylus = Stylus(

@@ -1,7 +1,7 @@
-"""A machine with a probe in its spindle: X, Y and spindle servos, one contact that depends on all three, and inputs that see it.
+"""A machine with a probe in its spindle: X, Y and spindle servos, one contact that depends on all three, and inputs connected to it.
 
-What may go in: putting clock, servos, probe and inputs together. Positions of the motors are positions of the table and the spindle:
-what screws add to that is `bench`'s subject.
+Connects clock, servos, probe and inputs. Positions of the motors are positions of the table and the spindle; the errors of screws
+are in `bench`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from sim_backends.probe import ProbeParameters, SimulatedProbe
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import ServoParameters, SimulatedServo
 
-_PATIENT_NS = 60_000_000_000
+_IDLE_STEP_NS = 60_000_000_000
 
 
 @dataclass(frozen=True)
 class AxisOfBench:
-    """A servo's units (mm, or degrees for a spindle), its travel and where it stands at first. The home switch is at 0."""
+    """A servo's units (mm, or degrees for a spindle), its travel and its first position. The home switch is at 0."""
 
     scaling: AxisScaling
     low: float
@@ -45,12 +45,12 @@ class AxisOfBench:
 
 
 class ProbeBench:
-    """axes: those of "x", "y" and "spindle" that the machine has. Absolute encoders: every servo knows where it is.
+    """axes: those of "x", "y" and "spindle" that the machine has. Absolute encoders: every servo knows its position.
 
     spindle_sense: +1 where a rising position turns the spindle counter-clockwise, −1 where it turns it clockwise; normally_closed: the
     inputs are active without contact.
 
-    Call `watch_probe` once, after everything that shows the servos on a wire is attached to the clock.
+    Call `watch_probe` once, after every face of the servos on a wire is attached to the clock.
     """
 
     def __init__(
@@ -77,13 +77,13 @@ class ProbeBench:
             self.servos[name] = servo
 
     def place(self, name: str) -> float:
-        """Where an axis is, mm or degrees; 0 for one that the machine does not have."""
+        """Position of an axis, mm or degrees; 0 for one that the machine does not have."""
         if name not in self.servos:
             return 0.0
         return self.axes[name].scaling.load_mm(self.servos[name].position_actual_counts)
 
     def contact(self, name: str) -> Callable[[int], bool]:
-        """The input's level as a function of one axis's motor counts, the others being where they are."""
+        """The input's level as a function of one axis's motor counts, with the other axes at their present positions."""
         scaling = self.axes[name].scaling
 
         def closed(position_counts: int) -> bool:
@@ -99,8 +99,8 @@ class ProbeBench:
         self._units.append((unit, number))
 
     def watch_probe(self) -> None:
-        """From now on the probe knows where the machine is, and every input what the other axes' motions do to the contact."""
-        self.clock.attach(self._follow, bearable=lambda _now_ns: _PATIENT_NS)
+        """From now on the probe follows the machine's position, and every input the contact as the other axes move."""
+        self.clock.attach(self._follow, bearable=lambda _now_ns: _IDLE_STEP_NS)
         self._follow(0, 0.0)
 
     def _follow(self, _now_ns: int, _dt_s: float) -> None:

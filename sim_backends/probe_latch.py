@@ -1,7 +1,7 @@
-"""What latches positions in a drive: two probe inputs, the edges that are armed, and what they caught. No protocol.
+"""Position latches of a simulated drive: two probe inputs, the armed edges, and the latched positions. No protocol.
 
-What closes a contact is the machine's business: it is attached as a function of the motor's position, so that the switching point is
-found between two steps of time as exactly as counts allow.
+The machine's contact is attached as a function of the motor's position, so that the switching point is
+found between two steps of time to one count.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from sim_backends.servo import Servo
 
 Contact = Callable[[int], bool]
-"""contact(position_counts): whether the input is active when the motor is there."""
+"""contact(position_counts): whether the input is active at this motor position."""
 
 
 @dataclass
-class Caught:
-    """One edge of one input. stamp_us: of the drive's clock; count goes on whether it is armed or not."""
+class EdgeLatch:
+    """Last latch of one edge of one input. stamp_us: of the drive's clock; count: of all edges, armed or not."""
 
     armed: bool = False
     stored: bool = False
@@ -28,18 +28,18 @@ class Caught:
 
 @dataclass
 class ProbeInput:
-    """One input: rising and falling are what its edges caught."""
+    """One input: `rising` and `falling` are the latches of its edges."""
 
     enabled: bool = False
     continuous: bool = False
-    rising: Caught = field(default_factory=Caught)
-    falling: Caught = field(default_factory=Caught)
+    rising: EdgeLatch = field(default_factory=EdgeLatch)
+    falling: EdgeLatch = field(default_factory=EdgeLatch)
     contact: Contact | None = None
     level: bool = False
     at_counts: int = 0
 
     def arm(self, *, enabled: bool, continuous: bool, rising: bool, falling: bool) -> None:
-        """What is no longer armed, or armed anew, forgets what it caught."""
+        """Arm the input; an edge that is no longer armed, or armed again, loses its latch."""
         anew = enabled and not self.enabled
         self.enabled, self.continuous = enabled, continuous
         for edge, armed in ((self.rising, rising), (self.falling, falling)):
@@ -63,14 +63,14 @@ class ProbeLatch:
         return sum(probe.level << place for place, probe in enumerate(self.channels))
 
     def attach(self, number: int, contact: Contact) -> None:
-        """Let input 1 or 2 follow a contact that depends on where the motor is."""
+        """Connect input 1 or 2 to a contact that depends on the motor's position."""
         probe = self.channels[number - 1]
         probe.contact = contact
         probe.at_counts = self._servo.position_actual_counts
         probe.level = contact(probe.at_counts)
 
     def set_input(self, number: int, level: bool, position_counts: int | None = None) -> None:
-        """Switch input 1 or 2 now, at the present position or at one that is known better."""
+        """Switch input 1 or 2 now, at the present position or at one known more exactly, counts."""
         probe = self.channels[number - 1]
         position = self._servo.position_actual_counts if position_counts is None else position_counts
         if level != probe.level:
@@ -82,12 +82,12 @@ class ProbeLatch:
         self.set_input(number, False)
 
     def reset(self) -> None:
-        """The electronics start anew."""
+        """Restart of the electronics."""
         for probe in self.channels:
             probe.arm(enabled=False, continuous=False, rising=False, falling=False)
 
     def tick(self, now_ns: int) -> None:
-        """The motor has moved on: look at the contacts."""
+        """Evaluate the contacts after a motion of the motor."""
         self._now_ns = now_ns
         for probe in self.channels:
             contact = probe.contact
@@ -112,7 +112,7 @@ class ProbeLatch:
 
 
 def _switching_point(contact: Contact, before: int, after: int) -> int:
-    """The first count on the way from `before` to `after` at which the contact is as it is at `after`."""
+    """The first count on the way from `before` to `after` at which the contact has the state that it has at `after`."""
     final = contact(after)
     low, high = before, after
     while abs(high - low) > 1:

@@ -1,7 +1,7 @@
-"""Who can hear a simulated part: nobody beyond this machine, unless somebody says so.
+"""Restriction of simulated parts to this machine, unless access from outside is allowed explicitly.
 
-A simulated drive on a real bus answers in a real drive's place, and one on a network port can be moved by anybody; so whatever leaves
-the machine is refused by default.
+A simulated drive on a real bus answers in place of a real drive, and one on a network port can be moved by any other host; so
+whatever leaves the machine is refused by default.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _NETWORK_DEVICES = Path("/sys/class/net")
 def check_can(interface: str, channel: str, *, allow_outside: bool, devices: Path = _NETWORK_DEVICES) -> None:
     """Raise InputError for a CAN interface whose frames may leave this machine, unless that is allowed.
 
-    `virtual` is refused in any case: it ends at the process's border, where nobody else is.
+    `virtual` is refused in any case: it does not reach other processes.
     """
     if interface == "virtual":
         raise InputError("CAN interface virtual reaches this process only, expected socketcan on a vcan, or slcan-pty")
@@ -35,7 +35,7 @@ def check_can(interface: str, channel: str, *, allow_outside: bool, devices: Pat
 
 
 def parse_tcp(text: str, *, allow_outside: bool) -> tuple[str, int]:
-    """`host:port` -> (host, port); port 0 asks for a free one. Raises InputError for an address that others can reach."""
+    """`host:port` -> (host, port); port 0: a free one is chosen. Raises InputError for an address that other hosts can reach."""
     host, colon, number = text.rpartition(":")
     if not colon or not number.isdecimal() or not int(number) <= 0xFFFF:
         raise InputError(f"address {text!r}, expected host:port with a port 0 to 65535, such as 127.0.0.1:0")

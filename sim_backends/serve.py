@@ -1,4 +1,4 @@
-"""Simulated parts on real interfaces, as context managers that clean up, and simulated time tied to real time.
+"""Simulated instruments on real interfaces, simulated time that follows real time, and an axis that moves to and fro by itself.
 
 A test sleeps on the SimClock and reads in its own thread. For readers in other processes `run_in_real_time` lets the same SimClock,
 with everything attached to it, follow the wall clock.
@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from drivers.clock import NS_PER_S, Clock
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant.axis import FeedAxis
+from sim_backends.servo import SimulatedServo
 
 
 @contextmanager
@@ -35,11 +37,11 @@ def laser_pty(
 
 
 class Pace:
-    """Simulated time that follows a real clock, however irregularly it is looked at.
+    """Simulated time that follows a real clock, however irregularly `catch_up` is called.
 
-    A host that was away is caught up with by `catch_up_s` at most; the rest is forgotten, so that a machine that was suspended does
-    not race through hours. sleep: what to advance simulated time with, where that takes a lock. Lasers on this clock need
-    wait_for_arrival=False.
+    After a suspension of the host at most `catch_up_s` seconds are caught up with; the rest is dropped, so that the machine does
+    not run through hours at once. sleep: advances simulated time instead of the clock's, where that takes a lock. Lasers on this
+    clock need wait_for_arrival=False.
     """
 
     def __init__(
@@ -52,7 +54,7 @@ class Pace:
         self._catch_up_ns = round(catch_up_s * NS_PER_S)
 
     def catch_up(self) -> None:
-        """Bring simulated time to the present."""
+        """Advance simulated time to the present."""
         due_ns = self.wall.now_ns() + self._offset_ns
         behind_ns = due_ns - self._sim.now_ns()
         if behind_ns > self._catch_up_ns:
@@ -68,9 +70,9 @@ def run_in_real_time(
     period_s: float = 0.005,
     idle: Callable[[float], None] | None = None,
 ) -> None:
-    """Keep the pace until `keep_running()` says no (asked every period).
+    """Keep the pace until `keep_running()` returns False (called every `period_s` seconds).
 
-    idle: what to do with the seconds left until the next look, instead of sleeping; may return early.
+    idle: called with the seconds left until the next call, instead of sleeping; may return early.
     """
     wall, period_ns = pace.wall, round(period_s * NS_PER_S)
     next_ns = wall.now_ns()
@@ -83,3 +85,49 @@ def run_in_real_time(
             wall.sleep_until_ns(next_ns)
         else:
             idle((next_ns - now_ns) / NS_PER_S)
+
+
+@dataclass(frozen=True)
+class ShuttleParameters:
+    """Between two positions, in steps of step_counts, with a dwell at each; speeds in counts/s and counts/s²."""
+
+    low_counts: int = 0
+    high_counts: int = 50_000_000
+    step_counts: int = 2_500_000
+    dwell_s: float = 2.0
+    velocity_counts_s: float = 5e6
+    acceleration_counts_s2: float = 4e7
+
+
+class Shuttle:
+    """Attach `advance` to the clock after the servo's. Powers the servo on, once; a fault ends the motion."""
+
+    def __init__(self, servo: SimulatedServo, parameters: ShuttleParameters | None = None) -> None:
+        self.parameters = parameters or ShuttleParameters()
+        self._servo = servo
+        self._started = False
+        self._target = self.parameters.low_counts
+        self._step = self.parameters.step_counts
+        self._rested_s = 0.0
+
+    def advance(self, now_ns: int, dt_s: float) -> None:
+        """Order the next step once the axis has rested long enough."""
+        servo, p = self._servo, self.parameters
+        if not self._started:
+            self._started = True
+            servo.power_on()
+            self._order()
+        if not servo.powered or not servo.target_reached:
+            self._rested_s = 0.0
+            return
+        self._rested_s += dt_s
+        if self._rested_s >= p.dwell_s:
+            if not p.low_counts <= self._target + self._step <= p.high_counts:
+                self._step = -self._step
+            self._target += self._step
+            self._order()
+
+    def _order(self) -> None:
+        self._rested_s = 0.0
+        p = self.parameters
+        self._servo.move_absolute(self._target, p.velocity_counts_s, p.acceleration_counts_s2)

@@ -1,8 +1,8 @@
-"""The firmware of a servo drive, apart from any protocol: power stage, set-point generator, homing, supervision.
+"""SimulatedServo: the firmware of a servo drive without a protocol: power stage, set-point generator, homing, supervision.
 
 Every face (in-process, CANopen, Modbus) shows the same `SimulatedServo`; none has physics of its own. Units are the drive's own:
 motor counts, counts/s, counts/s², torque in 0.1 % of rated. Inside, positions are floats in the frame of the motor's shaft ("shaft
-counts"); homing only shifts what is shown.
+counts"); homing only shifts the shown positions.
 """
 
 from __future__ import annotations
@@ -14,25 +14,24 @@ from collections.abc import Callable
 from drivers.errors import InputError
 from sim_backends.backlash_compensation import BacklashCompensation
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
-from sim_backends.homing import HOMING_METHODS, HomingSensor
-from sim_backends.homing_run import HomingRun
+from sim_backends.homing import HOMING_METHODS, HomingRun, HomingSensor, Switches
 from sim_backends.motion_profile import Profile, plan_move, plan_stop, plan_velocity
 from sim_backends.own_table import TableStage
 from sim_backends.servo_face import Mechanics, MotionMode, Servo
-from sim_backends.servo_parameters import ServoParameters, Switches
+from sim_backends.servo_parameters import ServoParameters
 
 __all__ = ["FAULT_FOLLOWING_ERROR", "Mechanics", "MotionMode", "Servo", "ServoParameters", "SimulatedServo"]
 
 FAULT_FOLLOWING_ERROR = 0x8611  # CiA-402 error code: following error
 
 _FAR_NS = 1 << 62
-_MOVING_NS = 10_000_000  # the longest step of a moving axis
-_AT_REST_NS = 60_000_000_000  # how long a step an axis at rest bears
-_SETTLED_COUNTS = 0.02  # a lag below this is none
+_MOVING_NS = 10_000_000  # longest step of a moving axis
+_AT_REST_NS = 60_000_000_000  # longest step of an axis at rest
+_SETTLED_COUNTS = 0.02  # a smaller lag is ignored
 
 
 class SimulatedServo:
-    """A drive with its motor, turning a `Mechanics`; see `Servo` for what its faces use."""
+    """A drive with its motor, turning a `Mechanics`; `Servo` describes what its faces use."""
 
     def __init__(
         self, mechanics: Mechanics, parameters: ServoParameters | None = None, faults: tuple[Fault, ...] = ()
@@ -61,7 +60,7 @@ class SimulatedServo:
         self._target = p.start_counts
         self._in_window_s = 0.0
         self._lagging_s = 0.0
-        self._moving = False  # anything left to advance but time
+        self._moving = False  # whether anything but time has to be advanced
         self._cycle_left_s = 0.0
         self._cycle_s = p.default_cycle_s
         self._cycle_order_ns = -1
@@ -128,17 +127,17 @@ class SimulatedServo:
 
     @property
     def motor_rev(self) -> float:
-        """Where the shaft really is, revolutions."""
+        """True position of the shaft, revolutions."""
         return self._actual / self.parameters.counts_per_rev
 
     def bearable(self, now_ns: int) -> int:
-        """For SimClock: an axis at rest bears long steps, a moving one short ones."""
+        """For SimClock: longest next step, ns; long for an axis at rest, short for a moving one."""
         if self._moving:
             return _MOVING_NS
         return min(_AT_REST_NS, max(1, self._fault_change_ns - now_ns))
 
     def schedule(self, faults: tuple[Fault, ...]) -> None:
-        """Replace the schedule of faults; those of the drive's kinds act."""
+        """Replace the schedule of faults; only those of the drive's kinds act."""
         self._faults = FaultSchedule(faults)
         self._jammed = False
         self._more_noise = 0.0
@@ -150,7 +149,7 @@ class SimulatedServo:
         self._fault_change_ns = _FAR_NS if math.isinf(change_s) else round(change_s * 1e9)
 
     def _meet_faults(self) -> None:
-        """A fault begins or ends about now."""
+        """Apply faults that begin or end at this time."""
         self._jammed = False
         self._more_noise = 0.0
         for fault in self._faults.active(self._now_ns * 1e-9):
@@ -162,9 +161,9 @@ class SimulatedServo:
                 self._more_noise = fault.size
         self._plan_faults()
 
-    # -- orders ----------------------------------------------------------------------------------------------------
+    # -- motion orders ---------------------------------------------------------------------------------------------
     def power_on(self) -> None:
-        """Close the loop where the axis is; does nothing in a fault."""
+        """Close the loop at the present position; does nothing in a fault."""
         if self.fault_code or self.powered:
             return
         self._hold_here()
@@ -187,11 +186,11 @@ class SimulatedServo:
         self._stop(deceleration_counts_s2)
 
     def resume(self) -> None:
-        """End a halt or a quick stop that holds; the demand stays where it is."""
+        """End a halt or a quick stop that holds; the demand stays unchanged."""
         self.stopping = False
 
     def move_absolute(self, target_counts: int, velocity_counts_s: float, acceleration_counts_s2: float) -> None:
-        """Profile move to a shown position, from whatever the demand is doing."""
+        """Profile move to a shown position, counts, whatever the demand does at present."""
         if not self._takes_orders():
             return
         self.mode = MotionMode.PROFILE_POSITION
@@ -209,7 +208,7 @@ class SimulatedServo:
         )
 
     def move_velocity(self, velocity_counts_s: float, acceleration_counts_s2: float) -> None:
-        """Profile velocity, signed."""
+        """Profile velocity, signed counts/s."""
         if not self._takes_orders():
             return
         self.mode = MotionMode.PROFILE_VELOCITY
@@ -218,7 +217,7 @@ class SimulatedServo:
     def start_homing(
         self, method: int, speed_switch_counts_s: float, speed_zero_counts_s: float, offset_counts: int
     ) -> None:
-        """Home; the home position then shows `offset_counts`. An unknown method ends with homing_error at once."""
+        """Home; the home position is then shown as `offset_counts`. An unknown method ends with homing_error at once."""
         if not self._takes_orders():
             return
         self.mode = MotionMode.HOMING
@@ -239,7 +238,7 @@ class SimulatedServo:
         self._ramp_to(self._homing.begin(self._actual), self._homing_acceleration)
 
     def cyclic_position(self, target_counts: int) -> None:
-        """Next target of a stream; the demand goes there in a straight line within one period of the stream."""
+        """Next target of a stream, counts; the demand goes there in a straight line within one period of the stream."""
         if not self._takes_orders():
             return
         if self.mode is MotionMode.CYCLIC_POSITION and self._now_ns > self._cycle_order_ns:
@@ -273,7 +272,7 @@ class SimulatedServo:
         self._moving = True
 
     def raise_fault(self, code: int) -> None:
-        """Power off with a code; the axis is braked as hard as the drive may."""
+        """Switch power off with an error code; the axis is braked with the largest deceleration."""
         self.fault_code = code
         if self.powered:
             self.powered = False
@@ -283,10 +282,10 @@ class SimulatedServo:
             self._coast(self.parameters.max_acceleration_rev_s2)
 
     def reset_fault(self) -> None:
-        """Forget the fault; stays unpowered."""
+        """Clear the fault; the power stays off."""
         self.fault_code = 0
 
-    # -- helpers of the orders ---------------------------------------------------------------------------------------
+    # -- helpers of the motion orders --------------------------------------------------------------------------------
     def _takes_orders(self) -> bool:
         if not self.powered or self.stopping:
             return False
@@ -340,7 +339,7 @@ class SimulatedServo:
 
     # -- time ------------------------------------------------------------------------------------------------------
     def advance(self, now_ns: int, dt_s: float) -> None:
-        """Bring drive, motor and mechanics from now_ns − dt_s to now_ns."""
+        """Advance drive, motor and mechanics from now_ns − dt_s to now_ns."""
         self._now_ns = now_ns
         if now_ns >= self._fault_change_ns:
             self._meet_faults()
@@ -368,7 +367,7 @@ class SimulatedServo:
         self._supervise(dt_s)
 
     def _turn_shaft(self, dt_s: float) -> None:
-        """What the drive's own table adds to where it shows itself, then what its backlash compensation adds."""
+        """Add the drive's own table to the shown position, then its backlash compensation."""
         added = self.table.step(self._shown_demand, powered=self.powered, homed=self.homed, dt_s=dt_s)
         self.backlash.step(self._actual + added, dt_s)
 
@@ -398,7 +397,7 @@ class SimulatedServo:
             self._demand_velocity = 0.0
 
     def _advance_torque(self, dt_s: float) -> None:
-        """Free motion under a torque: J·v' = M − friction − viscous·v, friction only as far as it opposes."""
+        """Free motion under a torque: J·v' = M − friction − viscous·v; friction only brakes."""
         p = self.parameters
         speed = self._actual_velocity / p.counts_per_rev
         friction = p.motor_friction_permille + abs(self.mechanics.friction_permille)
@@ -435,7 +434,7 @@ class SimulatedServo:
         self._actual_velocity = moved / dt_s
 
     def _watch_limits(self) -> None:
-        """A limit switch ends any motion into it with the hardest ramp; homing handles its own switch."""
+        """End any motion into a limit switch with the steepest ramp; homing handles its own switch."""
         velocity = self._demand_velocity
         if velocity == 0.0 or not self.powered or self.stopping:
             return
@@ -489,7 +488,7 @@ class SimulatedServo:
         resting = lag == 0.0 and self._actual_velocity == 0.0 and self._demand_velocity == 0.0
         if resting:
             if self.mode is not MotionMode.PROFILE_POSITION:
-                # a ramp that ended on a limit switch reached nothing
+                # a ramp that ended on a limit switch has not reached its target
                 self.target_reached = self.stopping or not math.isnan(self._target) or not self.powered
             if self.target_reached or self.mode is not MotionMode.PROFILE_POSITION:
                 self._moving = False

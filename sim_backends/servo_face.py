@@ -1,4 +1,4 @@
-"""What lies between a servo's firmware and its surroundings: its faces above, the mechanics below. Protocols, no code.
+"""Interfaces of a servo's firmware: to its faces above, to the mechanics below. Protocols only.
 
 Units are the drive's own: motor counts, counts/s, counts/s², torque in 0.1 % of rated.
 """
@@ -13,7 +13,7 @@ from sim_backends.own_table import OwnTable
 
 
 class MotionMode(Enum):
-    """What the set-point generator does."""
+    """Modes of the set-point generator."""
 
     IDLE = "idle"  # hold the demand position
     PROFILE_POSITION = "profile position"
@@ -25,10 +25,10 @@ class MotionMode(Enum):
 
 
 class Mechanics(Protocol):
-    """What the motor turns: a plant, or nothing but a load to speak of."""
+    """The load of the motor: a plant, or a load without errors."""
 
     def step(self, motor_rev: float, dt_s: float) -> None:
-        """The shaft went to `motor_rev` revolutions within dt_s."""
+        """Turn the shaft to `motor_rev` revolutions within dt_s seconds."""
 
     @property
     def friction_permille(self) -> float:
@@ -36,36 +36,36 @@ class Mechanics(Protocol):
 
 
 class Compensation(Protocol):
-    """What a servo adds at a reversal."""
+    """The backlash compensation of a servo."""
 
     def follow(self, amount: Callable[[], float], accelerated: Callable[[], bool]) -> None:
-        """From now on add so many motor counts, quickly or not."""
+        """From now on add so many motor counts at a reversal, quickly or not."""
 
 
 class OwnCorrection(Protocol):
-    """Where a servo adds a table of its own to what the shaft is told."""
+    """The stage at which a servo adds a table of its own to the demand of the shaft."""
 
     def follow(self, table: OwnTable) -> None:
-        """From now on add this one."""
+        """From now on add this table."""
 
 
 class Servo(Protocol):
-    """What a face may use of a servo. Readings are always of the present moment of simulated time.
+    """What a face may use of a servo. Readings are of the present simulated time.
 
     Motion orders are without effect while unpowered or while a stop runs or holds, as on a real drive.
     """
 
     @property
     def backlash(self) -> Compensation:
-        """Its backlash compensation, for a face to tie to its parameters."""
+        """Its backlash compensation, for a face to connect to its parameters."""
 
     @property
     def table(self) -> OwnCorrection:
-        """The place of its own correction table, for a face that shows one."""
+        """The stage of its own correction table, for a face that has one."""
 
     @property
     def fast_inputs(self) -> list[Callable[[int], None]]:
-        """What hears a pulse on a fast input; each is called with its number, 1 or 2, at the moment of the pulse."""
+        """Callbacks for a pulse on a fast input; each is called with its number, 1 or 2, at the time of the pulse."""
 
     @property
     def powered(self) -> bool: ...
@@ -108,7 +108,7 @@ class Servo(Protocol):
     def quick_stop(self, deceleration_counts_s2: float) -> None: ...
     def halt(self, deceleration_counts_s2: float) -> None: ...
     def resume(self) -> None:
-        """End a halt or a quick stop that holds; the demand stays where it is."""
+        """End a halt or a quick stop that holds; the demand stays unchanged."""
 
     def move_absolute(self, target_counts: int, velocity_counts_s: float, acceleration_counts_s2: float) -> None: ...
     def move_velocity(self, velocity_counts_s: float, acceleration_counts_s2: float) -> None: ...

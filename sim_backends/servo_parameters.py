@@ -1,13 +1,10 @@
-"""A drive with its motor and its switches as one frozen description, and what the switches say at a place."""
+"""ServoParameters: a simulated drive with its motor and its switches as one frozen description."""
 
 from __future__ import annotations
 
-import math
-import random
 from dataclasses import dataclass
 
 from drivers.errors import InputError
-from sim_backends.homing import HomingSensor
 
 
 @dataclass(frozen=True)
@@ -15,7 +12,7 @@ class ServoParameters:
     """A drive, its motor and its switches. Places are shaft counts, in the frame in which the axis's nominal zero is 0.
 
     position_gain_per_s and feed_forward (0…1) make the lag (1 − feed_forward)·v/gain; the window and time-outs supervise it.
-    home_switch_counts: the switch is active below. switch_spread_counts: standard deviation of where a switch trips, drawn anew for
+    home_switch_counts: the switch is active below. switch_spread_counts: standard deviation of the switching points, drawn anew for
     each homing. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s²; the current
     limit ends them all at peak_torque_permille.
     """
@@ -53,48 +50,3 @@ class ServoParameters:
         for name in ("counts_per_rev", "max_velocity_rev_s", "max_acceleration_rev_s2", "position_gain_per_s"):
             if not getattr(self, name) > 0:
                 raise InputError(f"servo parameter {name} is {getattr(self, name)}, expected > 0")
-
-
-class Switches:
-    """Limit and home switches and the encoder's index, asked at places in shaft counts."""
-
-    def __init__(self, parameters: ServoParameters) -> None:
-        self._p = parameters
-        self._spread = random.Random(parameters.seed + 1)
-        self._off = 0.0  # where the switches trip at present, beside their places
-
-    def trip_anew(self) -> None:
-        """From now on the switches trip a little elsewhere, as mechanical ones do each time."""
-        spread = self._p.switch_spread_counts
-        self._off = self._spread.gauss(0.0, spread) if spread else 0.0
-
-    def positive_limit(self, at: float) -> bool:
-        return at >= self._p.positive_limit_counts + self._off
-
-    def negative_limit(self, at: float) -> bool:
-        return at <= self._p.negative_limit_counts + self._off
-
-    def home(self, at: float) -> bool:
-        return at < self._p.home_switch_counts + self._off
-
-    def active(self, sensor: HomingSensor, at: float) -> bool:
-        if sensor is HomingSensor.HOME:
-            return self.home(at)
-        return self.negative_limit(at) if sensor is HomingSensor.NEGATIVE_LIMIT else self.positive_limit(at)
-
-    def edge(self, sensor: HomingSensor) -> float:
-        """Where a switch changes."""
-        p = self._p
-        if sensor is HomingSensor.HOME:
-            return p.home_switch_counts + self._off
-        place = p.negative_limit_counts if sensor is HomingSensor.NEGATIVE_LIMIT else p.positive_limit_counts
-        return place + self._off
-
-    def index_between(self, start: float, end: float) -> float | None:
-        """The first index pulse met on the way from start to end."""
-        turn, offset = float(self._p.counts_per_rev), self._p.index_offset_counts
-        if end > start:
-            pulse = math.floor((start - offset) / turn + 1.0) * turn + offset
-            return pulse if pulse <= end else None
-        pulse = math.ceil((start - offset) / turn - 1.0) * turn + offset
-        return pulse if pulse >= end else None

@@ -1,7 +1,7 @@
-"""The device end of an slcan adapter on a pseudo-terminal: a CAN bus of two places between processes, without any kernel's help.
+"""The device side of an slcan adapter on a pseudo-terminal: a CAN bus of two nodes between processes, without kernel support.
 
-What may go in: the ASCII protocol of Lawicel adapters (CAN232 manual: S, s, O, L, C, t, T, r, R, V, N, F; CR is yes, BEL is no) as the
-device speaks it. Whoever opens `path` with python-can's slcan interface is the other place on the bus.
+The ASCII protocol of Lawicel adapters (CAN232 manual: S, s, O, L, C, t, T, r, R, V, N, F; CR is yes, BEL is no) as the
+device speaks it. A process that opens `path` with python-can's slcan interface is the other node on the bus.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _IDENTIFIER_DIGITS = {"t": 3, "r": 3, "T": 8, "R": 8}
 class SlcanDevice(can.BusABC):
     """An adapter as the host sees it on its serial port, and a python-can bus on this side.
 
-    Frames sent while the host's channel is closed (no O or L received) are lost, as on a bus that nobody listens to.
+    Frames sent while the host's channel is closed (no O or L received) are lost, as on a bus without a receiver.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class SlcanDevice(can.BusABC):
         self._line = rest[-_LONGEST_LINE:]
 
     def _obey(self, line: str) -> can.Message | None:
-        """One line of the host; a frame that it sends is returned."""
+        """Process one line of the host; a frame that it sends is returned."""
         command = line[:1]
         if command in _IDENTIFIER_DIGITS:
             message = _frame(line) if self._open and not self._listen_only else None
@@ -110,7 +110,7 @@ class SlcanDevice(can.BusABC):
         self._unsent = self._unsent[written:]
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Give a frame to the host, if its channel is open."""
+        """Send a frame to the host, if its channel is open."""
         del timeout
         if not self._open:
             self.lost_frames += 1
@@ -122,7 +122,7 @@ class SlcanDevice(can.BusABC):
 
 
 def _frame(line: str) -> can.Message | None:
-    """A transmit command as a frame; None when it is none."""
+    """A transmit command as a frame; None for another line."""
     kind, digits = line[0], _IDENTIFIER_DIGITS[line[0]]
     try:
         identifier, length = int(line[1 : 1 + digits], 16), int(line[1 + digits])

@@ -1,26 +1,30 @@
-"""The wire of a simulated serial instrument: a pseudo-terminal that takes what fits and loses the rest.
+"""The wire of a simulated serial instrument: a pseudo-terminal that loses messages when it is full, and a line that delays them.
 
-What was put during a sleep of simulated time is on the wire when the sleeper wakes: written, and waited for until the kernel shows it
-at the reader's end. Nobody reading never blocks it: when the terminal is full, whole messages are lost.
+Messages put during a sleep of simulated time are on the wire when it ends: written, and waited for until the kernel shows them
+at the reader's end. A missing reader never blocks it: when the terminal is full, whole messages are lost.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
+import random
 import struct
 import termios
 import time
 import tty
+from collections import deque
 from dataclasses import dataclass
 
+from drivers.errors import InputError
+
 PTY_CAPACITY_BYTES = 4000  # a terminal's line discipline holds 4095; beyond that order and loss are the kernel's choice
-_ARRIVAL_BOUND_S = 0.25  # real time to wait at most for the kernel to hand bytes over
+_ARRIVAL_BOUND_S = 0.25  # longest real time to wait for the kernel to deliver bytes, s
 
 
 @dataclass(slots=True)
 class WireCounters:
-    """What was sampled, and what of it did not get through."""
+    """Numbers of samples, and of those that were not delivered."""
 
     samples: int = 0
     dropped_lines: int = 0
@@ -28,7 +32,7 @@ class WireCounters:
 
 
 class InstrumentTerminal:
-    """`path` is what a reader opens. wait_for_arrival False: for readers in other threads or processes."""
+    """`path` is the port that a reader opens. wait_for_arrival False: for readers in other threads or processes."""
 
     def __init__(self, *, wait_for_arrival: bool = True) -> None:
         self.counters = WireCounters()
@@ -50,18 +54,18 @@ class InstrumentTerminal:
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is still there."""
+        """Whether the terminal is open."""
         return self._master >= 0
 
     def heard(self) -> bytes:
-        """What the reader has written, possibly nothing."""
+        """The bytes that the reader has written, possibly none."""
         try:
             return os.read(self._master, PTY_CAPACITY_BYTES) if self.is_open else b""
         except BlockingIOError:
             return b""
 
     def put(self, message: bytes) -> None:
-        """Send this at the next `settle`, whole or not at all."""
+        """Send this at the next `settle`, completely or not at all."""
         if self._pending_bytes + len(message) > PTY_CAPACITY_BYTES:
             self.counters.dropped_lines += 1
             return
@@ -69,11 +73,11 @@ class InstrumentTerminal:
         self._pending_bytes += len(message)
 
     def _waiting_bytes(self) -> int:
-        """What lies at the reader's end, unread."""
+        """Number of unread bytes at the reader's end."""
         return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0])
 
     def settle(self) -> None:
-        """Send what was put since the last time; return once it lies at the reader's end."""
+        """Send what was put since the last call; return once it is at the reader's end."""
         if self._master < 0 or not (self._pending or self._unsent):
             return
         before = self._waiting_bytes()
@@ -82,7 +86,7 @@ class InstrumentTerminal:
         for message in self._pending:
             if len(message) > room:
                 self.counters.dropped_lines += 1
-                room = 0  # none that comes after may overtake it
+                room = 0  # later messages must not overtake it
             else:
                 room -= len(message)
                 out.append(message)
@@ -100,10 +104,49 @@ class InstrumentTerminal:
             self._wait_for(before + written)
 
     def _wait_for(self, expected_bytes: int) -> None:
-        """The kernel hands bytes over in its own time; another thread that reads meanwhile ends the wait by its bound only."""
+        """Wait until the kernel has delivered the bytes; where another thread reads them meanwhile, until `_ARRIVAL_BOUND_S`."""
         deadline = time.monotonic() + _ARRIVAL_BOUND_S
         while self._waiting_bytes() < expected_bytes:
             if time.monotonic() > deadline:
                 self.counters.late_arrivals += 1
                 return
             os.sched_yield()
+
+
+_NS = 1_000_000_000
+_FAR_NS = 1 << 62
+
+
+class DelayedLine:
+    """Messages go on the wire `latency_s` after their time, and up to `jitter_s` later, evenly distributed; s. Raises InputError."""
+
+    def __init__(self, wire: InstrumentTerminal, latency_s: float = 0.0, jitter_s: float = 0.0, seed: int = 0) -> None:
+        if not (latency_s >= 0.0 and jitter_s >= 0.0):
+            raise InputError(f"latency {latency_s:g} s with jitter {jitter_s:g} s, expected neither below 0")
+        self._wire = wire
+        self._latency_ns = round(latency_s * _NS)
+        self._jitter_ns = jitter_s * _NS
+        self._rng = random.Random(seed)
+        self._waiting: deque[tuple[int, bytes]] = deque()
+
+    @property
+    def next_ns(self) -> int:
+        """Time of the next message, ns; far in the future when none waits."""
+        return self._waiting[0][0] if self._waiting else _FAR_NS
+
+    def put(self, message: bytes, time_ns: int) -> None:
+        """Queue a message of this time, ns."""
+        due_ns = time_ns + self._latency_ns
+        if self._jitter_ns:
+            due_ns += round(self._rng.uniform(0.0, self._jitter_ns))
+        if self._waiting:
+            due_ns = max(due_ns, self._waiting[-1][0])
+        if due_ns <= time_ns and not self._waiting:
+            self._wire.put(message)
+        else:
+            self._waiting.append((due_ns, message))
+
+    def release(self, now_ns: int) -> None:
+        """Put the messages that are due on the wire."""
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            self._wire.put(self._waiting.popleft()[1])

@@ -1,6 +1,6 @@
-"""The in-process drive: `ServoDrive` straight over the servo firmware, no wire in between.
+"""VirtualDrive: the in-process drive, `ServoDrive` directly over the servo firmware, without a wire.
 
-For procedures' tests and for demonstrations of everything but the wire. It keeps the promises of every abstract method itself
+For tests of procedures and for demonstrations without a wire. It implements the guarantees of every abstract method itself
 (demand := actual before power, target_reached false at once), as a drive on a wire has to.
 """
 
@@ -30,18 +30,23 @@ from sim_backends.clock import SimClock
 from sim_backends.own_table import TableForm
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
-from sim_backends.virtual_faces import VirtualDriveSettings, VirtualParameters, VirtualStream, VirtualTouchProbe
-from sim_backends.virtual_table import VirtualCorrectionTable
+from sim_backends.virtual_faces import (
+    VirtualCorrectionTable,
+    VirtualDriveSettings,
+    VirtualParameters,
+    VirtualStream,
+    VirtualTouchProbe,
+)
 
 __all__ = ["VirtualDrive", "VirtualDriveSettings"]
 
 
-_PATIENT_NS = 60_000_000_000  # the probe's inputs are as patient as the servo
+_IDLE_STEP_NS = 60_000_000_000  # longest step of the probe's inputs, as of the servo
 _CAPABILITIES = frozenset(Capability) - {Capability.STORE}
 
 
 class VirtualDrive(ServoDrive):
-    """A drive without a wire. Simulated time must be running (`SimClock` with the servo attached)."""
+    """A drive without a wire. Simulated time must be running (`SimClock` with the servo attached). Raises CapabilityError."""
 
     def __init__(
         self,
@@ -56,17 +61,17 @@ class VirtualDrive(ServoDrive):
     ) -> None:
         super().__init__(name, scaling, limits, clock)
         self._servo = servo
-        self.settings: Final = replace(settings or VirtualDriveSettings())  # its own, which its parameters change
+        self.settings: Final = replace(settings or VirtualDriveSettings())  # a copy, which its parameters change
         if scaling.motor_revs_per_shaft_rev != Fraction(1):
             raise InputError(
                 f"drive {name}: gear ratio is {scaling.motor_revs_per_shaft_rev}, the virtual drive expects 1 (direct)"
             )
         self._open = False
-        self._running = False  # at a velocity
+        self._running = False  # a velocity run is in progress
         self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         self.probe = ProbeLatch(servo)
         if isinstance(clock, SimClock):  # after the servo, which is attached before
-            clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _PATIENT_NS)
+            clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _IDLE_STEP_NS)
         self._parameters = VirtualParameters(name, scaling, self.settings)
         self._table = None if table is None else VirtualCorrectionTable(name, table, lambda: servo.powered)
         if self._table is not None:
@@ -134,7 +139,7 @@ class VirtualDrive(ServoDrive):
         self._servo.power_on()  # sets the demand to the actual position before the loop closes
 
     def disable(self) -> None:
-        """Stop if moving, then power off. One that does not come to rest is quick-stopped, and disabled all the same.
+        """Stop if moving, then power off. An axis that does not come to rest is quick-stopped, and disabled all the same.
 
         Raises HeldUnderPowerError for an axis that would then fall; it stays under power, quick-stopped.
         """
@@ -144,7 +149,7 @@ class VirtualDrive(ServoDrive):
             return
         self._running = False
         try:
-            if not servo.stopping:  # a quick stop under way is the shorter ramp
+            if not servo.stopping:  # a quick stop in progress has the shorter ramp
                 servo.halt(self._counts_s2(self.settings.acceleration_mm_s2))
             seen = self._comes_to_rest()
         except BaseException:
@@ -195,7 +200,7 @@ class VirtualDrive(ServoDrive):
             scaling.motor_counts(settings.home_position_mm),
         )
         if self._servo.homing_error:
-            self.send_stop()  # of whatever was under way
+            self.send_stop()  # ends a motion in progress
             raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
 
     def _start_velocity(self, velocity_mm_s: float) -> None:
@@ -210,7 +215,7 @@ class VirtualDrive(ServoDrive):
     def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> PacedGroup:
         return PacedGroup([self, *others], settings)
 
-    # -- what stands beside the motion -----------------------------------------------------------------------------
+    # -- touch probe, parameters, table ----------------------------------------------------------------------------
     def _touch_probe(self) -> TouchProbe:
         return VirtualTouchProbe(self.name, self.clock, self.probe, self.scaling)
 

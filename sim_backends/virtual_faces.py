@@ -1,7 +1,4 @@
-"""What stands beside the motion of the in-process drive: touch probe, parameters and set-points, without a wire.
-
-What may go in: the drivers' faces over servo, probe inputs and the drive's settings.
-"""
+"""Touch probe, set-points, parameters and correction table of the in-process drive, directly over servo, probe inputs and settings."""
 
 from __future__ import annotations
 
@@ -9,6 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from drivers.clock import Clock
+from drivers.correction_table import (
+    CorrectionTable,
+    Directions,
+    Interpolation,
+    Nodes,
+    Outside,
+    Quantity,
+    RawTable,
+    TableDescription,
+)
 from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
 from drivers.errors import CapabilityError, InputError, StateError
 from drivers.paced_stream import PacedStream
@@ -16,7 +23,8 @@ from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, Pa
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
-from sim_backends.probe_latch import Caught, ProbeLatch
+from sim_backends.own_table import OwnTable, TableForm
+from sim_backends.probe_latch import EdgeLatch, ProbeLatch
 from sim_backends.servo import Servo
 
 
@@ -44,13 +52,13 @@ class VirtualTouchProbe(TouchProbe):
         caught = self._caught(probe, edge)
         return LatchReading(self._scaling.load_mm(caught.position_counts), caught.stamp_us, caught.count)
 
-    def _caught(self, probe: int, edge: Edge) -> Caught:
+    def _caught(self, probe: int, edge: Edge) -> EdgeLatch:
         found = self._latch.channels[probe - 1]
         return found.rising if edge is Edge.POSITIVE else found.falling
 
 
 class VirtualStream(PacedStream):
-    """Set-points straight into the servo."""
+    """Set-points directly into the servo."""
 
     def __init__(self, drive: ServoDrive, servo: Servo, settings: SetPointSettings) -> None:
         super().__init__(drive, settings)
@@ -72,7 +80,7 @@ class VirtualStream(PacedStream):
 
 @dataclass
 class VirtualDriveSettings:
-    """What a drive on a wire would keep in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
+    """Settings that a drive on a wire keeps in its objects: ramps in mm/s², homing in mm/s, and the home position in load mm."""
 
     acceleration_mm_s2: float = 400.0
     quick_stop_mm_s2: float = 2000.0
@@ -86,7 +94,7 @@ class VirtualDriveSettings:
 
 @dataclass(frozen=True)
 class _Setting:
-    """One of the drive's settings as a parameter: what it is called there, and how counts become the setting."""
+    """One of the drive's settings as a parameter: its name there, and the conversion between counts and the setting."""
 
     info: ParameterInfo
     field: str
@@ -146,7 +154,7 @@ _DEVICE_NAME = ParameterInfo("manufacturer_device_name", ParameterKind.TEXT, wri
 
 
 class VirtualParameters(DriveParameters):
-    """Ramps and homing of one in-process drive: its settings, which writing changes."""
+    """Ramps and homing of one in-process drive; writing changes its settings."""
 
     def __init__(self, drive_name: str, scaling: AxisScaling, settings: VirtualDriveSettings) -> None:
         self._name = drive_name
@@ -183,3 +191,55 @@ class VirtualParameters(DriveParameters):
         if name not in _SETTINGS:
             raise InputError(f"drive {self._name} has no parameter {name!r}")
         return _SETTINGS[name]
+
+
+_I16, _I32, _U32 = (-32768, 32767), (-(2**31), 2**31 - 1), (0, 2**32 - 1)
+
+
+class VirtualCorrectionTable(CorrectionTable):
+    """Can be changed only without power and switched off, as on a wire. Positions and values are in motor counts. Raises
+    StateError."""
+
+    def __init__(self, drive: str, form: TableForm, powered: Callable[[], bool]) -> None:
+        self.drive = drive
+        self._powered = powered
+        self._raw = RawTable()
+        self.own = OwnTable(form)
+        places = Quantity("counts", form.place_counts, *_I32)
+        self.description = TableDescription(
+            name="error table" if form.negated else "pitch table",
+            points=form.points,
+            nodes=Nodes.EXPLICIT if form.explicit else Nodes.EQUIDISTANT,
+            interpolation=Interpolation.STEP if form.stepped else Interpolation.LINEAR,
+            outside=Outside.ZERO if form.zero_outside else Outside.HOLD,
+            directions=Directions.BOTH if form.curves == 2 else Directions.BACKLASH,
+            sign=-1 if form.negated else 1,
+            position=places,
+            value=Quantity("counts", form.value_counts, *_I16),
+            step=Quantity("counts", form.place_counts, *_U32),
+            backlash=Quantity("counts", form.value_counts, *_I16),
+            shows_applied=True,
+        )
+
+    def read(self) -> RawTable:
+        return self._raw
+
+    def _write(self, table: RawTable, present: RawTable | None) -> None:
+        if self.own.enabled or self._powered():
+            raise StateError(f"drive {self.drive}: its table is changed switched off and without power only")
+        self._raw = table
+
+    def enabled(self) -> bool:
+        return self.own.enabled
+
+    def _switch(self, on: bool) -> None:
+        if self._powered():
+            raise StateError(f"drive {self.drive}: its table is switched without power only")
+        raw, own = self._raw, self.own
+        own.places, own.rising, own.falling, own.backlash = raw.nodes, raw.plus, raw.minus, raw.backlash
+        if on and not own.usable():
+            raise StateError(f"drive {self.drive}: its table of {len(raw.plus)} points is none to correct by")
+        own.enabled = on
+
+    def applied(self) -> int:
+        return self.own.shown()

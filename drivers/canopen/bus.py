@@ -1,6 +1,6 @@
-"""One CAN bus as this project uses it: frames out, frames in, and a wait that is bounded.
+"""CanLink: one CAN bus with its clock: frames out, frames in, and waits with a time limit.
 
-There is no receiver thread: whoever waits pumps the bus, so an exception in a handler surfaces in the call that was waiting
+There is no receiver thread: the thread that waits dispatches the frames. An exception in a handler is so raised by the waiting call
 (python-can's Notifier loses it with its thread), several axes share one bus without locks between them, and a run in simulated time is
 repeatable. Sending takes none of this module's locks, so that a stop can be sent from any thread while another one receives.
 """
@@ -22,21 +22,21 @@ from drivers.clock import IO_SLICE_S, NS_PER_S, Clock
 from drivers.errors import LinkLostError, StateError
 
 POLL_S = 0.05
-"""How long `poll` dispatches at most, s. It takes some 30 µs for a frame, so this empties a socket's default receive buffer (some 280
-frames) five times over; frames without end come no faster than one in 47 µs (1 Mbit/s, no data)."""
+"""Longest time that `poll` dispatches, s. A frame takes about 30 µs, so this empties a socket's default receive buffer (about 280
+frames) five times over; an endless stream brings a frame every 47 µs at most (1 Mbit/s, no data)."""
 FrameHandler = Callable[[int, bytes], None]
-"""handler(time_ns, data): a frame of the subscribed identifier, with the clock's time when it was taken from the bus."""
+"""handler(time_ns, data): a frame of the subscribed identifier, with the clock's time at which it was taken from the bus."""
 
-# python-can's thread for periodic frames logs a bus that is gone, with its traceback; whoever waits here is told by an error
+# python-can's thread for periodic frames logs a lost bus with its traceback; here the waiting call raises LinkLostError instead
 logging.getLogger("can").addHandler(logging.NullHandler())
 
-_GONE = (can.CanError, OSError, ValueError)  # ValueError: python-can asks a socket that is closed for its number
+_GONE = (can.CanError, OSError, ValueError)  # ValueError: python-can asks a closed socket for its number
 
 SEND_S = 0.25
-"""Longest that an interface may hold up a frame while its transmit buffer is full, s: a serial adapter whose other end, a process or a
-USB stack on a loaded host, does not read for a moment is not gone yet; more than 10 ms was seen."""
+"""Longest time that an interface may delay a frame while its transmit buffer is full, s. A serial adapter whose other end (a
+process or a USB stack on a loaded host) does not read for a moment is not lost: delays above 10 ms were measured."""
 STOP_SEND_S = 0.01
-"""The same for the frame of a stop, s: half of the 20 ms from a stop to its frame."""
+"""The same for the frame of a stop, s: half of the 20 ms allowed from a stop to its frame."""
 
 _SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
@@ -58,7 +58,7 @@ class CanLink:
         self._closed = False
         self._heartbeats: dict[int, tuple[float, Any]] = {}
         self._open_bus: Callable[[], can.BusABC] | None = None
-        self._checked_ns = 0  # when the operator was last asked
+        self._checked_ns = 0  # last call of check_interrupt
         self.sync = Sync(clock)
         self.subscribe(SYNC, self.sync.heard)
 
@@ -74,7 +74,7 @@ class CanLink:
     ) -> Self:
         """Open a bus by python-can's interface name; options are the interface's own (host and port of a socketcand, say).
 
-        Raises LinkLostError when it cannot be had.
+        Raises LinkLostError when it cannot be opened.
         """
         settings: dict[str, object] = dict(options or {})
         if bitrate is not None:
@@ -93,10 +93,10 @@ class CanLink:
         return link
 
     def reopen(self) -> None:
-        """Open the bus anew after it was lost (an adapter pulled and put back, bus-off); subscriptions stay.
+        """Open the bus again after it was lost (adapter unplugged, bus-off); subscriptions stay.
 
-        Drives on it are to be closed before and opened after: nothing is known of what they did meanwhile. Raises StateError for a
-        link that was given its bus, LinkLostError when it cannot be had; then it may be tried again.
+        Drives on it have to be closed before and opened after: what they did meanwhile is unknown. Raises StateError for a
+        link that was given its bus, LinkLostError when the bus cannot be opened; then it may be tried again.
         """
         if self._open_bus is None:
             raise StateError("this CAN link was given its bus and cannot open another")
@@ -106,11 +106,11 @@ class CanLink:
         self._closed = False
 
     def close(self) -> None:
-        """Close the bus; never raises for a bus that is already gone."""
+        """Close the bus; never raises for a bus that is already lost."""
         if self._closed:
             return
         self._closed = True
-        self._heartbeats.clear()  # the bus stops its periodic frames itself
+        self._heartbeats.clear()  # python-can stops the periodic frames with the bus
         try:
             self.bus.shutdown()
         except _GONE:
@@ -149,11 +149,11 @@ class CanLink:
 
     # -- frames ----------------------------------------------------------------------------------------------------
     def send(self, cob_id: int, data: bytes, timeout_s: float = SEND_S) -> None:
-        """Send one frame with an 11-bit identifier, as `send_message`."""
+        """Send one frame with an 11-bit identifier; raises as `send_message`."""
         self.send_message(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), timeout_s)
 
     def send_message(self, message: can.Message, timeout_s: float = SEND_S) -> None:
-        """Send a message that the caller keeps for the next cycle; python-can's buses have done with it when they return.
+        """Send a message object that the caller reuses for the next cycle; python-can's buses no longer use it when they return.
 
         For any thread. Raises LinkLostError when the bus does not take it within `timeout_s`.
         """
@@ -163,10 +163,10 @@ class CanLink:
             raise LinkLostError(f"CAN frame {message.arbitration_id:03X}h cannot be sent: {error}") from error
 
     def produce_heartbeat(self, node_id: int, period_s: float) -> None:
-        """Send our own heartbeat (operational) from now until the link is closed; drives that consume it stop when we are gone.
+        """Send our own heartbeat (operational) every `period_s` until the link is closed; drives that consume it stop when it ends.
 
-        On SocketCAN the kernel's broadcast manager sends it, and stops when this process dies. Asked for twice, the shorter
-        period holds.
+        On SocketCAN the kernel's broadcast manager sends it, and stops when this process dies. Requested twice, the shorter
+        period holds. Raises LinkLostError.
         """
         present = self._heartbeats.get(node_id)
         if present is not None:
@@ -181,9 +181,9 @@ class CanLink:
         self._heartbeats[node_id] = (period_s, self.send_periodically(message, period_s))
 
     def send_periodically(self, message: can.Message, period_s: float) -> Any:
-        """Have the bus send it from now on, until `stop()` of what is returned; on SocketCAN the kernel does it, else a thread.
+        """Send it every `period_s` until `stop()` of the returned task; on SocketCAN the kernel does it, elsewhere a thread.
 
-        Such a thread ends without a word when the bus is gone; whoever works with the bus is told. Raises LinkLostError.
+        Such a thread ends silently when the bus is lost; calls that use the bus then raise. Raises LinkLostError.
         """
         try:
             task: Any = self.bus.send_periodic(message, period_s)
@@ -196,14 +196,15 @@ class CanLink:
         return task
 
     def listen(self) -> None:
-        """Before the first SYNC of this link: hear whether somebody else sends it."""
+        """Before the first SYNC of this link: listen whether another producer sends it (`Sync.unheard_s`). Raises LinkLostError."""
         if self.sync.unheard_s:
             self.wait(lambda: self.sync.taken, self.sync.unheard_s)
 
     def claim_sync(self, stream: object) -> None:
-        """A stream of this link becomes the owner of SYNC. One that only looks yields to the SYNC sent here; a stream does not.
+        """Make a stream of this link the owner of SYNC. A link that only samples yields to the SYNC sent here; another stream does
+        not.
 
-        Raises StateError when another stream sends SYNC, on this link or on another one, LinkLostError.
+        Raises StateError when another stream sends SYNC, on this link or on another one; LinkLostError.
         """
         self.listen()
         self.poll()
@@ -216,7 +217,7 @@ class CanLink:
         self.sync.take(stream)
 
     def poll(self) -> None:
-        """Dispatch what has arrived, without waiting; where more comes than can be dispatched, for `POLL_S` at most."""
+        """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Raises LinkLostError."""
         with self._lock:
             over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
             while self._receive(0.0) and not over.expired:
@@ -225,16 +226,16 @@ class CanLink:
                     heard = self.clock.deadline(IO_SLICE_S)
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds.
+        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds. Raises LinkLostError.
 
-        Every wait for a frame is this one. The operator's stop ends it within `IO_SLICE_S`: see `Clock.check_interrupt`.
+        Every wait for a frame goes through here. The operator's stop ends it within `IO_SLICE_S`: see `Clock.check_interrupt`.
         """
         with self._lock:
             if done():
                 return True
             now_ns = self.clock.now_ns
             start_ns = now_ns()
-            waited_s = 0.0  # a bus that waited for a slice has spent it, even where the clock is not the bus's own
+            waited_s = 0.0  # a wait on the bus counts in full, even where it does not advance the clock
             left_s = timeout_s
             while left_s > 0:
                 slice_s = min(left_s, IO_SLICE_S)
@@ -251,7 +252,7 @@ class CanLink:
             return done()
 
     def _receive(self, timeout_s: float) -> bool:
-        """Take and dispatch one frame; False when none came in time."""
+        """Take and dispatch one frame; False when none came in time. Raises LinkLostError."""
         try:
             message = self.bus.recv(timeout_s)
         except _GONE as error:
@@ -271,13 +272,14 @@ class CanLink:
 
 
 def bound_sending(bus: can.BusABC) -> None:
-    """A bus behind a TCP connection (socketcand) ignores the time-out of `send`: its socket is given one, so that a server that no
-    longer reads makes sending fail instead of waiting for ever. Other interfaces keep the time-out themselves, or do not wait.
+    """Bound the time that `send` may block on a bus behind a TCP connection (socketcand), which ignores its time-out: the socket gets
+    one of `SEND_S`, so that sending fails when the server no longer reads. Other interfaces keep the time-out themselves, or never
+    wait.
     """
     try:
         number = os.dup(bus.fileno())
     except (OSError, NotImplementedError, ValueError):
-        return  # nothing that the operating system could time
+        return  # no descriptor that the operating system could time
     try:
         own = socket.socket(fileno=number)
     except OSError:  # a serial port

@@ -1,8 +1,8 @@
-"""The CiA-402 power state machine (IEC 61800-7-201) as data: no I/O, no side taken.
+"""The CiA-402 power state machine (IEC 61800-7-201) as data, without I/O, for drive and master alike.
 
-What may go in: bit patterns, transitions and pure functions over them, in the form that the drive (which obeys a controlword) and
-the master (which chooses one) can both use. Because both sides of our tests use this file, it is checked against literal vectors
-written from the standard (tests/wire), never against itself.
+Bit patterns, transitions and pure functions over them, in the form that both the drive (which obeys a controlword) and the master
+(which chooses one) can use. Because both sides of the tests use this file, it is checked against literal vectors written from the
+standard (tests/wire), never against itself.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from enum import Enum, IntEnum, IntFlag
 
 from drivers.drive import DriveState
 
-START = DriveState.UNKNOWN  # the machine's "start": nothing is known yet
+START = DriveState.UNKNOWN  # the state machine's "start": no statusword received yet
 
 
 class Status(IntFlag):
@@ -26,7 +26,7 @@ class Status(IntFlag):
     QUICK_STOP_INACTIVE = 0x0020  # 0 while a quick stop is asked for
     SWITCH_ON_DISABLED = 0x0040
     WARNING = 0x0080
-    REMOTE = 0x0200  # 0: the controlword is not listened to
+    REMOTE = 0x0200  # 0: the drive ignores the controlword
     TARGET_REACHED = 0x0400
     INTERNAL_LIMIT = 0x0800
     # by mode of operation
@@ -104,12 +104,12 @@ _STATES = tuple(_match_state(low_bits) for low_bits in range(0x80))  # the patte
 
 
 def decode_state(statusword: int) -> DriveState:
-    """The state that a statusword shows; UNKNOWN for a pattern that the standard does not have."""
+    """The state that a statusword shows; UNKNOWN for a pattern that is not in the standard."""
     return _STATES[statusword & 0x7F]
 
 
 def state_bits(state: DriveState) -> int:
-    """The statusword bits 0-3, 5 and 6 of a state, those outside its pattern 0."""
+    """The statusword bits 0-3, 5 and 6 of a state; bits outside its pattern are 0."""
     for known, pattern in STATE_PATTERNS:
         if known is state:
             return pattern.value
@@ -131,7 +131,7 @@ class Command(Enum):
 
 
 def decode_command(controlword: int) -> Command | None:
-    """The command in a controlword; None while bit 7 is set, which commands nothing but a fault reset on its edge."""
+    """The command in a controlword; None while bit 7 is set, which commands only a fault reset on its rising edge."""
     for command in Command:
         if command.pattern.matches(controlword):
             return command
@@ -139,12 +139,12 @@ def decode_command(controlword: int) -> Command | None:
 
 
 def is_fault_reset(previous_controlword: int, controlword: int) -> bool:
-    """A fault reset is the rising edge of bit 7; a bit that stays set resets nothing more."""
+    """Whether this change resets a fault: the rising edge of bit 7; a bit that stays set resets nothing more."""
     return bool(controlword & ~previous_controlword & Control.FAULT_RESET)
 
 
 class Event(Enum):
-    """What else than a command makes the machine move."""
+    """Causes of a transition other than a command."""
 
     AUTOMATIC = "as soon as the state's work is done"
     FAULT = "a fault occurred"
@@ -153,7 +153,7 @@ class Event(Enum):
 
 @dataclass(frozen=True)
 class Transition:
-    """One numbered arrow of the standard's figure."""
+    """One numbered transition of the standard's state diagram."""
 
     number: int
     source: DriveState
@@ -185,9 +185,9 @@ FAULT_TRANSITION = 13  # from every state that is not already in the fault branc
 
 
 def next_state(state: DriveState, cause: Command | Event) -> tuple[int, DriveState] | None:
-    """(transition number, target state) of a cause in a state; None where the standard has no such arrow.
+    """(transition number, target state) of a cause in a state; None where the standard has no such transition.
 
-    Whether AUTOMATIC holds in quick stop (transition 12) and whether 16 is open is up to 605Ah, see `QUICK_STOP_ENDINGS`.
+    605Ah decides whether AUTOMATIC holds in quick stop (transition 12) and whether 16 is allowed, see `QUICK_STOP_ENDINGS`.
     """
     if cause is Event.FAULT:
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
@@ -200,7 +200,7 @@ def next_state(state: DriveState, cause: Command | Event) -> tuple[int, DriveSta
 
 
 class Ramp(Enum):
-    """How an axis is brought to rest."""
+    """How an axis is brought to rest (option codes 605Ah to 605Eh)."""
 
     NONE = "power off, the axis coasts"
     SLOW_DOWN = "slow-down ramp 6084h"
@@ -234,7 +234,7 @@ ENABLE_STEPS: dict[DriveState, Command] = {
     DriveState.READY: Command.SWITCH_ON,
     DriveState.SWITCHED_ON: Command.ENABLE_OPERATION,
 }
-"""The command that leads one state nearer to ENABLED; states that are absent are waited for or left by someone's decision."""
+"""The command that leads one state nearer to ENABLED; a state that is absent is waited for or left by an explicit decision."""
 
 DISABLE_STEPS: dict[DriveState, Command] = {
     DriveState.ENABLED: Command.SWITCH_ON,  # transition 5, disable operation
@@ -261,7 +261,7 @@ class HomingStatus(Enum):
 
 
 def decode_homing(statusword: int) -> HomingStatus | None:
-    """Homing status of a statusword read in homing mode (6061h = 6); None for the reserved patterns 11x."""
+    """Homing status of a statusword read in homing mode (6061h = 6); None for the reserved patterns 11x (bits 13, 12, 10)."""
     bits = (statusword >> 11 & 0b100) | (statusword >> 11 & 0b010) | (statusword >> 10 & 0b001)
     try:
         return HomingStatus(bits)

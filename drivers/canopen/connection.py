@@ -1,6 +1,6 @@
-"""What is set up in a drive for as long as we are connected: PDOs, heartbeats both ways. `put_back` leaves everything as it was found.
+"""Connection: the communication settings of a drive while it is open: PDOs, heartbeats both ways. `put_back` restores what was found.
 
-What may go in: communication settings that are not the user's parameters. Nothing here enables or moves.
+These settings are not the user's parameters. Nothing here enables or moves.
 """
 
 from __future__ import annotations
@@ -25,24 +25,25 @@ MOST_CONSUMERS = 127  # of 1016h
 
 
 class Connection:
-    """One node's communication while a drive is open. notes: what the engineer should know of it."""
+    """One node's communication while a drive is open. notes: findings for the engineer, one sentence each."""
 
     def __init__(self, node: Node, settings: CanOpenSettings) -> None:
         self._link, self._sdo, self._monitor = node.link, node.sdo, node.monitor
         self._settings = settings
         self._pdos: PdoSetup | None = None
         self._dictionary = None if node.eds is None else node.eds.mappable_objects()
-        self._before: list[tuple[Entry, int]] = []  # what was changed, as it stood
+        self._before: list[tuple[Entry, int]] = []  # changed entries with their earlier values
         self.pdo_findings: list[Finding] = []
         self.notes: list[str] = []
         self.stop_rpdo: PdoSpec | None = None
-        """Takes a controlword at once, without SYNC; None where the drive has or takes no such RPDO."""
-        self.mapped = False  # the drive's PDOs are those asked for
+        """An RPDO that takes a controlword at once, without SYNC; None where the drive has or accepts no such RPDO."""
+        self.mapped = False  # the drive's PDOs are the requested ones
 
     def set_up(self, pdos: tuple[PdoSpec, ...], before_start: Callable[[], None] = lambda: None) -> None:
-        """Map the PDOs, and one more for the stop; start the node, supervise its heartbeat and have it watch ours.
+        """Map the PDOs, and one more for the stop; start the node, supervise its heartbeat and let it consume ours.
 
         before_start: called when the PDOs are mapped, and the node does not exchange them yet (unless it was operational before).
+        Raises ProtocolError, AbortError, InputError.
         """
         self.notes = []
         self._map(pdos)
@@ -58,7 +59,7 @@ class Connection:
             self._guard(self._settings.guard_s)
 
     def _map(self, pdos: tuple[PdoSpec, ...]) -> None:
-        """With an event-driven RPDO 2 that maps 6040h alone, for the stop; without it where the drive refuses."""
+        """Map them with an event-driven RPDO 2 of 6040h alone, for the stop; without it where the drive refuses."""
         node_id = self._sdo.node_id
         stop = PdoSpec(2, False, 0x300 + node_id, EVENT, (objects.CONTROLWORD,), only_stops=True)
         refused: BridgeError | None = None
@@ -79,9 +80,9 @@ class Connection:
         )
 
     def put_back(self, *, unwatched: bool = True) -> None:
-        """Everything as it was found; the node is pre-operational afterwards. Every step is tried, see `undo_all`.
+        """Restore everything that was found; the node is pre-operational afterwards. Every step is tried, see `undo_all`.
 
-        unwatched: the drive no longer watches us either. Not for an axis that may still move: it stops once our heartbeat ends.
+        unwatched: the drive stops consuming our heartbeat too. Not for an axis that may still move: it stops once our heartbeat ends.
         """
         self.stop_rpdo, self.mapped = None, False
         pdos = [] if self._pdos is None else [("", self._pdos.restore)]
@@ -94,7 +95,7 @@ class Connection:
         )
 
     def _steps_back(self, kept: int) -> Sequence[tuple[str, Callable[[], None]]]:
-        """What puts back the settings changed since there were `kept` of them, the last first."""
+        """The calls that restore the settings changed since there were `kept` of them, the last first."""
         changed = self._before[kept:][::-1]
         return [(f"{entry} not put back", partial(self._set_back, entry, value)) for entry, value in changed]
 
@@ -108,11 +109,12 @@ class Connection:
             self._sdo.write(entry, value)
             self._before.append((entry, before))
 
-    # -- the drive watches us ----------------------------------------------------------------------------------------------
+    # -- the drive consumes our heartbeat ------------------------------------------------------------------------------------
     def _guard(self, guard_s: float) -> None:
-        """Have the drive stop by itself when it no longer hears us; a drive that cannot is left as it was, and noted.
+        """Have the drive stop by itself when our heartbeat is missing for `guard_s`; a drive that cannot is left unchanged, with a
+        note.
 
-        1016h makes it notice, 6007h says what it does then. Without 6007h (it is optional) it reacts as its maker decided: CiA-301
+        1016h makes it notice, 6007h sets its reaction. Without 6007h (it is optional) it reacts as its manufacturer decided: CiA-301
         has it send the heartbeat error 8130h, and a CiA-402 drive goes through its fault reaction (605Eh) on a communication error.
         """
         master_id, already = self._settings.master_id, len(self._before)
@@ -128,10 +130,12 @@ class Connection:
             )
             return
         self._link.produce_heartbeat(master_id, guard_s / 4)
-        self._link.send(HEARTBEAT + master_id, bytes((NmtState.OPERATIONAL,)))  # a drive guards from the first on
+        self._link.send(
+            HEARTBEAT + master_id, bytes((NmtState.OPERATIONAL,))
+        )  # a drive starts to supervise with the first one
 
     def _choose_reaction(self) -> None:
-        """6007h: quick stop. A drive that has none, or does not let it be set, keeps its own reaction, which is noted."""
+        """Set 6007h to quick stop. A drive without it, or that does not let it be set, keeps its own reaction, which is noted."""
         try:
             self._set_for_now(objects.ABORT_OPTION, QUICK_STOP_ON_ABORT)
         except AbortError as error:
@@ -142,7 +146,7 @@ class Connection:
             )
 
     def _free_consumer(self, master_id: int) -> Entry:
-        """The entry of 1016h that watches us already, or one that watches nobody. Raises CapabilityError, AbortError."""
+        """The entry of 1016h that consumes our heartbeat already, or an unused one. Raises CapabilityError, AbortError."""
         if self._sdo.node_id == master_id:
             raise CapabilityError(f"{master_id} is its own node id")
         count = self._sdo.read(Entry(0x1016, 0, DataType.U8, "consumer heartbeat time"))

@@ -1,4 +1,4 @@
-"""A CANopen drive's own correction table: arrays of objects one by one, or a domain in one block transfer."""
+"""A CANopen drive's own correction table: arrays of objects read and written one by one, or a domain in one block transfer."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from drivers.correction_table import CorrectionTable, RawTable
 from drivers.errors import AbortError, ProtocolError
 
 _COMMIT_S = 2.0
-"""How long a drive may take to take over a table that has come."""
+"""Time a drive may take to accept a table that was transferred, s."""
 
 
 class CanOpenCorrectionTable(CorrectionTable):
-    """Of one open drive, by its map."""
+    """The correction table of one open drive, as its map describes it."""
 
     def __init__(self, node: Node, table_map: TableMap) -> None:
         self.drive = node.name
@@ -74,13 +74,13 @@ class CanOpenCorrectionTable(CorrectionTable):
             sdo.write(self.map.scalars["count"], len(table.plus))
 
     def pack(self, table: RawTable) -> bytes:
-        """A domain's bytes."""
+        """The bytes of a domain for this table."""
         rows = zip(*(getattr(table, column) for column, _ in self.map.record), strict=True)
         return b"".join(self._record.pack(*row) for row in rows)
 
     # -- the domain ----------------------------------------------------------------------------------------------------
     def _read_domain(self, domain: Entry) -> bytes:
-        """By block; segmented from a drive without block transfer."""
+        """Read the domain by block transfer; segmented from a drive without it."""
         try:
             return self._node.sdo.read_bytes(domain.index, domain.subindex, block=True)
         except AbortError as error:

@@ -1,4 +1,4 @@
-"""Device configurations: the DCF of CiA-306, the maker's EDS with the values of one device, and the concise one of CiA-302.
+"""Device configurations: the DCF of CiA-306, an EDS with the values of one device, and the concise DCF of CiA-302.
 
 A DCF is read like an EDS (`eds.load_eds`), whose entries then carry a `value`. The concise form (object 1F22h) is a set of objects as
 one block of bytes, little endian: u32 number of entries; of each u16 index, u8 sub-index, u32 size, and that many bytes.
@@ -47,7 +47,7 @@ def render_dcf(eds: Path, values: Sequence[tuple[Key, bytes]], node_id: int | No
 
 
 def pack_concise(objects: Sequence[tuple[Key, bytes]]) -> bytes:
-    """Objects in the order in which they are to be written."""
+    """Concise DCF of objects in the order in which they are to be written."""
     parts = [_COUNT.pack(len(objects))]
     for (index, subindex), data in objects:
         parts.append(_HEAD.pack(index, subindex, len(data)) + data)
@@ -55,7 +55,7 @@ def pack_concise(objects: Sequence[tuple[Key, bytes]]) -> bytes:
 
 
 def unpack_concise(data: bytes) -> list[tuple[Key, bytes]]:
-    """Raises InputError for a block that is cut short, or goes on behind its last entry."""
+    """The objects of a concise DCF, in order. Raises InputError for a block that is cut short or too long."""
     if len(data) < _COUNT.size:
         raise InputError(f"is {len(data)} bytes, expected a concise DCF, which begins with four")
     (count,) = _COUNT.unpack_from(data)

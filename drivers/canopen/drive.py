@@ -1,8 +1,8 @@
 """CanOpenDrive: a CiA-402 servo drive behind the `ServoDrive` abstraction.
 
-What makes a CANopen node a ServoDrive: opening it safely and leaving it as it was found, who does what when it moves, and what stands
-beside the motion. Looking at it and stopping it is `stopping`'s, walking the power states `power`'s, moves are `motion`'s, homing
-`homing`'s. One link may carry several drives; whoever made the link closes it.
+Opens a CANopen node safely, leaves it as it was found, distributes its motions, and holds what is not motion (probe, parameters,
+table). Sampling and stopping are in `stopping`, power states in `power`, moves in `motion`, homing in `homing`. One link may carry
+several drives; the code that made the link closes it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler, exists, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableDrive
-from drivers.canopen.stream import AxesInStep, OneAxisStream
+from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import read_units, readings
 from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
@@ -50,7 +50,7 @@ __all__ = ["CanOpenDrive", "CanOpenSettings", "HomingSettings", "Identity"]
 
 
 class CanOpenDrive(StoppableDrive):
-    """One node as a drive. identity: who answered, known once open."""
+    """One node as a drive. identity: of the device, known once open."""
 
     identity: Identity | None = None
     _has_probe = _stores = False
@@ -58,7 +58,9 @@ class CanOpenDrive(StoppableDrive):
 
     # -- connection ------------------------------------------------------------------------------------------------------
     def open(self) -> None:
-        """Find the node, read who it is and what it can, map the PDOs, supervise its heartbeat. Nothing is enabled or moved."""
+        """Find the node, read its identity and capabilities, map the PDOs, supervise its heartbeat. Nothing is enabled or moved.
+
+        Raises StateError when it is open already, ProtocolError for a node that is no CiA-402 drive, TransportError, AbortError."""
         if self._open:
             raise StateError(f"drive {self.name} is already open")
         self.node.open(self.settings.sdo_timeout_s)
@@ -94,26 +96,27 @@ class CanOpenDrive(StoppableDrive):
             raise
 
     def _set_up(self) -> None:
-        """PDOs, heartbeats, and SYNC as its owner needs."""
+        """Set up PDOs and heartbeats, and SYNC as its owner needs."""
         self.sampler.subscribe()
 
         def settle() -> None:
             self.sampler.mapped()
-            with suppress(AbortError):  # a drive whose TPDOs cannot be switched off answers whoever sends SYNC
+            with suppress(AbortError):  # a drive whose TPDOs cannot be switched off answers every SYNC
                 self.sampler.settle()
 
         self.connection.set_up((*self.sampler.specs, self.rpdo), settle)
 
     @property
     def pdo_findings(self) -> list[Finding]:
-        """What the linter pointed out when the PDOs were set up."""
+        """Findings of the PDO linter when the PDOs were set up."""
         self._require_open()
         return self.connection.pdo_findings
 
     def close(self) -> None:
-        """Bring the axis to rest and take its power off, by whatever still reaches it; then put back what was found.
+        """Bring the axis to rest and take its power off, over any channel that still works; then restore what was found.
 
-        Every step is tried. Raises what failed (`undo_all`), but not for a wire that is dead: there is nobody left to tell.
+        Every step is tried. Raises what failed (`undo_all`), but not LinkLostError or NoAnswerError: without a wire nothing can be
+        done.
         """
         if not self._open:
             return
@@ -130,7 +133,7 @@ class CanOpenDrive(StoppableDrive):
 
     def _shut_down(self) -> None:
         """Leave the axis disabled, and mode, speeds, ramps and communication as they were found."""
-        self.monitor.expect_heartbeat(None)  # a heartbeat that is missing keeps nobody from being stopped
+        self.monitor.expect_heartbeat(None)  # a missing heartbeat must not prevent the stop
         ended: list[BridgeError | None] = []
 
         def disable() -> None:
@@ -143,7 +146,7 @@ class CanOpenDrive(StoppableDrive):
 
         def put_back() -> None:
             failed = ended[0] if ended else None
-            self.sdo.read(objects.STATUSWORD)  # with nobody there each setting would cost a time-out of its own
+            self.sdo.read(objects.STATUSWORD)  # without an answer each setting would cost a time-out of its own
             steps = [] if failed is not None or not ended else [("", self.motion.put_back)]
             may_move = not ended or (failed is not None and not isinstance(failed, HeldUnderPowerError))
             undo_all([*steps, ("", partial(self.connection.put_back, unwatched=not may_move))])
@@ -157,7 +160,7 @@ class CanOpenDrive(StoppableDrive):
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """From 6502h and from which objects answered; known once open."""
+        """From 6502h and from the objects that answered; known once open."""
         self._require_open()
         found = {Capability.PARAMETERS}
         for mode, capability in (
@@ -177,13 +180,13 @@ class CanOpenDrive(StoppableDrive):
         return frozenset(found)
 
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
-        """608Fh, 6091h, 6092h and 60A8h."""
+        """Units by 608Fh, 6091h, 6092h and 60A8h."""
         self._require_open()
         return readings(read_units(self.sdo))
 
-    # -- what it says of itself ------------------------------------------------------------------------------------------
+    # -- zero, warnings, errors ------------------------------------------------------------------------------------------
     def zero(self) -> DriveZero:
-        """6098h and 607Ch as the next homing will use them, and 1018h."""
+        """Zero by 6098h and 607Ch as the next homing will use them, and 1018h."""
         self._require_open()
         asked, sdo, identity = self.settings.homing, self.sdo, self.identity
         method, home_mm = asked.method, asked.home_position_mm
@@ -206,7 +209,7 @@ class CanOpenDrive(StoppableDrive):
         return self.homing.homed
 
     def complaints(self) -> tuple[str, ...]:
-        """The warning bit of the last statusword, and the last emergency unless it said that the errors are gone."""
+        """The warning bit of the last statusword, and the last emergency unless it reported that the errors are gone."""
         self._require_open()
         told = ["a warning (bit 7 of the statusword)"] if self.sampler.statusword & Status.WARNING else []
         if self.monitor.last_error_code():
@@ -214,17 +217,17 @@ class CanOpenDrive(StoppableDrive):
         return tuple(told)
 
     def error_history(self) -> list[int]:
-        """The drive's own list of errors (1003h), the latest first; the lower 16 bits of each are an error code."""
+        """The drive's own list of errors (1003h), the latest first; the lower 16 bits of each are an error code. Raises AbortError."""
         self._require_open()
         return error_history(self.sdo)
 
-    # -- what stands beside the motion -----------------------------------------------------------------------------------
+    # -- touch probe, parameters, table, streams -------------------------------------------------------------------------
     def _touch_probe(self) -> CanOpenTouchProbe:
         return CanOpenTouchProbe(self.node, self.scaling)
 
     @property
     def parameters(self) -> NamedParameters:
-        """By the drive's EDS where it was given one, and the standard's objects."""
+        """Parameters by the drive's EDS where one was given, and the standard's objects."""
         self._require_open()
         if self._parameters is None:
             self._parameters = NamedParameters(self.node)
@@ -232,26 +235,26 @@ class CanOpenDrive(StoppableDrive):
 
     @property
     def correction_table(self) -> CanOpenCorrectionTable | None:
-        """By the map that the drive was given."""
+        """The table by the map that the drive was given; None without one."""
         self._require_open()
         return None if self.node.table is None else CanOpenCorrectionTable(self.node, self.node.table)
 
     def _stream(self, settings: SetPointSettings) -> OneAxisStream:
         return OneAxisStream(self, settings)
 
-    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> AxesInStep:
+    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> AxesBySync:
         in_step = [self, *(drive for drive in others if isinstance(drive, CanOpenDrive) and drive.link is self.link)]
         if len(in_step) <= len(others):
             names = ", ".join(drive.name for drive in (self, *others))
             raise CapabilityError(
                 f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
             )
-        return AxesInStep(in_step, settings)
+        return AxesBySync(in_step, settings)
 
-    # -- kept without power ----------------------------------------------------------------------------------------------
+    # -- storing and restoring -------------------------------------------------------------------------------------------
     @contextmanager
     def as_found(self) -> Iterator[None]:
-        """Communication, mode, speeds and ramps as `open` found them, for a store or a survey; afterwards set up again as they were.
+        """Communication, mode, speeds and ramps as `open` found them, for a store or a survey; set up again afterwards.
 
         Raises StateError unless the axis is disabled.
         """
@@ -266,14 +269,14 @@ class CanOpenDrive(StoppableDrive):
             self._set_up()
 
     def require_disabled(self, verb: str) -> None:
-        """Raise StateError unless the axis is without power."""
+        """Raise StateError unless the axis is disabled."""
         state = self.sample().state
         if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
             raise StateError(f"drive {self.name} cannot {verb}: it is {state.value}, disable it first")
 
     def store_parameters(self, *, timeout_s: float = 10.0) -> None:
         """1010h:1 := "save". Targets are made harmless before, as a drive may store them too; what was set up for this connection
-        alone (PDOs, heartbeats, speeds of moves) is put back for the moment, so that it is not kept.
+        alone (PDOs, heartbeats, speeds of moves) is restored meanwhile, so that it is not stored.
 
         Raises StateError unless the axis is disabled, CapabilityError when the drive does not store on command.
         """
@@ -330,7 +333,7 @@ class CanOpenDrive(StoppableDrive):
             raise
 
     def reset_fault(self) -> None:
-        """Rising edge of the reset bit; the axis stays disabled. Raises DriveFaultError when the fault's cause is still there."""
+        """Send the rising edge of the reset bit; the axis stays disabled. Raises DriveFaultError when the cause is still there."""
         self._require_open()
         self.power.reset_fault()
 
@@ -340,9 +343,9 @@ class CanOpenDrive(StoppableDrive):
         self._move(position_load_mm, velocity_mm_s, after_the_present=False)
 
     def queue_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
-        """A set-point that follows the move under way without a stop between being asked for; the drive holds one.
+        """Give a set-point (mm, mm/s) that follows the move in progress without a stop in between; the drive holds one.
 
-        Raises as `start_move`, and StateError when the drive holds one already. A drive that clips the move (bit 11) is halted with
+        Raises as `start_move`, and StateError when the drive holds one already. A drive that limits the move (bit 11) is halted with
         LimitError: here, or by the `sample` that sees it begin the move.
         """
         self.limits.check_target(position_load_mm)
@@ -369,7 +372,7 @@ class CanOpenDrive(StoppableDrive):
             self.motion.run_at(sign * counts, self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2))
 
     def halt(self) -> None:
-        """Stop with the ramp of 605Dh and hold; `resume` goes on with the order under way."""
+        """Stop with the ramp of 605Dh and hold; `resume` continues the interrupted order."""
         self._require_enabled("halt")
         self.motion.halt()
 
@@ -384,7 +387,7 @@ class CanOpenDrive(StoppableDrive):
             self.homing.start(self.settings.homing, self.scaling)
 
     def home(self, timeout_s: float, *, attempts: int = 1) -> DriveSample:
-        """Home and wait for it; a homing that fails is begun again, `attempts` times in all.
+        """Home and wait for it, at most `timeout_s` seconds per attempt; a homing that fails is repeated, `attempts` times in all.
 
         Raises DriveFaultError after the last failure, MotionTimeoutError when an attempt does not end in time (the axis is stopped).
         """

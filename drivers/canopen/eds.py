@@ -1,7 +1,7 @@
 """Object dictionaries from EDS and DCF files as vendors write them, limits included (CiA-306).
 
-What may go in: handing a file's content over as plain data. `eds_text` puts the text right, the canopen package interprets it, and
-the limits are read here once more, as that package drops or folds some of them.
+Returns a file's content as plain data. `eds_text` corrects the text, the canopen package interprets it, and the limits are read here
+once more, as that package drops or folds some of them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Key = tuple[int, int]
 
 @dataclass(frozen=True)
 class EdsEntry:
-    """One entry: its type and name, who may do what with it, its limits (None: none), default and (DCF) configured value."""
+    """One entry: its type, name and access, its limits (None: none), default and (DCF) configured value."""
 
     entry: Entry
     access: str
@@ -47,7 +47,7 @@ class EdsEntry:
 
 @dataclass(frozen=True)
 class EdsFile:
-    """A file's content. notes say what was overlooked to read it; node_id and bitrate are those of a DCF, else None."""
+    """A file's content. notes: the deviations that were accepted; node_id and bitrate are those of a DCF, else None."""
 
     path: str
     entries: Mapping[Key, EdsEntry]
@@ -58,7 +58,7 @@ class EdsFile:
     product_number: int | None = None
 
     def mappable_objects(self) -> dict[Key, MappableObject]:
-        """What the PDO linter wants to know."""
+        """The entries as the PDO linter needs them."""
         return {
             key: MappableObject(found.entry.bits, found.mappable, found.readable, found.writable)
             for key, found in self.entries.items()
@@ -99,6 +99,7 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
 
 
 def decode_eds(path: Path) -> str:
+    """The text of a file in UTF-8, else Windows-1252, else Latin-1. Raises InputError for a file that cannot be read."""
     try:
         raw = path.read_bytes()
     except OSError as error:

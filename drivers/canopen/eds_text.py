@@ -1,7 +1,7 @@
-"""The text of an EDS or DCF file put right: what vendors write that the standard does not have (CiA-306).
+"""Correction of the text of an EDS or DCF file: vendors' deviations from the standard (CiA-306).
 
-What may go in: sections, keys and numbers as text. Letter case, duplicates, stray lines, missing keys, orphans and compact arrays are
-settled here, and each thing that was overlooked leaves a note. What the text means is `eds`'s business.
+Works on sections, keys and numbers as text: letter case, duplicates, stray lines, missing keys, orphans and compact arrays are
+corrected here, and each deviation leaves a note. `eds` interprets the text.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ MAX_COMPACT = 254
 
 @dataclass
 class EdsText:
-    """The file as sections of keys, in canonical spelling and order, with notes on what was put right."""
+    """The file as sections of keys, in canonical spelling and order, with notes on the corrections."""
 
     sections: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def render(self) -> str:
-        """As a text that strict readers take; limits are left out, as not all readers get them right."""
+        """A text that strict readers accept; limits are left out, as not all readers get them right."""
         return _render(self)
 
 
 def parse(text: str) -> EdsText:
-    """Read any text; nothing is refused."""
+    """Read any text; nothing is refused, each deviation leaves a note."""
     parsed = _parse(text)
     _complete(parsed)
     return parsed
@@ -58,7 +58,7 @@ def _parse(text: str) -> EdsText:
     section: dict[str, str] | None = None
     where = ""
     for number, line in enumerate(text.splitlines(), start=1):
-        line = line.strip()  # noqa: PLW2901 - the line as written matters to nobody
+        line = line.strip()  # noqa: PLW2901 - the unstripped line is not needed
         if not line or line[0] in ";#":
             continue
         if line.startswith("["):

@@ -1,12 +1,12 @@
-"""Homing by a CANopen drive's own methods: begun with its settings, and looked after until it is attained or has failed.
+"""Homing by a CANopen drive's own methods: starts it with its settings and follows it until it is attained or has failed.
 
-What may go in: the objects and status bits of the homing mode. Who waits for it, and how often it is tried, is the drive's business.
+Holds the objects and status bits of the homing mode. `drive` waits for its end and counts the attempts.
 
 In homing mode bit 12 of the statusword says "homing attained", of the last homing too: a drive keeps it until a new one begins (bit 4
 of the controlword rises), and then shows bits 13, 12 and 10 low: in progress (IEC 61800-7-201, homing mode, definition of bits 10, 12
 and 13). A statusword that is some milliseconds old may still show the homing before. So bit 12 counts once all three were seen low
-after bit 4 rose. Methods that do not move (35, 37) may be over before anybody looks: bit 12 without that counts after it was shown for
-`ATTAINED_S` without a break by an axis that does not move. Bit 13, homing error, is believed by the same rule, at rest.
+after bit 4 rose. Methods that do not move (35, 37) may be over before the first sample: without that, bit 12 counts once an axis that
+does not move has shown it for `ATTAINED_S` without a break. Bit 13, homing error, is evaluated by the same rule, at rest.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from drivers.errors import DriveFaultError
 from drivers.scaling import AxisScaling
 
 ATTAINED_S = 0.25
-"""So long an end must be shown by an axis at rest if no homing was seen in progress, s: far more than a drive takes to begin a homing
+"""Time for which an axis at rest must show the end if no homing was seen in progress, s: far more than a drive takes to begin a homing
 and to show it (a control cycle, one to ten ms), and than an axis takes to be seen moving."""
 SAME_PLACE = 2
-"""Counts by which an axis at rest may be seen elsewhere: it stands between two counts of its encoder."""
+"""Tolerance of the position of an axis at rest, counts: it may stand between two counts of its encoder."""
 
 
 class Homing:
-    """Of one open drive. homed: since it was opened, or as it says itself, None while that is unknown.
+    """Homing of one open drive. homed: since it was opened, or as the drive reports, None while that is unknown.
 
-    under_way: begun, and not heard the end of.
+    under_way: begun, and its end not seen yet.
     """
 
     def __init__(self, drive_name: str, power: PowerStage, motion: ProfileMotion) -> None:
@@ -43,10 +43,10 @@ class Homing:
         self._power = power
         self._motion = motion
         self._was_low = False  # seen in progress since bit 4 rose
-        self._shown: tuple[int, int] | None = None  # an end without a break: since when, and where the axis stood
+        self._shown: tuple[int, int] | None = None  # an end shown without a break: since when (ns), position in counts
 
     def start(self, homing: HomingSettings, scaling: AxisScaling) -> None:
-        """Write the settings, change the mode, begin."""
+        """Write the settings, change the mode, begin. Raises AbortError, CapabilityError, ProtocolError, NoAnswerError."""
         settings: list[tuple[Entry, int | None]] = [
             (objects.HOMING_METHOD, homing.method),
             (objects.HOMING_SPEED_SWITCH, _counts(homing.speed_switch_mm_s, scaling.motor_counts_per_s)),
@@ -64,17 +64,18 @@ class Homing:
         self.under_way = True
 
     def believe(self, status: int) -> None:
-        """A statusword of a disabled drive in homing mode: one that shows an earlier homing as attained is homed.
+        """Evaluate the statusword of a disabled drive in homing mode: one that shows an earlier homing as attained is homed.
 
-        One that does not may have forgotten it with the change of mode, so that tells nothing.
+        One that does not may have lost that with the change of mode, so it leaves `homed` unknown.
         """
         if decode_homing(status) is HomingStatus.COMPLETED:
             self.homed = True
 
     def look(self, time_ns: int, status: int, position_counts: int, *, slow: bool) -> None:
-        """At a sample; does nothing unless it is under way. slow: what the drive shows of its velocity is that of an axis at rest.
+        """Evaluate a sample (ns, 6041h, counts); does nothing unless homing is under way. slow: the velocity shown is that of an
+        axis at rest.
 
-        Raises DriveFaultError once when it failed.
+        Raises DriveFaultError once when homing failed.
         """
         if not self.under_way:
             return
@@ -98,7 +99,7 @@ class Homing:
             )
 
     def _stays(self, time_ns: int, position_counts: int, slow: bool) -> bool:
-        """No homing was seen in progress: whether its end has been shown for long enough by an axis that does not move."""
+        """Where no homing was seen in progress: whether its end has been shown for long enough by an axis that does not move."""
         since_ns, place = self._shown or (time_ns, position_counts)
         if not slow or abs(position_counts - place) > SAME_PLACE:
             since_ns, place = time_ns, position_counts

@@ -1,4 +1,4 @@
-"""Who a CANopen node is, and what it says of itself beside its motion: read over SDO, changed never."""
+"""Identity of a CANopen node and its status objects beside the motion: read over SDO, never written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_ERRORS = 254
 
 @dataclass(frozen=True)
 class Identity:
-    """Who answered: 1018h, 1008h to 100Ah."""
+    """Identity objects 1018h and 1008h to 100Ah."""
 
     vendor_id: int
     product_code: int
@@ -28,7 +28,7 @@ class Identity:
 
 
 def read_identity(sdo: SdoClient) -> Identity:
-    """Of a servo drive. Raises ProtocolError for a node of another device profile (1000h)."""
+    """Identity of a servo drive. Raises ProtocolError for a node of another device profile (1000h), and as `SdoClient.read`."""
     profile = sdo.read(objects.DEVICE_TYPE) & 0xFFFF
     if profile != PROFILE:
         raise ProtocolError(f"{sdo.name}: node {sdo.node_id} has device profile {profile}, not {PROFILE}")
@@ -51,7 +51,7 @@ def _text(sdo: SdoClient, entry: Entry) -> str:
 
 
 def stores_on_command(sdo: SdoClient) -> bool:
-    """1010h:1; a drive that has it and does not let it be read leaves it open, and is not trusted with it."""
+    """Whether 1010h:1 says that it stores on command; False for a drive that does not let it be read."""
     try:
         return bool(sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
     except AbortError:
@@ -59,7 +59,7 @@ def stores_on_command(sdo: SdoClient) -> bool:
 
 
 def error_history(sdo: SdoClient) -> list[int]:
-    """1003h, the latest first; the lower 16 bits of each are an error code."""
+    """1003h, the latest first; the lower 16 bits of each are an error code. Raises as `SdoClient.read`."""
     count = min(sdo.read_or(objects.ERROR_HISTORY, 0), _MOST_ERRORS)
     return [
         sdo.read(Entry(0x1003, number, objects.DataType.U32, "standard error field")) for number in range(1, count + 1)

@@ -1,7 +1,6 @@
-"""Layer setting services: finding nodes that have no node id yet, and giving them one (CiA-305).
+"""LSS master (CiA-305): finds nodes that have no node id yet, and assigns one.
 
-What may go in: the master's side of LSS. A node is told apart by its identity (1018h); fast scan finds that of a node nobody knows,
-bit by bit.
+A node is selected by its identity (1018h); fast scan finds an unknown identity bit by bit.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class LssAddress:
 
 
 class LssMaster:
-    """LSS on one link. timeout_s: how long an answer may take; fast scan waits that long for each bit, as several may answer."""
+    """LSS on one link. timeout_s: longest time for an answer, s; fast scan waits that long for each bit, as several may answer."""
 
     def __init__(self, link: CanLink, *, timeout_s: float = 0.05) -> None:
         self._link = link
@@ -71,7 +70,7 @@ class LssMaster:
         return LssAddress(*parts)
 
     def any_unconfigured(self) -> bool:
-        """Whether any node without a node id is there."""
+        """Whether there is any node without a node id. Raises LinkLostError."""
         return self._ask(IDENTIFY_UNCONFIGURED, b"", UNCONFIGURED) is not None
 
     def select(self, address: LssAddress) -> None:
@@ -83,11 +82,11 @@ class LssMaster:
             raise NoAnswerError(f"LSS: no node with the identity {address} answers")
 
     def release(self) -> None:
-        """All nodes back to waiting; one that was given its first node id starts now."""
+        """Put all nodes into waiting state; one that was given its first node id starts now."""
         self._send(SWITCH_GLOBAL, bytes((WAITING,)))
 
     def identity(self) -> LssAddress:
-        """That of the node in configuration state."""
+        """Identity of the node in configuration state. Raises NoAnswerError."""
         parts = []
         for command in INQUIRE:
             answer = self._ask(command, b"", command)
@@ -97,30 +96,34 @@ class LssMaster:
         return LssAddress(*parts)
 
     def node_id(self) -> int | None:
-        """That of the node in configuration state, None while it has none."""
+        """Id of the node in configuration state, None while it has none. Raises NoAnswerError."""
         answer = self._ask(INQUIRE_NODE, b"", INQUIRE_NODE)
         if answer is None:
             raise NoAnswerError("LSS: no node in configuration state answers")
         return None if answer[1] == UNCONFIGURED_ID else answer[1]
 
     def set_node_id(self, node_id: int) -> None:
-        """Of the node in configuration state; in force after `release` (first id) or its next start."""
+        """Set the id (1 to 127) of the node in configuration state; in force after `release` (first id) or its next start.
+
+        Raises InputError, NoAnswerError, ProtocolError."""
         if not 1 <= node_id <= 127:
             raise InputError(f"node id is {node_id}, expected 1 to 127")
         self._order(CONFIGURE_NODE, bytes((node_id,)), f"node id {node_id}")
 
     def set_bit_rate(self, bitrate: int) -> None:
-        """Of the node in configuration state, from the standard table; in force after its next start."""
+        """Set the bit rate, bit/s, of the node in configuration state; in force after its next start.
+
+        Raises InputError for one that is not in the standard table, NoAnswerError, ProtocolError."""
         if bitrate not in BIT_RATES or not bitrate:
             raise InputError(f"bit rate is {bitrate}, expected one of {sorted(rate for rate in BIT_RATES if rate)}")
         self._order(CONFIGURE_BIT_RATE, bytes((0, BIT_RATES.index(bitrate))), f"bit rate {bitrate}")
 
     def store(self) -> None:
-        """Keep node id and bit rate without power."""
+        """Store node id and bit rate without power. Raises NoAnswerError, ProtocolError."""
         self._order(STORE, b"", "storing")
 
     def assign(self, address: LssAddress, node_id: int, *, store: bool = True) -> None:
-        """Select a node by its identity, give it a node id, keep it if wanted, and let it start."""
+        """Select a node by its identity, assign a node id, store it if wanted, and let it start. Raises as the single steps."""
         self.select(address)
         self.set_node_id(node_id)
         if store:
@@ -145,7 +148,7 @@ class LssMaster:
     def _ask(self, command: int, data: bytes, answered_by: int, *, wait_for_all: bool = False) -> bytes | None:
         """The answer with the right command, None when none comes in time.
 
-        wait_for_all: the whole time is waited, so that a second node's answer is not taken for one to the next question.
+        wait_for_all: wait the whole time, so that a second node's answer is not taken for one to the next question.
         """
         self._link.poll()
         self._answers.clear()

@@ -1,7 +1,6 @@
 """Profile motion in the drive's own units: set-point handshake, velocity, halt, mode changes that keep the axis held.
 
-What may go in: the mode specific bits of controlword and statusword, and the objects that go with them. Limits and millimetres are
-the drive's business (`drive`).
+Holds the mode-specific bits of controlword and statusword, and their objects. Limits and millimetres are in `drive`.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 def mode_of(shown: int) -> Mode:
-    """The mode of 6061h; manufacturer modes and unknown ones count as none."""
+    """The mode of 6061h; manufacturer modes and unknown ones are NONE."""
     try:
         return Mode(shown)
     except ValueError:
@@ -36,23 +35,23 @@ def mode_of(shown: int) -> Mode:
 
 
 TARGETS = (objects.TARGET_POSITION, objects.TARGET_VELOCITY, objects.TARGET_TORQUE)
-"""Set-points, which are never put back."""
+"""Set-points; they are never put back."""
 
 
 LOOK_S = 0.01
-"""Between two looks at an axis that is coming to rest, s."""
+"""Interval of samples of an axis that is coming to rest, s."""
 
 
 @dataclass(frozen=True)
 class _Queued:
-    """A following set-point that the drive holds. limited: whether bit 11 was set before it began, by the move before."""
+    """A following set-point that the drive holds. limited: whether bit 11 was set before it began, by the move before it."""
 
     target: int
     limited: bool
 
 
 class ProfileMotion:
-    """Motion orders to one open drive. handshake_s and mode_s: how long a drive may take to acknowledge."""
+    """Motion orders to one open drive. handshake_s and mode_s: longest time for the acknowledgement, s."""
 
     def __init__(
         self, sdo: SdoClient, power: PowerStage, sampler: Sampler, clock: Clock, *, handshake_s: float, mode_s: float
@@ -64,7 +63,7 @@ class ProfileMotion:
         self._handshake_s = handshake_s
         self._mode_s = mode_s
         self._written: dict[Entry, int] = {}
-        self._found: dict[Entry, int] = {}  # what the drive held before we wrote it
+        self._found: dict[Entry, int] = {}  # values of the drive before they were written
         self.supported_modes = sdo.read(objects.SUPPORTED_MODES)
         self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
         self.halted = False
@@ -76,7 +75,7 @@ class ProfileMotion:
 
     # -- modes -----------------------------------------------------------------------------------------------------------
     def set_mode(self, mode: Mode) -> None:
-        """Change the mode of operation and see it confirmed (6061h); the controlword is not touched, so the axis stays held.
+        """Change the mode of operation and see it confirmed (6061h); the controlword is not written, so the axis stays held.
 
         Set-points of the new mode are first made to mean "stay". Raises CapabilityError for a mode that 6502h does not list,
         ProtocolError when the drive does not follow.
@@ -99,7 +98,7 @@ class ProfileMotion:
         self.mode = mode
 
     def stay(self) -> None:
-        """Set-points that move nothing: target position := actual position, target velocity and torque := 0."""
+        """Write set-points that move nothing: target position := actual position, target velocity and torque := 0."""
         self.set(objects.TARGET_POSITION, self._sdo.read(objects.POSITION_ACTUAL), always=True)
         if self.supports(Mode.PROFILE_VELOCITY) or self.supports(Mode.CYCLIC_VELOCITY):
             self.set(objects.TARGET_VELOCITY, 0, always=True)
@@ -107,7 +106,7 @@ class ProfileMotion:
             self.set(objects.TARGET_TORQUE, 0, always=True)
 
     def set(self, entry: Entry, value: int, *, always: bool = False) -> None:
-        """Write an object unless it is known to hold the value already."""
+        """Write an object unless it is known to hold the value already. Raises as `SdoClient.write`."""
         if always or self._written.get(entry) != value:
             self._written.pop(entry, None)
             self._remember(entry)
@@ -119,7 +118,7 @@ class ProfileMotion:
             self._found[entry] = self._sdo.read(entry)
 
     def put_back(self) -> None:
-        """Mode, speeds and ramps as they were found, on a disabled axis. Targets are not put back: they would be motion orders."""
+        """Restore mode, speeds and ramps on a disabled axis. Targets are not restored: they would be motion orders."""
         found = reversed(list(self._found.items()))
         undo_all([(f"{entry} not put back", partial(self._put_back, entry, value)) for entry, value in found])
 
@@ -132,10 +131,11 @@ class ProfileMotion:
 
     # -- profile position ------------------------------------------------------------------------------------------------
     def move(self, target: int, velocity: int, acceleration: int, *, after_the_present: bool = False) -> None:
-        """Hand over an absolute set-point, counts and counts/s(²); returns once the drive has acknowledged it.
+        """Give an absolute set-point, counts and counts/s(²); returns once the drive has acknowledged it.
 
-        It replaces the move under way, or follows it where `after_the_present` (the drive holds one such set-point; StateError
-        when it holds one already, before anything is written).
+        It replaces the move in progress, or follows it where `after_the_present` (the drive holds one such set-point). Raises
+        StateError when it holds one already, before anything is written, LimitError when the drive limits the target, ProtocolError
+        for a handshake that is not acknowledged, DriveFaultError.
         """
         if (
             after_the_present
@@ -162,8 +162,8 @@ class ProfileMotion:
             self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05)
 
     def look(self, status: int) -> None:
-        """At a sample: the following set-point, once the drive has begun it. Raises LimitError once, with the axis halted, where the
-        drive clips it."""
+        """Evaluate a sample: a following set-point that the drive has begun. Raises LimitError once, with the axis halted, where the
+        drive limits it."""
         queued = self._queued
         if queued is None:
             return
@@ -177,7 +177,7 @@ class ProfileMotion:
                 self._refuse_limited(queued.target)
 
     def _refuse_limited(self, target: int) -> None:
-        """The drive clips this target to its own software limits: stop, rather than arrive somewhere else."""
+        """The drive limits this target to its own software limits: stop instead of arriving elsewhere. Raises LimitError."""
         self.halt()
         low, high = self._sdo.read_or(objects.SOFTWARE_LIMIT_MIN, 0), self._sdo.read_or(objects.SOFTWARE_LIMIT_MAX, 0)
         raise LimitError(
@@ -191,7 +191,9 @@ class ProfileMotion:
         return window
 
     def _hand_over(self, flags: Control, *, wait_until_free: bool) -> None:
-        """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken."""
+        """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken.
+
+        Raises ProtocolError where a step is not acknowledged in time."""
         name, timeout_s = self._sdo.name, self._handshake_s
         if self._power.controlword != RUN:
             self._power.write(RUN)
@@ -207,7 +209,7 @@ class ProfileMotion:
             self._await_status(_not_acknowledged, timeout_s)
 
     def _await_status(self, condition: Callable[[int], bool], timeout_s: float) -> bool:
-        """Watch the statusword; False when the condition did not hold in time. Raises DriveFaultError when a fault comes."""
+        """Sample the statusword; False when the condition did not hold in time. Raises DriveFaultError when a fault comes."""
         deadline = self._clock.deadline(timeout_s)
         while True:
             self._sampler.refresh()
@@ -225,7 +227,7 @@ class ProfileMotion:
 
     # -- profile velocity, halt --------------------------------------------------------------------------------------------
     def run_at(self, velocity: int, acceleration: int) -> None:
-        """Profile velocity, counts/s with its sign."""
+        """Profile velocity, signed counts/s."""
         self.set(objects.PROFILE_ACCELERATION, acceleration)
         self.set(objects.PROFILE_DECELERATION, acceleration)
         self.set_mode(Mode.PROFILE_VELOCITY)
@@ -235,12 +237,12 @@ class ProfileMotion:
         self.set(objects.TARGET_VELOCITY, velocity, always=True)
 
     def halt(self) -> None:
-        """Halt bit: stop with the ramp of 605Dh and stay enabled; the order under way is kept for `resume`."""
+        """Set the halt bit: stop with the ramp of 605Dh and stay enabled; the order in progress is kept for `resume`."""
         self._power.write(RUN | Control.HALT)
         self.halted = True
 
     def resume(self) -> None:
-        """Clear the halt bit: the drive goes on with what it was told."""
+        """Clear the halt bit: the drive continues the order in progress."""
         self._power.write(RUN)
         self.halted = False
 

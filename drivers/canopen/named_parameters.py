@@ -1,6 +1,6 @@
-"""A CiA-402 drive's parameters by name: the standard's under names of their own, what an EDS adds as "2100h:01".
+"""A CiA-402 drive's parameters by name: standard objects under names of their own, those of an EDS as "2100h:01".
 
-What may go in: which name means which object, and in which unit. Checks, proof by reading back and what is refused are `parameters`'.
+Maps names to objects and units. `parameters` checks, refuses, and proves writes by reading back.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 
 _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
-    # object, unit, whether it is there to be written
+    # object, unit, whether it may be written
     (objects.DEVICE_NAME, "", False),
     (objects.HARDWARE_VERSION, "", False),
     (objects.SOFTWARE_VERSION, "", False),
@@ -53,7 +53,7 @@ def _name(entry: Entry) -> str:
 
 
 def known_objects(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], dict[str, str]]:
-    """What is known of the drive's objects, by name, and their units. A file knows better than the standard."""
+    """The drive's known objects, by name, and their units. An EDS takes precedence over the standard."""
     entries: dict[tuple[int, int], EdsEntry] = dict(eds.entries) if eds is not None else {}
     names: dict[str, EdsEntry] = {}
     units: dict[str, str] = {}
@@ -74,7 +74,7 @@ def known_objects(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], di
 
 
 class NamedParameters(DriveParameters):
-    """Parameters of one open drive. Without an EDS only the standard's, as far as the drive answers for them, without limits."""
+    """Parameters of one open drive. Without an EDS only the standard's objects that the drive answers, without limits."""
 
     def __init__(self, node: Node) -> None:
         self._name = node.name
@@ -149,11 +149,12 @@ FITTING: Mapping[ParameterKind, tuple[type, ...]] = {
 
 
 def kind_of(data_type: DataType) -> ParameterKind:
+    """The kind of a value of this type."""
     return _KINDS.get(data_type, ParameterKind.INTEGER)
 
 
 def range_of(found: EdsEntry) -> tuple[float | None, float | None]:
-    """The file's limits within those of the type."""
+    """The file's limits within those of the type. Raises ProtocolError for limits that exclude every value."""
     kind = found.entry.type
     if kind_of(kind) is not ParameterKind.INTEGER:
         return found.low, found.high

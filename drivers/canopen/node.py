@@ -1,6 +1,6 @@
-"""One node of a bus: its SDO channel, what is known of it without asking (heartbeat, boot-ups, emergencies), and NMT commands to it.
+"""One CANopen node: its SDO channel, its state as received (heartbeat, boot-ups, emergencies), and NMT commands to it.
 
-The node is judged when somebody looks (`NodeMonitor.check`), with the frames that have come in by then; nothing here runs by itself.
+The node is judged by `NodeMonitor.check`, with the frames that have come in by then; nothing here runs by itself.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ ERROR_CLASSES: tuple[tuple[int, int, str], ...] = (
 
 
 def error_text(code: int) -> str:
-    """An error code of EMCY or 603Fh with its meaning."""
+    """Meaning and number of an error code of EMCY or 603Fh (CiA-301, CiA-402)."""
     for mask, value, text in ERROR_CLASSES:
         if code & mask == value:
             return f"{text} (0x{code:04X})"
@@ -122,18 +122,18 @@ class NodeMonitor:
         self.link.unsubscribe(EMERGENCY + self.node_id, self._on_emergency)
 
     def command(self, command: NmtCommand) -> None:
-        """Send an NMT command to this node. Nothing confirms it but the next heartbeat."""
+        """Send an NMT command to this node; only the next heartbeat confirms it. Raises LinkLostError."""
         if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self._expect_boot = True
         self.link.send(NMT, bytes((command, self.node_id)))
 
     def expect_heartbeat(self, within_s: float | None) -> None:
-        """From now on a heartbeat must come at least that often; None: not supervised."""
+        """From now on a heartbeat must come within this time, s; None: not supervised."""
         self._limit_ns = None if within_s is None else round(within_s * NS_PER_S)
         self._heard_ns = self.link.clock.now_ns()
 
     def check(self) -> None:
-        """Raise LinkLostError when the heartbeat is overdue or the node has started anew without being told to."""
+        """Raise LinkLostError when the heartbeat is overdue or the node has restarted without a command."""
         if self._rebooted:
             raise LinkLostError(f"{self.name}: node {self.node_id} restarted by itself; open it again")
         if self._limit_ns is None or self._heard_ns is None:
@@ -146,7 +146,7 @@ class NodeMonitor:
             )
 
     def last_error_code(self) -> int | None:
-        """The code of the last emergency, None when there was none; 0 says that the errors are gone."""
+        """The code of the last emergency, None when there was none; 0: the errors are gone."""
         return self.log[-1].code if self.log else None
 
     def _on_heartbeat(self, time_ns: int, data: bytes) -> None:
@@ -172,9 +172,9 @@ class NodeMonitor:
 
 
 class Node:
-    """A drive's node, as its parameters, streams and touch probe are given it. name: the drive's.
+    """A drive's node, as it is passed to its parameters, streams and touch probe. name: the drive's.
 
-    eds: its maker's dictionary. table: of the correction table that the drive holds itself. sdo and monitor are those of the present
+    eds: the manufacturer's dictionary. table: map of the drive's own correction table. sdo and monitor belong to the present
     opening: each `open` makes new ones.
     """
 
@@ -192,7 +192,7 @@ class Node:
         self.table = table
 
     def open(self, sdo_timeout_s: float = 0.5) -> None:
-        """Listen to the node; nothing is asked. sdo_timeout_s: for one answer."""
+        """Listen to the node; no request is sent. sdo_timeout_s: for one answer, s."""
         where = f"drive {self.name}"
         self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=sdo_timeout_s)
         self.monitor = NodeMonitor(self.link, self.node_id, where)

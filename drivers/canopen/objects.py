@@ -1,7 +1,7 @@
-"""The objects of CiA-301 and CiA-402 that this project reads and writes, named once, with their types.
+"""The objects of CiA-301 and CiA-402 that this project reads and writes, with names and types.
 
-What may go in: index, subindex, type and name of standard objects, and how a value of such a type is packed. Manufacturer
-objects come from an EDS (see `eds`).
+Index, subindex, type and name of standard objects, and how a value of such a type is packed. Manufacturer objects come from an EDS
+(see `eds`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from drivers.canopen.sdo_transfer import LARGEST_ANNOUNCED
 from drivers.errors import InputError, ProtocolError
 
 LONGEST_TEXT = 4096
-"""Bytes of a VISIBLE_STRING that are read at most; the standard's texts have some tens."""
+"""Longest VISIBLE_STRING that is read, bytes; the standard's texts have a few dozen."""
 
 
 class DataType(Enum):
@@ -72,15 +72,16 @@ class Entry:
 
     @property
     def most_bytes(self) -> int:
-        """Bytes read at most: of a number eight, the longest type's, as some devices answer with more bytes than the object has."""
+        """Longest answer accepted, bytes: for a number eight, the longest type's, as some devices answer with more than the object
+        has."""
         return 8 if self.type.is_number else LONGEST_TEXT if self.type is DataType.STRING else LARGEST_ANNOUNCED
 
     def same(self, shown: bytes, meant: bytes) -> bool:
-        """Whether a device that shows `shown` holds `meant`, by the type.
+        """Whether `shown`, read from a device, equals `meant`, by the type.
 
-        A number: its own bytes are the same; bytes behind them do not count. A text: devices whose texts have a fixed length fill them
-        with zeros or spaces, so these do not count behind it, nor do zeros behind what was meant; anything else does. Other bytes: the
-        same, as many.
+        A number: its own bytes are equal; bytes behind them are ignored. A text: devices whose texts have a fixed length fill them
+        with zeros or spaces, so these are ignored behind it, as are zeros behind `meant`; anything else counts. Other bytes: equal
+        and of equal length.
         """
         if self.type.is_number:
             return len(meant) == self.type.size and shown[: len(meant)] == meant

@@ -1,8 +1,8 @@
 """A drive's parameters by their dictionary: checked before they are written, read back after.
 
-Access to single parameters with what an EDS says of them; whole sets (all or nothing, audit) are built on
-`raw_parameters`. What moves the axis is no parameter: targets, modes and the controlword are refused here, because some drives keep
-them through a store and a restore.
+Single parameters with what an EDS says of them; whole sets (all or nothing, audit) are built on `raw_parameters`. Objects that move
+the axis are no parameters: targets, modes and the controlword are refused here, because some drives keep them through a store and a
+restore.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SET_UP_AS_A_WHOLE: dict[range, str] = {
 
 
 def why_not_written(found: EdsEntry, table: TableMap | None = None) -> str | None:
-    """Why an entry is not written as a parameter; None for one that may be. table: of the drive's own correction table."""
+    """Why an entry is not written as a parameter; None for one that may be written. table: map of the drive's own correction table."""
     index = found.entry.index
     if not found.writable:
         return f"{found.entry} is read only"
@@ -89,15 +89,15 @@ class CanOpenParameters:
         )
 
     def writable(self) -> tuple[EdsEntry, ...]:
-        """Those that are the user's to change: no targets, no commands, no PDO parameters."""
+        """The entries that the user may change: no targets, no commands, no PDO parameters."""
         return tuple(found for found in self.readable() if self.refusal(found) is None)
 
     def refusal(self, found: EdsEntry) -> str | None:
-        """Why an entry is not written as a parameter; None for one that may be."""
+        """Why an entry is not written as a parameter; None for one that may be written."""
         return why_not_written(found, self._node.table)
 
     def find(self, index: int, subindex: int = 0) -> EdsEntry:
-        """The entry. Raises InputError for one that the file does not have."""
+        """The entry of an object. Raises InputError for one that the file does not have."""
         found = self.eds.entries.get((index, subindex))
         if found is None:
             raise InputError(f"has no object {index:04X}h:{subindex:02X}", path=self.eds.path)
@@ -105,14 +105,14 @@ class CanOpenParameters:
 
     # -- one --------------------------------------------------------------------------------------------------------
     def read(self, found: EdsEntry) -> Access:
-        """The present value. Raises AbortError, NoAnswerError, ProtocolError."""
+        """The present value. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
         entry, clock = found.entry, self._node.clock
         start_ns = clock.now_ns()
         value = entry.unpack(self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
         return Access(value, (clock.now_ns() - start_ns) * 1e-9)
 
     def check(self, found: EdsEntry, value: Value) -> None:
-        """Raise CapabilityError for what may not be written, InputError for what does not fit its type and limits."""
+        """Raise CapabilityError for an entry that may not be written, InputError for a value outside its type or limits."""
         refusal = self.refusal(found)
         if refusal is not None:
             raise CapabilityError(f"drive {self._node.name}: {refusal}")
@@ -140,9 +140,9 @@ class CanOpenParameters:
     def snapshot(
         self, entries: Iterable[EdsEntry] | None = None, progress: Callable[[int, int], None] = lambda _done, _all: None
     ) -> dict[Key, Access]:
-        """Values of all (or the given) readable entries; those that the drive refuses to show are left out.
+        """Values of all (or the given) readable entries; those that the drive refuses to read are left out.
 
-        The drive shows what it was told for this connection too; within `CanOpenDrive.as_found` it shows what it was found with.
+        The drive shows the settings of this connection too; within `CanOpenDrive.as_found` it shows those that it was found with.
         """
         wanted = list(self.readable() if entries is None else entries)
         found: dict[Key, Access] = {}

@@ -1,6 +1,6 @@
-"""Process data objects as data: what is mapped where, how it is packed, and whether a drive's PDO does what is wanted.
+"""Process data objects as data: mapped objects, packing, and whether a drive's PDO equals the wanted one.
 
-Reading them from a drive and bringing them into force is `pdo_setup`'s; what a set of them should look like is `pdo_lint`'s.
+`pdo_setup` reads and writes them in a drive; `pdo_lint` checks a set of them.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ OBJECT_MISSING = (0x06020000, 0x06090011)
 
 @dataclass(frozen=True)
 class PdoSpec:
-    """One PDO as it should be. number counts from 1; transmit is the drive's view (True: TPDO, the drive sends).
+    """One wanted PDO. number counts from 1; transmit is the drive's view (True: TPDO, the drive sends).
 
-    only_stops: the master sends it with commands alone that stop the axis or take its power, so that it cannot be stale: it may map
-    6040h beside the RPDO that carries everything else.
+    only_stops: the master sends it only with commands that stop the axis or take its power, so that it cannot be stale: it may map
+    6040h beside the RPDO that carries everything else. Raises InputError for a number outside 1…512 or more than 64 bits.
     """
 
     number: int
@@ -61,13 +61,13 @@ class PdoSpec:
 
     @cached_property
     def codec(self) -> struct.Struct:
-        """Packs and unpacks all mapped values at once."""
+        """Packs and unpacks all mapped values at once (little endian)."""
         return struct.Struct("<" + "".join(entry.type.format.lstrip("<") for entry in self.entries))
 
 
 @dataclass(frozen=True)
 class PdoImage:
-    """The parameters of one PDO as they stood in the drive, to be put back later."""
+    """The parameters of one PDO as read from the drive, to be restored later."""
 
     communication: int
     mapping: int
@@ -83,7 +83,7 @@ def wanted_image(spec: PdoSpec) -> PdoImage:
 
 
 def same(present: PdoImage, wanted: PdoImage) -> bool:
-    """Whether a drive's image does what is wanted; the bits of the COB-ID that a drive may ignore are left out."""
+    """Whether a drive's image equals the wanted one; the bits of the COB-ID that a drive may ignore are left out."""
     ignored = NO_RTR
     return (present.cob_id & ~ignored, present.kind, present.mapped) == (
         wanted.cob_id & ~ignored,

@@ -1,6 +1,6 @@
-"""A look at a set of PDOs before anything is written to a drive: what would go wrong, and whether it fits the cycle.
+"""Checks of a set of PDOs before anything is written to a drive: errors in it, and whether it fits the cycle.
 
-What may go in: checks on `PdoSpec` data, with the drive's dictionary where there is one. Nothing here touches a bus.
+Works on `PdoSpec` data, with the drive's dictionary where there is one. No bus is used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from drivers.canopen.wire_time import frame, frames
 from drivers.errors import InputError
 
 RESERVED = (
-    # CiA-301, 7.3.5: restricted COB-IDs, and those of the predefined set that belong to something else
+    # CiA-301, 7.3.5: restricted COB-IDs, and those that the predefined connection set gives to something else
     (0x000, 0x000, "NMT"),
     (0x001, 0x07F, "reserved"),
     (0x080, 0x080, "SYNC"),
@@ -34,13 +34,13 @@ MAX_ENTRIES = 8
 
 
 class Severity(Enum):
-    ERROR = "error"  # the drive would refuse it, or do something dangerous
+    ERROR = "error"  # the drive would refuse it, or behave dangerously
     WARNING = "warning"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, in words that name the PDO and the object."""
+    """One problem, in words that name the PDO and the object."""
 
     severity: Severity
     code: str
@@ -52,7 +52,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class MappableObject:
-    """What a dictionary says about an object: bits, and whether it may stand in a TPDO (be read) or RPDO (be written)."""
+    """An object as a dictionary describes it: bits, and whether it may stand in a TPDO (be read) or RPDO (be written)."""
 
     bits: int
     mappable: bool
@@ -65,7 +65,7 @@ Dictionary = Mapping[tuple[int, int], MappableObject]
 
 @dataclass(frozen=True)
 class Cycle:
-    """A SYNC cycle: period in µs, bit/s, the share of it that may be used, and bytes of other frames in each cycle."""
+    """A SYNC cycle: period in µs, bit rate in bit/s, usable share of the bus, and bytes of other frames in each cycle."""
 
     period_us: float
     bitrate: int
@@ -75,7 +75,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Load:
-    """What a set of PDOs does to a cycle: share of the bus with no and with the worst stuffing, and the shortest period that fits."""
+    """Load of a cycle: share of the bus without and with the worst stuffing, and the shortest period that fits, µs."""
 
     least: float
     most: float
@@ -128,7 +128,7 @@ def _warning(code: str, text: str) -> Finding:
 
 
 def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[Finding]:
-    """What concerns a node's PDOs together."""
+    """Findings on a node's PDOs together."""
     findings = []
     received = [(spec, entry) for spec in specs if not (spec.transmit or spec.only_stops) for entry in spec.entries]
     sent = {entry for spec in specs if spec.transmit for entry in spec.entries}
@@ -181,7 +181,7 @@ def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[Finding]:
 
 
 def _pdo(node_id: int, spec: PdoSpec, known: Dictionary | None) -> list[Finding]:
-    """What concerns one PDO."""
+    """Findings on one PDO."""
     findings = []
     if not spec.entries:
         findings.append(_warning("empty", f"node {node_id}: {spec} maps nothing"))
@@ -226,7 +226,7 @@ def _mapping_problems(entry: Entry, transmit: bool, known: Dictionary) -> list[s
 
 
 def _clashes(nodes: Mapping[int, Sequence[PdoSpec]]) -> list[Finding]:
-    """One sender per COB-ID."""
+    """Findings on COB-IDs with more than one sender."""
     findings = []
     senders: dict[int, tuple[str, bool]] = {}
     for node_id, specs in nodes.items():

@@ -1,7 +1,7 @@
-"""Putting a drive's PDOs in order, and back as they were: survey, lint, write, verify, restore.
+"""Setting up a drive's PDOs and restoring them: survey, lint, write, verify, restore.
 
-The order of writes is that of CiA-301 (disable, clear, map, set, enable), and everything is read back. What a PDO is stands in `pdo`,
-what is wrong with a set of them in `pdo_lint`.
+The order of writes is that of CiA-301 (disable, clear, map, set, enable), and everything is read back. `pdo` holds the data,
+`pdo_lint` the checks.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def entry_of(mapped: int) -> Entry:
 
 
 def spec_of(image: PdoImage) -> PdoSpec:
-    """A drive's image as a spec. Raises InputError when it maps more than fits."""
+    """A drive's image as a spec. Raises InputError when it maps more than 64 bits."""
     transmit = image.communication >= 0x1800
     number = image.communication - (0x1800 if transmit else 0x1400) + 1
     return PdoSpec(
@@ -52,9 +52,9 @@ def spec_of(image: PdoImage) -> PdoSpec:
 
 
 class PdoSetup:
-    """The PDOs of one node: `apply` brings the wanted ones into force, `restore` puts back what was there.
+    """The PDOs of one node: `apply` brings the wanted ones into force, `restore` writes back the earlier ones.
 
-    alone: every other PDO of the node is switched off meanwhile, not only those in the way.
+    alone: every other PDO of the node is switched off meanwhile, not only conflicting ones.
     """
 
     def __init__(self, sdo: SdoClient, node_id: int, wanted: Sequence[PdoSpec], *, alone: bool = False) -> None:
@@ -66,7 +66,7 @@ class PdoSetup:
         self._changed: list[PdoImage] = []
 
     def survey(self) -> list[PdoImage]:
-        """Read the first PDOs of both directions as they stand, existing or disabled."""
+        """Read the first PDOs of both directions, existing or disabled. Raises as `SdoClient.read`."""
         images = []
         for transmit in (False, True):
             for number in range(1, SURVEYED + 1):
@@ -81,7 +81,7 @@ class PdoSetup:
         return images
 
     def in_the_way(self) -> list[PdoImage]:
-        """Active PDOs that are not wanted and would interfere: any that commands what ours command, or uses our COB-IDs."""
+        """Active PDOs that are not wanted and would interfere: they command the same objects, or use our COB-IDs."""
         places = {spec.communication for spec in self.wanted}
         commanded = {entry.mapping for spec in self.wanted if not spec.transmit for entry in spec.entries}
         identifiers = {spec.cob_id for spec in self.wanted}
@@ -98,12 +98,12 @@ class PdoSetup:
         ]
 
     def lint(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
-        """What would be wrong with the wanted PDOs beside those that stay."""
+        """Findings on the wanted PDOs together with those that remain."""
         replaced = {spec.communication for spec in self.wanted} | {image.communication for image in self.in_the_way()}
         staying = []
         for image in self._before:
             if image.communication not in replaced and not image.cob_id & EXISTS_NOT:
-                with suppress(InputError):  # what a drive has that cannot be is its own affair
+                with suppress(InputError):  # an impossible PDO of the drive itself is not checked
                     staying.append(spec_of(image))
         dictionaries = None if dictionary is None else {self._node_id: dictionary}
         return lint({self._node_id: [*self.wanted, *staying]}, dictionaries=dictionaries, cycle=cycle)
@@ -112,7 +112,7 @@ class PdoSetup:
         """Survey, lint, then write and verify; returns the warnings.
 
         Raises InputError before anything is written when the linter finds an error; AbortError or ProtocolError, with everything
-        put back, when the drive does not take a PDO.
+        restored, when the drive does not accept a PDO.
         """
         self.survey()
         findings = self.lint(dictionary, cycle)
@@ -133,14 +133,14 @@ class PdoSetup:
         return findings
 
     def restore(self) -> None:
-        """Put back every PDO that was changed, the last first; one that fails does not keep the others."""
+        """Restore every PDO that was changed, the last first; one that fails does not prevent the others. Raises as `undo_all`."""
         changed, self._changed = self._changed[::-1], []
 
         def put_back(image: PdoImage) -> None:
             try:
                 write_image(self._sdo, image)
             except BaseException:
-                self._changed.insert(0, image)  # it may be tried again
+                self._changed.insert(0, image)  # so that it can be tried again
                 raise
 
         undo_all([(f"PDO {image.communication:04X}h not put back", partial(put_back, image)) for image in changed])
@@ -156,7 +156,7 @@ def _mapping(index: int, subindex: int) -> Entry:
 
 
 def read_image(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
-    """What the drive has now where the spec would go."""
+    """The image in the drive at the place of the spec. Raises ProtocolError for an impossible number of mapped objects."""
     count = sdo.read(_mapping(spec.mapping, 0))
     if count > 64:
         raise ProtocolError(f"{sdo.name}: {spec.mapping:04X}h:00 says {count} mapped objects")
@@ -182,9 +182,9 @@ def write_image(sdo: SdoClient, image: PdoImage) -> None:
 
 
 def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
-    """Bring a PDO into force and verify it by reading back; returns what stood there before.
+    """Bring a PDO into force and verify it by reading back; returns the image before.
 
-    Raises AbortError naming the PDO when a step is refused, ProtocolError when the drive kept something else.
+    Raises AbortError naming the PDO when a step is refused, ProtocolError when the drive holds something else.
     """
     before = read_image(sdo, spec)
     wanted = wanted_image(spec)

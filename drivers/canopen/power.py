@@ -1,6 +1,6 @@
-"""Walking the CiA-402 state machine from the master's side, one command at a time, with the reason when it does not move.
+"""Transitions of the CiA-402 state machine from the master's side, one command at a time, with the reason when it does not move.
 
-What may go in: controlword and state logic that needs the wire. It knows nothing of positions; who enables writes the target first.
+Holds the controlword and state logic that needs the wire; it knows no positions. The caller writes the target before it enables.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAn
 
 POLL_S = 0.002
 AGAIN_S = 0.5
-"""How long a drive may take to disable that stayed enabled after a quick stop or an earlier try, s: fifty slow control cycles."""
+"""Time for the disabling of a drive that stayed enabled after a quick stop or an earlier try, s: fifty slow control cycles."""
 ENABLING = Command.ENABLE_OPERATION.word
 
 
 @dataclass(frozen=True)
 class PowerTimes:
-    """How long a drive may take. The enable time holds the brake's opening, the stop time its longest ramp. Seconds."""
+    """Longest times of a drive, s. The enable time includes the opening of the brake, the stop time its longest ramp."""
 
     enable_s: float = 3.0
     disable_s: float = 3.0
@@ -33,11 +33,11 @@ class PowerTimes:
 
 
 class PowerStage:
-    """Controlword and statusword of one drive, over SDO: every step is confirmed.
+    """Controlword and statusword of one drive over SDO: every step is confirmed.
 
-    stopped: a stop was sent since the axis was enabled last. From then on no command leaves here that enables, as in the state
-    quick stop active "enable operation" is what lets the axis go on (transition 16). Any thread may set it.
-    disobeyed: since it was enabled last, it answered and stayed enabled after a quick stop, or longer than it may take to disable.
+    stopped: a stop was sent since the axis was enabled last. From then on no command is sent that enables, because in the state
+    quick stop active "enable operation" makes the axis continue (transition 16). Any thread may set it.
+    disobeyed: since it was enabled last, the drive answered and stayed enabled after a quick stop, or longer than disabling may take.
     """
 
     def __init__(self, sdo: SdoClient, clock: Clock, times: PowerTimes) -> None:
@@ -53,32 +53,32 @@ class PowerStage:
         return self._sdo.name
 
     def statusword(self) -> int:
-        """6041h, asked for now."""
+        """6041h, read now. Raises as `SdoClient.read`."""
         return self._sdo.read(STATUSWORD)
 
     def state(self) -> DriveState:
         return decode_state(self.statusword())
 
     def write(self, controlword: int) -> None:
-        """Write 6040h and remember it. Raises StateError for a command that enables, once a stop was sent."""
+        """Write 6040h and keep it. Raises StateError for a command that enables after a stop was sent, and as `SdoClient.write`."""
         if self.stopped and controlword & ENABLING == ENABLING:
             raise StateError(f"{self._name} was told to stop; it takes orders again once it is enabled anew")
         self._sdo.write(CONTROLWORD, controlword)
         self.controlword = controlword
 
     def error_code(self) -> int | None:
-        """603Fh, None where the drive has none."""
+        """603Fh, None where the drive has no such object."""
         try:
             return self._sdo.read(ERROR_CODE)
         except (AbortError, NoAnswerError):
             return None
 
-    # -- walks -----------------------------------------------------------------------------------------------------------
+    # -- sequences of transitions ----------------------------------------------------------------------------------------
     def enable(self, before_power: Callable[[], None]) -> None:
-        """Walk to ENABLED; `before_power()` is called right before the command that closes the loop.
+        """Go to ENABLED; `before_power()` is called right before the command that switches on.
 
-        Raises DriveFaultError in a fault, MotionTimeoutError naming the state it is stuck in and why that may be, StateError when it
-        is told to stop meanwhile.
+        Raises DriveFaultError in a fault, MotionTimeoutError naming the state in which it stays and probable reasons, StateError when
+        a stop is sent meanwhile.
         """
 
         def step(state: DriveState) -> Command | None:
@@ -90,13 +90,17 @@ class PowerStage:
         self._walk(DriveState.ENABLED, step, self.times.enable_s, "enabled")
 
     def resume_from_quick_stop(self, before_power: Callable[[], None]) -> None:
-        """Transition 16, for a drive that holds after its quick stop (605Ah 5 to 8): the axis is never let go."""
+        """Transition 16, for a drive that holds after its quick stop (605Ah 5 to 8), so that the axis is held all the time.
+
+        Raises MotionTimeoutError."""
         before_power()
         self.write(Command.ENABLE_OPERATION.word)
         self._await(lambda state: state is DriveState.ENABLED, self.times.enable_s, "enabled out of quick stop")
 
     def disable(self) -> None:
-        """Walk down to SWITCH_ON_DISABLED; a fault counts as disabled. A drive that `disobeyed` is waited for `AGAIN_S`."""
+        """Go down to SWITCH_ON_DISABLED; a fault counts as disabled. A drive that `disobeyed` is waited for `AGAIN_S`.
+
+        Raises MotionTimeoutError."""
         resting = (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT, DriveState.NOT_READY)
         if self.state() in resting:
             self.write(Command.DISABLE_VOLTAGE.word)
@@ -110,7 +114,7 @@ class PowerStage:
         self.disobeyed = False
 
     def reset_fault(self) -> None:
-        """The rising edge of bit 7, then a controlword that enables nothing. Raises DriveFaultError when the fault stays."""
+        """Send the rising edge of bit 7, then a controlword that enables nothing. Raises DriveFaultError when the fault remains."""
         state = self._await(
             lambda state: state is not DriveState.FAULT_REACTION, self.times.stop_s, "through with its fault reaction"
         )
@@ -169,7 +173,7 @@ class PowerStage:
         return state
 
     def why(self, state: DriveState, status: int) -> str:
-        """What usually keeps a drive in a state, from what it shows."""
+        """Usual reasons for a drive to stay in this state, by its statusword; "" where none is known."""
         reasons = []
         if not status & Status.REMOTE:
             reasons.append("remote bit 9 is 0: the drive does not listen to the controlword (local control)")

@@ -1,7 +1,7 @@
-"""A CANopen node's parameters as raw bytes, for whole sets: over SDO alone, without opening the node as a drive.
+"""A CANopen node's parameters as raw bytes, for whole sets: over SDO only, without opening the node as a drive.
 
-What may go in: `RawParameters` over one node's channel. No PDO is mapped, no heartbeat asked for, nothing is set up that would have to
-be put back, so that what is read is what the user set. What may be written at all is decided in `parameters`.
+No PDO is mapped, no heartbeat requested, nothing is set up that would have to be restored, so the values read are those that the
+user set. `parameters` decides what may be written.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ from drivers.raw_parameters import (
     Steps,
     Tell,
     WireTime,
-    deaf,
+    no_observer,
 )
 
-STORE_S = 10.0  # writing a drive's memory may take so long
-START_S = 10.0  # from a reset to the boot-up message
+STORE_S = 10.0  # longest time of a drive's store command
+START_S = 10.0  # longest time from a reset to the boot-up message
 _UNITS = (0x608F, 0x6090, 0x6091, 0x6092, 0x6093, 0x6096, 0x6097, 0x60A8, 0x60A9)
 _LIMITS = (0x607B, 0x607D, 0x607F, 0x6080, 0x60C5, 0x60C6)
 _PAIRS = (("607B:01", "607B:02"), ("607D:01", "607D:02"))
 
 
 def address_of(key: Key) -> str:
-    """An object's address as sets have it, such as "2210h:01"."""
+    """An object's address in parameter sets, such as "2210h:01"."""
     return f"{key[0]:04X}h:{key[1]:02X}"
 
 
 class CanOpenRawParameters(RawParameters):
-    """One node. eds None: the standard's objects, as far as the node has them, without limits. timeout_s: for one answer.
+    """Parameters of one node. eds None: the standard's objects that the node has, without limits. timeout_s: for one answer, s.
 
-    table: of the correction table that the drive holds itself, which is no parameter.
+    table: map of the drive's own correction table, whose objects are no parameters.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class CanOpenRawParameters(RawParameters):
         """Stop listening."""
         self._node.close()
 
-    # -- what there is -------------------------------------------------------------------------------------------------
+    # -- description ---------------------------------------------------------------------------------------------------
     @property
     def entries(self) -> Mapping[str, RawParameter]:
         return self._entries
@@ -146,7 +146,7 @@ class CanOpenRawParameters(RawParameters):
         return self._entry(entry).same(shown, meant)
 
     def rank(self, address: str) -> int:
-        """Units, then limits, then the rest."""
+        """Units first, then limits, then the rest."""
         index = self._keys[address].entry.index
         return 0 if index in _UNITS else 1 if index in _LIMITS else 2
 
@@ -185,7 +185,7 @@ class CanOpenRawParameters(RawParameters):
 
     # -- on the wire -----------------------------------------------------------------------------------------------------
     def identify(self) -> Steps[DriveIdentity]:
-        """1018h, 1008h to 100Ah; what the node does not have is left out."""
+        """1018h, 1008h to 100Ah; objects that the node does not have are left out."""
         facts: dict[str, int | str] = {}
         for name, entry in (
             ("vendor_id", objects.VENDOR_ID),
@@ -210,7 +210,7 @@ class CanOpenRawParameters(RawParameters):
         word = yield from self._optional(objects.STATUSWORD)
         return DriveState.UNKNOWN if not isinstance(word, int) else decode_state(word)
 
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         accesses: list[Access] = []
         for number, address in enumerate(addresses):
             start_ns = self.clock.now_ns()
@@ -226,7 +226,7 @@ class CanOpenRawParameters(RawParameters):
             tell(1)
         return accesses
 
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         accesses: list[Access] = []
         for address, data in items:
             start_ns = self.clock.now_ns()
@@ -241,7 +241,7 @@ class CanOpenRawParameters(RawParameters):
     def _failed(self, address: str, start_ns: int, error: BridgeError) -> Access:
         return Access(address, (self.clock.now_ns() - start_ns) * 1e-9, error=error)
 
-    # -- kept without power ------------------------------------------------------------------------------------------------
+    # -- storing and restoring ---------------------------------------------------------------------------------------------
     def objection_to_store(self) -> Steps[str | None]:
         abilities = yield from self._optional(objects.STORE_ALL)
         if isinstance(abilities, int) and abilities & ON_COMMAND:
@@ -275,7 +275,7 @@ class CanOpenRawParameters(RawParameters):
         yield from self._download(objects.RESTORE_ALL, b"load", timeout_s=STORE_S, reads_back=False)
 
     def restart(self) -> Steps[None]:
-        """NMT reset node; returns when its boot-up was heard."""
+        """NMT reset node; returns when its boot-up was received. Raises NoAnswerError."""
         before = self._node.monitor.boot_ups
         self._node.monitor.command(NmtCommand.RESET_NODE)
         yield Pause(START_S, lambda: self._node.monitor.boot_ups > before)

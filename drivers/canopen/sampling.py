@@ -1,7 +1,7 @@
-"""Fresh values of one drive: SYNC out, the synchronous TPDOs that answer it in.
+"""Sampler: fresh values of one drive by SYNC and the synchronous TPDOs that answer it.
 
-What may go in: which values are sampled, and asking for them. While somebody else owns SYNC (a stream on this link, another program)
-the same values are read by SDO, and the TPDOs are taken out of SYNC.
+While another producer owns SYNC (a stream on this link, another program) the same values are read by SDO, and the TPDOs do not
+answer SYNC.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError
 
 
 def exists(sdo: SdoClient, entry: Entry) -> bool:
-    """Whether the drive has this object."""
+    """Whether the drive has this object. Raises as `SdoClient.read`."""
     try:
         sdo.read(entry)
     except AbortError as error:
@@ -30,7 +30,7 @@ def exists(sdo: SdoClient, entry: Entry) -> bool:
 
 
 def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
-    """TPDO 1 with status, position and torque, TPDO 2 with velocity and following error; what a drive lacks is left out."""
+    """TPDO 1 with status, position and torque, TPDO 2 with velocity and following error; objects that a drive lacks are left out."""
     first = [objects.STATUSWORD, objects.POSITION_ACTUAL]
     if exists(sdo, objects.TORQUE_ACTUAL):
         first.append(objects.TORQUE_ACTUAL)
@@ -42,7 +42,7 @@ def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
 
 
 class Sampler:
-    """The latest values of a drive, and the moment they came in."""
+    """The latest values of a drive, and the time at which they were received."""
 
     def __init__(self, node: Node, timeout_s: float) -> None:
         self._link, self._sdo, self._monitor = node.link, node.sdo, node.monitor
@@ -51,25 +51,25 @@ class Sampler:
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
         self.missed = 0  # SYNCs that were not answered in time
-        self.by_sdo = False  # a stream has replaced the TPDOs
+        self.by_sdo = False  # a stream uses the TPDOs
         self.node_id = node.node_id
         self._in_sync = True  # the TPDOs answer SYNC
         self._awaited: set[int] = set()
-        self._spoilt: ProtocolError | None = None  # a TPDO that came with too few bytes since it was asked for
+        self._short_tpdo: ProtocolError | None = None  # a TPDO too short, received since the last request
         self._receivers: dict[int, FrameHandler] = {}
 
     @property
     def statusword(self) -> int:
-        """As last heard."""
+        """6041h as last received."""
         return self.values[objects.STATUSWORD]
 
     @property
     def position_counts(self) -> int:
-        """As last heard."""
+        """6064h as last received, counts."""
         return self.values[objects.POSITION_ACTUAL]
 
     def subscribe(self) -> None:
-        """Listen to the TPDOs, which answer SYNC from now on or are told not to (`settle`)."""
+        """Listen to the TPDOs; they answer SYNC from now on or are switched off by `settle`."""
         self._link.sync.followers.append(self)
         for spec in self.specs:
             receiver = self._receivers[spec.cob_id] = self._receiver(spec)
@@ -84,11 +84,11 @@ class Sampler:
             self._link.sync.followers.remove(self)
 
     def mapped(self) -> None:
-        """The TPDOs were mapped anew: they answer SYNC."""
+        """To be called when the TPDOs were mapped anew: they answer SYNC."""
         self._in_sync = True
 
     def settle(self) -> bool:
-        """Have the TPDOs answer SYNC, or not, as its owner needs; whether SYNC is ours to send. Raises as an SDO write does."""
+        """Have the TPDOs answer SYNC, or not, as its owner needs; whether this link may send SYNC. Raises as an SDO write does."""
         ours = not (self.by_sdo or self._link.sync.taken)
         if not self.by_sdo and ours is not self._in_sync:
             for spec in self.specs:
@@ -97,15 +97,15 @@ class Sampler:
         return ours
 
     def leave_sync(self) -> bool:
-        """For a stream that begins on this link: whether the TPDOs keep off its SYNC."""
+        """For a stream that begins on this link: whether the TPDOs no longer answer its SYNC."""
         try:
             self.settle()
         except BridgeError:
-            return False  # they stay, and count in the load
+            return False  # they still answer, and count in the load
         return self.by_sdo or not self._in_sync
 
     def refresh(self) -> None:
-        """Ask for all values now. Raises NoAnswerError when two SYNCs go unanswered, LinkLostError when the node is lost."""
+        """Request all values now. Raises NoAnswerError when two SYNCs go unanswered, LinkLostError when the node is lost."""
         self._link.poll()
         self._monitor.check()
         for _ in range(2):
@@ -120,14 +120,14 @@ class Sampler:
         )
 
     def heard_by_sync(self) -> bool:
-        """One look by SYNC, sent here or by its owner, whatever the heartbeat says; False where the TPDOs do not come.
+        """Request all values by one SYNC, sent here or by its owner, whatever the heartbeat says; False where the TPDOs do not come.
 
         Raises LinkLostError.
         """
         self._link.poll()
         try:
             ours = self._settled()
-        except (TransportError, ProtocolError):  # SDO is dead: the TPDOs stay as they are
+        except (TransportError, ProtocolError):  # SDO does not answer: the TPDOs stay as they are
             ours = not self._link.sync.foreign_runs
         if self.by_sdo or not self._in_sync:
             return False
@@ -137,28 +137,28 @@ class Sampler:
             return False
 
     def refresh_somehow(self) -> None:
-        """For the way out, where the node's heartbeat may be missing and one of the two channels dead: by SYNC, else by SDO.
+        """For shutting down, when the heartbeat may be missing and one of the two channels lost: request by SYNC, else by SDO.
 
-        Raises NoAnswerError, LinkLostError when neither is answered, AbortError, ProtocolError.
+        Raises NoAnswerError, LinkLostError when neither is answered; AbortError, ProtocolError.
         """
         if not self.heard_by_sync():
             self._read()
 
     def _answered(self, *, send: bool) -> bool:
-        """One SYNC, sent here or by its owner, and all TPDOs that answer it."""
-        self._awaited, self._spoilt = {spec.cob_id for spec in self.specs}, None
+        """Whether all TPDOs answer one SYNC, sent here or by its owner."""
+        self._awaited, self._short_tpdo = {spec.cob_id for spec in self.specs}, None
         if send:
             self._link.send(SYNC, b"")
         answered = self._link.wait(self._complete, self._timeout_s)
-        if self._spoilt is not None:
-            raise self._spoilt
+        if self._short_tpdo is not None:
+            raise self._short_tpdo
         if answered:
             return True
         self.missed += 1
         return False
 
     def _settled(self) -> bool:
-        """As `settle`; a drive that does not let its TPDOs be switched off keeps answering whoever sends SYNC."""
+        """As `settle`; a drive whose TPDOs cannot be switched off answers every SYNC."""
         try:
             return self.settle()
         except AbortError:
@@ -171,7 +171,7 @@ class Sampler:
         self.heard_ns = self._link.clock.now_ns()
 
     def _complete(self) -> bool:
-        return not self._awaited or self._spoilt is not None
+        return not self._awaited or self._short_tpdo is not None
 
     def _receiver(self, spec: PdoSpec) -> Callable[[int, bytes], None]:
         entries, codec, cob_id = spec.entries, spec.codec, spec.cob_id
@@ -179,9 +179,9 @@ class Sampler:
         def receive(time_ns: int, data: bytes) -> None:
             if len(data) < codec.size:
                 text = f"{self._sdo.name}: {spec} came with {len(data)} bytes, {codec.size} are mapped"
-                self._spoilt = ProtocolError(
+                self._short_tpdo = ProtocolError(
                     text
-                )  # raised for who asked for it, not for whoever waits for something else
+                )  # raised in the call that requested the sample, not in one that waits for another frame
                 return
             self.values.update(zip(entries, codec.unpack_from(data), strict=True))
             self._awaited.discard(cob_id)

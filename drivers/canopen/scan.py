@@ -1,7 +1,7 @@
-"""Who is on a CAN bus: asked by SDO, or only listened to. Nothing is ever written.
+"""Scan for nodes on a CAN bus by SDO reads, or by listening only. Nothing is written.
 
-What may go in: reading standard objects of nodes nobody has opened. A node is asked for its device type (1000h); whoever answers,
-be it with a refusal, is there. Where another master is at work, its SDO conversations share the channel: listen instead.
+Reads standard objects of nodes that are not opened. A node is asked for its device type (1000h); any answer, a refusal included, shows
+that it is there. Where another master works, its SDO transfers share the channel: use `listen` instead.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from drivers.raw_parameters import Steps
 
 ALL_NODES = range(1, 128)
 AT_ONCE = 8
-"""Requests sent in a row: a CAN interface's queue holds ten frames by default."""
+"""Number of requests sent in a row: a CAN interface's queue holds ten frames by default."""
 
 _DRIVE_PROFILE = 402
 _QUIET_S = 0.0
-"""A scan only reads: an answer that comes late is that of a read of the same object, or names another one and does not count."""
-_NAME_BYTES = 256  # of a device's name, at most
+"""Quiet time after a time-out, s. A scan only reads: a late answer is that of a read of the same object, or names another one and is
+skipped."""
+_NAME_BYTES = 256  # longest device name that is read
 _IDENTITY = {
     "vendor_id": objects.VENDOR_ID,
     "product_code": objects.PRODUCT_CODE,
@@ -49,12 +50,12 @@ _FUNCTIONS = {
     0x580: "SDO answer",
     0x700: "heartbeat",
 }
-"""Identifiers that a node sends with by the pre-defined connection set (CiA-301, 7.3.5); others may use them too."""
+"""Identifiers that a node sends with by the pre-defined connection set (CiA-301, 7.3.5); other nodes may use them too."""
 
 
 @dataclass(frozen=True)
 class FoundNode:
-    """One node. What it did not tell is None; `heard` is what arrived with its identifiers while the bus was watched.
+    """One node. Values that it did not give are None; `heard`: frames received with its identifiers while the bus was watched.
 
     state and fault_code are those of a CiA-402 drive; statusword is 6041h as it came.
     """
@@ -76,12 +77,12 @@ class FoundNode:
 
     @property
     def profile(self) -> int | None:
-        """The device profile's number, 402 for a drive."""
+        """Number of the device profile, 402 for a drive."""
         return None if self.device_type is None else self.device_type & 0xFFFF
 
 
-class _Ear:
-    """Sorts what comes over the bus by the node that it is likely from."""
+class _FrameSorter:
+    """Sorts received frames by the node that probably sent them."""
 
     def __init__(self) -> None:
         self.heard: dict[int, list[str]] = {}
@@ -102,8 +103,8 @@ class _Ear:
 
 
 def listen(link: CanLink, duration_s: float) -> list[FoundNode]:
-    """Nodes that were heard within `duration_s`, ascending; not a frame is sent."""
-    ear = _Ear()
+    """Nodes received within `duration_s` seconds, ascending; no frame is sent. Raises LinkLostError."""
+    ear = _FrameSorter()
     link.watch(ear)
     try:
         link.wait(lambda: False, duration_s)
@@ -122,13 +123,13 @@ def scan(
     timeout_s: float = 0.1,
     progress: Callable[[int], None] = lambda _done: None,
 ) -> list[FoundNode]:
-    """Ask every node id for its device type, and who answers for the rest; ascending. Reads only.
+    """Ask every node id for its device type, and those that answer for further objects; ascending. Reads only.
 
-    timeout_s: how long an answer may take; progress: told how many ids are done. Those that do not answer but were heard are
-    listed too: a node that is stopped speaks no SDO.
+    timeout_s: longest time for an answer, s; progress: called with the number of ids done. Nodes that do not answer but send frames
+    are listed too: a stopped node answers no SDO.
     Raises LinkLostError when the bus does not take a frame, as without any other node to acknowledge it.
     """
-    ear = _Ear()
+    ear = _FrameSorter()
     link.watch(ear)
     wanted = sorted(set(node_ids))
     found: dict[int, FoundNode] = {}
@@ -148,7 +149,7 @@ def scan(
 
 
 def _ask(link: CanLink, node_ids: Sequence[int], timeout_s: float) -> dict[int, FoundNode]:
-    """Those of a few nodes that answer."""
+    """The nodes that answer, of a few."""
     clients = [
         SdoClient(link, node_id, f"node {node_id}", timeout_s=timeout_s, quiet_s=_QUIET_S) for node_id in node_ids
     ]
@@ -172,7 +173,7 @@ def _ask(link: CanLink, node_ids: Sequence[int], timeout_s: float) -> dict[int, 
 
 
 def _details(client: SdoClient, device_type: int | None) -> Steps[FoundNode]:
-    """The rest; a node that falls silent is asked no further. Raises LinkLostError."""
+    """Further objects of a node; after a missing answer it is asked no more. Raises LinkLostError."""
     wanted = dict(_IDENTITY)
     if device_type is not None and device_type & 0xFFFF == _DRIVE_PROFILE:
         wanted |= _DRIVE

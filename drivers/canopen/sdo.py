@@ -1,11 +1,11 @@
-"""SDO access that can be trusted: guarded against late answers, lost writes and a server that broke off.
+"""SDO client of one node: guarded against late answers, lost writes and a server that stops in the middle of a transfer.
 
-What may go in: one `SdoClient` per node over a `CanLink`, and `read_together`, which asks several nodes at once; `side_by_side` keeps
-the channels of several nodes busy with work of their own.
-An answer counts only when it names the index that was asked for; after a time-out the channel is left quiet before it is used
-again; and a write whose answer was lost is resolved by reading back all of it, never by sending it a second time.
-Every transfer has two deadlines that other traffic on the channel does not extend: `timeout_s` from the last answer that moved it on,
-and `longest_s` of what it has carried from its beginning. On the way out all of them share a third one: `WayOut`.
+`SdoClient` serves one node over a `CanLink`, `read_together` asks several nodes at once; `side_by_side` keeps the channels of several
+nodes busy with separate work.
+An answer counts only when it names the index that was requested. After a time-out the channel must be silent before it is used
+again. A write whose answer was lost is resolved by reading back all of it, never by sending it a second time.
+Every transfer has two deadlines that other traffic on the channel does not extend: `timeout_s` from the last answer that continued it,
+and `longest_s`, by the bytes carried, from its beginning. While a drive is shut down all transfers share a third one: `WayOut`.
 """
 
 from __future__ import annotations
@@ -45,31 +45,31 @@ from drivers.raw_parameters import Pause, Steps
 
 T = TypeVar("T")
 Same = Callable[[bytes, bytes], bool]
-"""same(shown, meant): whether bytes that were read back are the value that was written."""
+"""same(shown, meant): whether bytes that were read back equal the value that was written."""
 SDO_REQUEST = 0x600
 SDO_RESPONSE = 0x580
-QUIET_TIMES = 10  # for how many of its quiet times a channel is waited for to fall silent
+QUIET_TIMES = 10  # number of quiet times after which a channel that does not fall silent is given up
 WAY_OUT_S = 5.0
-"""How long a drive that leaves requests unanswered is waited for in all while its axis is brought to rest, disabled and put back, s.
-Ten answers of 0.5 s; with the request that showed the silence, 1.7 s, and an axis that brakes, the way out ends within 10 s."""
+"""Longest time, in all, spent on a drive that leaves requests unanswered while its axis is brought to rest, disabled and put back, s.
+Ten answers of 0.5 s; with the request that showed the silence, 1.7 s, and an axis that brakes, it ends within 10 s."""
 AT_LEAST_S = 1.0
-"""What is left of it, s, where the first unanswered request comes late, after a long ramp: two answers, or sixty quick ones."""
+"""Rest of that time, s, where the first unanswered request comes late, after a long ramp: two answers, or sixty quick ones."""
 
 
 @dataclass
 class SdoCounters:
-    """What happened on one channel since it was opened."""
+    """Events on one channel since it was opened."""
 
     transfers: int = 0
     aborts: int = 0
     timeouts: int = 0
-    stale_frames: int = 0  # answers to something that had not been asked, or no longer
+    stale_frames: int = 0  # answers that were not, or no longer, requested
     writes_confirmed_late: int = 0  # by an answer that came after the time-out
     writes_read_back: int = 0  # by comparing the object after a time-out
 
 
 class Awaited(Protocol):
-    """What is waited for on a link: it is finished by a frame, or expires at `until_ns`."""
+    """Something awaited on a link: it is finished by a frame, or expires at `until_ns`."""
 
     @property
     def finished(self) -> bool: ...
@@ -78,11 +78,11 @@ class Awaited(Protocol):
     def until_ns(self) -> int: ...
 
     def expire(self) -> None:
-        """Its time is over: be finished."""
+        """Its time is over: become finished."""
 
 
 class Running(Generic[T]):
-    """One transfer on its way over one channel. timeout_s: how long it may be silent; None: as long as the client says."""
+    """One transfer in progress on one channel. timeout_s: longest silence, s; None: the client's."""
 
     def __init__(
         self, client: SdoClient, talk: Conversation, transfer: Transfer[T], timeout_s: float | None = None
@@ -109,7 +109,7 @@ class Running(Generic[T]):
 
     @property
     def until_ns(self) -> int:
-        """When it is over for want of an answer that moves it on, or because it takes too long for what it has carried."""
+        """End of its time, ns: no answer continued it in time, or it takes too long for the bytes carried."""
         longest_ns = round(longest_s(self.timeout_s, self.talk.carried) * NS_PER_S)
         own_ns = min(self._moved_ns + round(self.timeout_s * NS_PER_S), self._began_ns + longest_ns)
         limit_ns = self.client.way_out.limit_ns
@@ -133,36 +133,36 @@ class Running(Generic[T]):
 
     def _finish(self) -> None:
         self.finished = True
-        for frame in self.talk.farewell:
+        for frame in self.talk.closing_frames:
             self.client.transmit(frame)
 
     def fail(self, error: BridgeError) -> None:
-        """It ends with this error."""
+        """End the transfer with this error."""
         self.error, self.finished = error, True
 
     def abandon(self) -> None:
-        """Time is up: tell the server, and let the transfer go."""
+        """Time is up: send an abort to the server, and end the transfer with NoAnswerError."""
         self._transfer.close()
         how = "was not answered in time"
         if self.talk.steps:
             lasted_s = (self.client.link.clock.now_ns() - self._began_ns) / NS_PER_S
             how += f": {self.talk.carried} bytes in {lasted_s:.3f} s"
         self.fail(NoAnswerError(f"{self.client.name}: SDO {self.talk.place()} {how}"))
-        with contextlib.suppress(LinkLostError):  # whoever waited has been told about a dead bus already
+        with contextlib.suppress(LinkLostError):  # the waiting call has already raised for a lost bus
             self.client.transmit(abort_frame(self.talk.index, self.talk.subindex, ABORT_TIMEOUT))
 
     def outcome(self) -> T | None:
-        """What it brought. Raises its error."""
+        """The result. Raises the transfer's error."""
         if self.error is not None:
             raise self.error
         return self.result
 
 
 class WayOut:
-    """How long one drive is waited for on its way out, in all: `WAY_OUT_S` from its first stop on, however many steps are tried.
+    """Time limit for shutting down one drive: `WAY_OUT_S` from its first stop on, however many steps are tried.
 
-    The limit is in force from the first request that is not answered, and only inside `with`: a drive that answers has all the
-    time it needs. Over, a request fails at once, without a frame. It ends when the drive answers a request outside, or the last one
+    The limit is in force from the first request that is not answered, and only inside `with`: a drive that answers is not limited.
+    After the limit a request fails at once, without a frame. It ends when the drive answers a request outside, or the last one
     inside and no error was raised.
     """
 
@@ -171,15 +171,15 @@ class WayOut:
         self._depth = 0
         self._began_ns: int | None = None
         self._until_ns: int | None = None
-        self._answered = True  # the last request was
+        self._answered = True  # whether the last request was answered
 
     def begin(self) -> None:
-        """Time runs from now on, unless it runs already. For any thread and a signal handler."""
+        """Start the time, unless it runs already. For any thread and a signal handler."""
         if self._began_ns is None:
             self._began_ns = self._clock.now_ns()
 
     def end(self) -> None:
-        """The drive is expected to answer."""
+        """Remove the limit: the drive is expected to answer."""
         self._began_ns = self._until_ns = None
 
     def __enter__(self) -> Self:
@@ -193,7 +193,7 @@ class WayOut:
             self.end()
 
     def account(self, answered: bool) -> None:
-        """A request was answered, or was not in its time."""
+        """Account for a request that was answered, or not in its time."""
         self._answered = answered
         if answered:
             if not self._depth:
@@ -204,7 +204,7 @@ class WayOut:
 
     @property
     def limit_ns(self) -> int | None:
-        """When nothing is waited for any longer; None: there is no limit."""
+        """End of every wait, ns; None: there is no limit."""
         return self._until_ns if self._depth else None
 
     @property
@@ -214,10 +214,10 @@ class WayOut:
 
 
 class SdoClient:
-    """The default SDO channel of one node.
+    """The default SDO channel of one node (CiA-301, 7.2.4).
 
-    timeout_s: how long one answer may take; a transfer of n bytes ends within `longest_s(timeout_s, n)`. quiet_s: how long the channel
-    must have been silent after a time-out before it is used again; an answer that comes in that time is late, not lost.
+    timeout_s: longest time for one answer, s; a transfer of n bytes ends within `longest_s(timeout_s, n)`. quiet_s: silence of the
+    channel, s, before it is used again after a time-out; an answer within that time is late, not lost.
     """
 
     def __init__(self, link: CanLink, node_id: int, name: str, *, timeout_s: float = 0.5, quiet_s: float = 0.2) -> None:
@@ -229,8 +229,8 @@ class SdoClient:
         self.counters = SdoCounters()
         self.way_out = WayOut(link.clock)
         self._running: Running[Any] | None = None
-        self._abandoned: Conversation | None = None  # until the channel was quiet behind it
-        self._late_ns: list[int] = []  # when frames came that may belong to it
+        self._abandoned: Conversation | None = None  # until the channel has been quiet after it
+        self._late_ns: list[int] = []  # times of frames that may belong to it
         self._late: Callable[[bytes], None] | None = None
         link.subscribe(SDO_RESPONSE + node_id, self._on_frame)
 
@@ -239,7 +239,7 @@ class SdoClient:
         self.link.unsubscribe(SDO_RESPONSE + self.node_id, self._on_frame)
 
     def named(self, error: BridgeError) -> BridgeError:
-        """The same error with the device's name before it."""
+        """The same error with the device's name in front."""
         if isinstance(error, AbortError):
             return AbortError(f"{self.name}: {error}", error.code)
         return type(error)(f"{self.name}: {error}")
@@ -248,10 +248,10 @@ class SdoClient:
         self.link.send(SDO_REQUEST + self.node_id, frame)
 
     def send_at_once(self, entry: Entry, value: int) -> None:
-        """Write a number of up to four bytes and wait for nothing. For a stop: from any thread, and from a signal handler.
+        """Write a number of up to four bytes without waiting for the answer. For a stop: from any thread, and from a signal handler.
 
-        A transfer under way on this channel is aborted first, as a server in the middle of one may take the frame for a part of it;
-        whoever waits for that transfer gets a StateError. Raises LinkLostError.
+        A transfer in progress on this channel is aborted first, as a server in the middle of one may take the frame for a part of it;
+        the call that waits for that transfer gets a StateError. Raises LinkLostError.
         """
         running = self._running
         if running is not None and not running.finished:
@@ -271,7 +271,7 @@ class SdoClient:
         return value
 
     def read_or(self, entry: Entry, absent: int) -> int:
-        """Read an integer object; `absent` where the device says that it does not exist."""
+        """Read an integer object; `absent` where the device answers that it does not exist. Raises as `read`."""
         try:
             return self.read(entry)
         except AbortError as error:
@@ -280,16 +280,16 @@ class SdoClient:
             raise
 
     def read_text(self, entry: Entry) -> str:
-        """Read a string object."""
+        """Read a string object. Raises as `read`."""
         return str(entry.unpack(self.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)))
 
     def write(self, entry: Entry, value: float) -> None:
-        """Write a numeric object; returns once the device has taken it. Raises as `write_bytes`."""
+        """Write a numeric object; returns once the device has accepted it. Raises InputError, and as `write_bytes`."""
         self.write_bytes(entry.index, entry.subindex, entry.pack(value), same=entry.same)
 
     # -- bytes -----------------------------------------------------------------------------------------------------
     def read_bytes(self, index: int, subindex: int, *, block: bool = False, most: int = LARGEST_ANNOUNCED) -> bytes:
-        """Read an object of `most` bytes. A read is repeated once after a time-out: asking twice changes nothing.
+        """Read an object of at most `most` bytes. A read is repeated once after a time-out: reading twice changes nothing.
 
         Raises AbortError, NoAnswerError, ProtocolError, LinkLostError.
         """
@@ -309,11 +309,12 @@ class SdoClient:
         reads_back: bool = True,
         same: Same = operator.eq,
     ) -> None:
-        """Write an object, and be sure about it. reads_back: the object shows what was written; a command such as 1010h does not.
+        """Write an object and make sure of the outcome. reads_back: the object shows what was written; a command such as 1010h does
+        not.
 
-        same: how what is read back is compared after a lost answer; bytes of no stated type have to be the same ones, as many.
+        same: how bytes read back are compared after a lost answer; without a type they have to be equal, and as many.
         Raises AbortError when the device refuses, NoAnswerError when it did not answer and reading back shows (or cannot
-        show) that the value was not taken.
+        show) that the value was not written, LinkLostError.
         """
         talk = Conversation(index, subindex)
         transfer = block_download(talk, data) if block else download(talk, data)
@@ -339,7 +340,7 @@ class SdoClient:
             raise ProtocolError(f"{self.name}: SDO {running.talk.place()} ended without data")
         return result
 
-    # -- bytes, side by side with other nodes' work ------------------------------------------------------------------
+    # -- bytes, side by side with the work of other nodes ------------------------------------------------------------
     def reading(self, index: int, subindex: int, most: int = LARGEST_ANNOUNCED) -> Steps[bytes]:
         """As `read_bytes`, for a `CanLine`."""
         running = self._uploading(index, subindex, False, most)
@@ -385,7 +386,7 @@ class SdoClient:
     def resolve(
         self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, same: Same = operator.eq
     ) -> None:
-        """A write was not answered: was it carried out? Returns when it was; raises AbortError, NoAnswerError."""
+        """Find out whether a write without an answer was carried out. Returns when it was; raises AbortError, NoAnswerError."""
         with self._unknown(lost), self._late_answers() as late:
             self.quieten()
         if self._settled(talk, data, lost, reads_back, late):
@@ -414,7 +415,7 @@ class SdoClient:
     def _settled(
         self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, late: Sequence[bytes]
     ) -> bool:
-        """Whether a late answer says that the write was done; a late refusal is raised. Only an expedited write has one answer."""
+        """Whether a late answer confirms the write; a late refusal is raised. Only an expedited write has a single answer."""
         for answer in late:
             if len(answer) == 8 and answer[1:4] == talk.mux and 0 < len(data) <= 4:
                 if answer[0] == 0x60:
@@ -435,7 +436,7 @@ class SdoClient:
 
     # -- the channel -------------------------------------------------------------------------------------------------
     def quieten(self) -> None:
-        """Wait until nothing that could belong to an abandoned transfer has come for `quiet_s`.
+        """Wait until no frame that could belong to an abandoned transfer has come for `quiet_s`.
 
         Raises ProtocolError where that does not come within `QUIET_TIMES` + 2 times `quiet_s`. Returns at once where no transfer was
         abandoned.
@@ -461,7 +462,8 @@ class SdoClient:
                 raise ProtocolError(f"{self.name}: the SDO channel does not fall silent")
 
     def begin(self, running: Running[Any]) -> None:
-        """Give the channel to a transfer and send its first frame."""
+        """Give the channel to a transfer and send its first frame. Raises StateError where the channel is in use, NoAnswerError after
+        the time limit of shutting down, LinkLostError."""
         if self._running is not None:
             raise StateError(f"{self.name}: the SDO channel is already in use")
         self.quieten()
@@ -469,13 +471,13 @@ class SdoClient:
             raise NoAnswerError(
                 f"{self.name}: SDO {running.talk.place()} was not tried: the drive has ceased to answer"
             )
-        self.link.poll()  # whatever lies in the queue was sent before this request
+        self.link.poll()  # frames in the queue were sent before this request
         self._running = running
         self.counters.transfers += 1
         running.start()
 
     def end(self) -> None:
-        """Take the channel back and account for what happened."""
+        """Release the channel and account for the outcome."""
         running = self._running
         self._running = None
         if running is None:
@@ -502,7 +504,7 @@ class SdoClient:
 
 
 def wait_for_any(link: CanLink, waiting: Sequence[Awaited]) -> None:
-    """Wait until one of them is finished, by a frame or because its time is over."""
+    """Wait until one of them is finished, by a frame or because its time is over. Raises LinkLostError."""
 
     def ended() -> bool:
         return any(each.finished for each in waiting)
@@ -510,15 +512,15 @@ def wait_for_any(link: CanLink, waiting: Sequence[Awaited]) -> None:
     first_ns = min(each.until_ns for each in waiting)
     if link.wait(ended, max(0, first_ns - link.clock.now_ns()) / NS_PER_S):
         return
-    link.poll()  # if the loop was delayed, answers may lie in the receive buffer
-    now_ns = max(first_ns, link.clock.now_ns())  # it was waited for, even where the clock is not the bus's own
+    link.poll()  # if the loop was delayed, frames may be waiting in the receive buffer
+    now_ns = max(first_ns, link.clock.now_ns())  # the wait counts in full, even where it does not advance the clock
     for each in waiting:
         if not each.finished and now_ns >= each.until_ns:
             each.expire()
 
 
 def _run(transfers: Sequence[Running[Any]]) -> None:
-    """Run transfers of *different* nodes side by side, each until it is finished or its time is over."""
+    """Run transfers of *different* nodes side by side, each until it is finished or its time is over. Raises LinkLostError."""
     try:
         for running in transfers:
             running.client.begin(running)
@@ -532,7 +534,7 @@ def _run(transfers: Sequence[Running[Any]]) -> None:
 def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float = 0.5) -> list[int | BridgeError]:
     """Read one integer object from each of several nodes at once: N nodes cost little more wire time than one.
 
-    The answer of each request stands in its place: the value, or the error that this node gave.
+    Results in the order of the requests: the value, or the error of this node.
     """
     transfers: list[Running[bytes]] = []
     for client, entry in requests:

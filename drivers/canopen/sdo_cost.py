@@ -1,7 +1,7 @@
-"""What SDO transfers cost on the bus, counted before they are made: their frames, spelled out, and the bits of each.
+"""Bus load of SDO transfers, computed beforehand: their frames with contents, and the bits of each.
 
-What may go in: the frames of a transfer as CiA-301 has them and the arithmetic of ISO 11898-1. The simulated bus counts on its own
-(`sim_backends.can_bus_model`) and shares nothing with this.
+The frames of a transfer are those of CiA-301, the bits those of ISO 11898-1. The simulated bus counts separately
+(`sim_backends.can_bus_model`) and shares no code with this.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _UNSTUFFED = 10 + 3  # from the CRC delimiter to the end of frame, and the inter
 
 
 def upload_frames(index: int, subindex: int, data: bytes) -> list[Frame]:
-    """Reading an object that shows `data`."""
+    """Frames of an expedited or segmented upload that brings `data`."""
     mux = multiplexer(index, subindex)
     frames: list[Frame] = [(False, b"\x40" + mux + bytes(4))]
     if 0 < len(data) <= 4:
@@ -38,7 +38,7 @@ def upload_frames(index: int, subindex: int, data: bytes) -> list[Frame]:
 
 
 def download_frames(index: int, subindex: int, data: bytes) -> list[Frame]:
-    """Writing `data` to an object that takes it."""
+    """Frames of an expedited or segmented download of `data`."""
     mux = multiplexer(index, subindex)
     taken: Frame = (True, b"\x60" + mux + bytes(4))
     if 0 < len(data) <= 4:
@@ -56,7 +56,7 @@ def _segments(data: bytes) -> list[bytes]:
 
 
 def wire_time(node_id: int, frames: Iterable[Frame], bitrate: int) -> WireTime:
-    """The cost of frames between a node's default SDO channel and its master."""
+    """The cost of frames between a node's default SDO channel and its master, at `bitrate` bit/s."""
     total = WireTime()
     for server, data in frames:
         bounds = frame(len(data))
@@ -69,9 +69,9 @@ def wire_time(node_id: int, frames: Iterable[Frame], bitrate: int) -> WireTime:
 
 
 def table_bits(table_map: TableMap, table: RawTable) -> BitRange:
-    """Writing a drive's own correction table and reading it back; without the switch, and as if nothing stood there yet.
+    """Bits for writing a drive's own correction table and reading it back; without the switch, and as if the table were empty before.
 
-    What the drive takes to answer comes on top.
+    The drive's processing time is not included.
     """
     singles = sum(name in table_map.scalars for name in _PLACES)
     if table_map.domain is None:
@@ -85,20 +85,20 @@ def table_bits(table_map: TableMap, table: RawTable) -> BitRange:
 
 
 def _block_transfer(size: int) -> BitRange:
-    """Either way: the beginning, segments with one acknowledgement for each block, the end, and what starts or closes an upload."""
+    """Bits of a block transfer in either direction: initiation, segments with one acknowledgement for each block, the end."""
     segments = max(1, -(-size // SEGMENT))
     blocks = -(-segments // MAX_BLOCK)
     return expedited_sdo() + frames((8,) * (segments + blocks)) + expedited_sdo()
 
 
 def exact_bits(cob_id: int, data: bytes) -> int:
-    """Length of a base-format data frame with its stuff bits and the interframe space."""
+    """Length in bits of a base-format data frame with its stuff bits and the interframe space (ISO 11898-1)."""
     head = f"0{cob_id:011b}000{len(data):04b}" + "".join(f"{byte:08b}" for byte in data)
     return len(_stuffed(head + f"{_remainder(head):015b}")) + _UNSTUFFED
 
 
 def _remainder(bits: str) -> int:
-    """Of the bits as a polynomial, shifted by 15, divided by CAN's."""
+    """Remainder of the bits as a polynomial, shifted by 15, divided by CAN's."""
     dividend = int(bits, 2) << 15
     while (excess := dividend.bit_length() - 16) >= 0:
         dividend ^= _CRC_POLYNOMIAL << excess
@@ -106,7 +106,7 @@ def _remainder(bits: str) -> int:
 
 
 def _stuffed(bits: str) -> str:
-    """With the opposite bit put in behind every five equal ones."""
+    """The bits with the opposite bit inserted after every five equal ones."""
     sent = ""
     for bit in bits:
         if sent[-5:] == (same := sent[-1:] * 5) and same:

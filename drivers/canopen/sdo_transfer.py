@@ -1,9 +1,9 @@
 """SDO transfers of CiA-301 as generators: bytes out, bytes in, no I/O and no clock.
 
-What may go in: expedited, segmented and block transfer, client side. A transfer yields the frames to send next and is resumed with
-the next frame of the server; it returns the object's bytes (upload) or None (download). A frame that answers some other index
-is not taken for an answer: it is skipped and counted, and the transfer goes on waiting.
-Every transfer ends after a number of the server's frames that its size bounds; frames that bring nothing are bounded by time, which
+Expedited, segmented and block transfer, client side (CiA-301, 7.2.4). A transfer yields the frames to send next and is resumed with
+the next frame of the server; it returns the object's bytes (upload) or None (download). A frame that answers another index
+is no answer: it is skipped and counted, and the transfer waits on.
+Every transfer ends after a number of the server's frames that its size bounds; frames without data are bounded by time, which
 the caller keeps (`longest_s`).
 """
 
@@ -23,13 +23,13 @@ Transfer = Generator[Frames, bytes, T]
 SEGMENT = 7
 MAX_BLOCK = 127
 LARGEST_ANNOUNCED = 1 << 20
-"""Bytes that an upload may announce: an EDS kept in the device (1021h) has some 100 kB; firmware is not read."""
+"""Largest size that an upload may announce, bytes: an EDS kept in the device (1021h) has about 100 kB; firmware is not read."""
 LARGEST_UNANNOUNCED = 1 << 14
-"""Bytes that an upload may bring where its size is not announced: four times a correction table of 1000 points of four bytes."""
+"""Largest upload without an announced size, bytes: four times a correction table of 1000 points of four bytes."""
 MORE_BLOCKS = 3
-"""How often in a row a block may be sent again of which no segment arrived: CAN itself repeats a frame that was disturbed."""
+"""Largest number of successive repeats of a block of which no segment arrived: CAN itself repeats a frame that was disturbed."""
 SEGMENT_S = 0.05
-"""What each seven bytes may take on average, s: a request and an answer of 135 bits with the worst stuffing at 10 kbit/s, the
+"""Mean time allowed for each seven bytes, s. A request and an answer of 135 bits with the worst stuffing at 10 kbit/s, the
 slowest bit rate of CiA-301, last 27 ms; a serial adapter keeps an answer for up to 16 ms; the rest is the server's."""
 
 ABORT_TEXTS: dict[int, str] = {
@@ -80,7 +80,7 @@ SERVER_SPECIFIERS = (0x00, 0x20, UPLOAD, DOWNLOAD, ABORT, BLOCK_DOWNLOAD, BLOCK_
 
 
 def abort_text(code: int) -> str:
-    """The abort code with its meaning."""
+    """Meaning and number of an abort code (CiA-301, table 22)."""
     return f"{ABORT_TEXTS.get(code, 'unknown abort code')} (0x{code:08X})"
 
 
@@ -90,12 +90,12 @@ def multiplexer(index: int, subindex: int) -> bytes:
 
 
 def abort_frame(index: int, subindex: int, code: int) -> bytes:
-    """The frame that ends a transfer from either side."""
+    """The frame by which either side ends a transfer."""
     return struct.pack("<BHBI", ABORT, index, subindex, code)
 
 
 def longest_s(timeout_s: float, data_bytes: int) -> float:
-    """How long a transfer may have lasted once it has carried `data_bytes`, s; with all of its bytes, how long it may last at all.
+    """Longest duration of a transfer that has carried `data_bytes`, s; with all of its bytes, of the whole transfer.
 
     The first answer (the server looks for the object) and the last (it keeps the value) may take `timeout_s` each, every segment
     `SEGMENT_S` on average.
@@ -104,7 +104,7 @@ def longest_s(timeout_s: float, data_bytes: int) -> float:
 
 
 def segments_of(data_bytes: int) -> int:
-    """Segments that so many bytes take, at least one."""
+    """Number of segments for so many bytes, at least one."""
     return max(1, -(-data_bytes // SEGMENT))
 
 
@@ -114,9 +114,9 @@ def crc16(data: bytes) -> int:
 
 
 class Conversation:
-    """What the steps of one transfer share: whom it is about, how far it is, and how many frames were not for it.
+    """State shared by the steps of one transfer: its object, its progress, and the number of frames that did not belong to it.
 
-    steps: answers so far that moved it on; carried: bytes of the object that they brought or confirmed.
+    steps: answers so far that continued it; carried: bytes of the object that they brought or confirmed.
     """
 
     def __init__(self, index: int, subindex: int) -> None:
@@ -128,7 +128,7 @@ class Conversation:
         self.skipped = 0
         self._awaited: tuple[int, ...] = ()
         self._by_blocks = False
-        self.farewell: Frames = ()  # to be sent when the generator has ended; nothing answers it
+        self.closing_frames: Frames = ()  # sent when the generator has ended; not answered
 
     def place(self) -> str:
         return f"{self.index:04X}h:{self.subindex:02X}"
@@ -140,14 +140,14 @@ class Conversation:
             raise AbortError(f"{self.place()} refused: {abort_text(code)}", code)
 
     def moved(self, data_bytes: int) -> None:
-        """An answer moved the transfer on by so many bytes of the object."""
+        """Account for an answer that continued the transfer by so many bytes of the object."""
         self.steps += 1
         self.carried += data_bytes
 
     def may_answer(self, frame: bytes) -> bool:
-        """Whether a frame that comes after the transfer was given up can be a late answer to it.
+        """Whether a frame received after the transfer was abandoned can be a late answer to it.
 
-        Segments name no object: behind the first answer every frame of their command can be one, of a block every frame.
+        Segments name no object: after the first answer every frame of their command can be one, of a block every frame.
         """
         if len(frame) != 8:
             return False
@@ -156,10 +156,10 @@ class Conversation:
         return frame[1:4] == self.mux and frame[0] & 0xE0 in (*self._awaited, ABORT)
 
     def initiate(self, *frames: bytes, answers: tuple[int, ...]) -> Transfer[bytes]:
-        """Send, and return the first answer that names this index and subindex; raise its abort.
+        """Send, and return the first answer that names this index and subindex. Raises AbortError, ProtocolError.
 
-        answers: the server's command specifiers (upper three bits) that can answer. Another one that the protocol has answers
-        some other request for the same object, late or doubled, and is skipped; one that it does not have ends the transfer.
+        answers: the server's command specifiers (upper three bits) that can answer. Another specifier of the protocol answers
+        another request for the same object, late or doubled, and is skipped; an unknown one ends the transfer.
         """
         self._awaited = answers
         self._by_blocks = BLOCK_UPLOAD in answers or BLOCK_DOWNLOAD in answers
@@ -177,9 +177,9 @@ class Conversation:
             answer = yield ()
 
     def segment(self, *frames: bytes, after: bytes = b"") -> Transfer[bytes]:
-        """Send, and return the next answer; raise an abort of this transfer, skip one of another.
+        """Send, and return the next answer; one of another transfer is skipped. Raises AbortError.
 
-        after: the answer before this one. Where two in a row can never be equal (the toggle bit sees to that) an equal one is a
+        after: the answer before this one. Where two in a row can never be equal (because of the toggle bit) an equal one is a
         frame that CAN delivered twice (ISO 11898-1 allows it after an error in the last bit), and is skipped.
         """
         answer = yield frames
@@ -199,13 +199,13 @@ class Conversation:
         return size, size
 
     def too_many(self, size: int | None, most: int) -> NoReturn:
-        """Leave: more than `most` bytes have come."""
+        """End the transfer: more than `most` bytes have come. Raises ProtocolError."""
         what = f"{size} were announced" if size is not None else f"no size was announced and {most} are read at most"
         self.fail(f"more than {most} bytes came, {what}", ABORT_LENGTH)
 
     def fail(self, what: str, code: int) -> NoReturn:
-        """Leave an abort for the server and raise ProtocolError."""
-        self.farewell = (abort_frame(self.index, self.subindex, code),)
+        """Set an abort for the server and raise ProtocolError."""
+        self.closing_frames = (abort_frame(self.index, self.subindex, code),)
         raise ProtocolError(f"SDO {self.place()}: {what}")
 
 
@@ -216,7 +216,7 @@ def _expedited_data(answer: bytes) -> bytes:
 
 
 def upload(talk: Conversation, most: int = LARGEST_ANNOUNCED) -> Transfer[bytes]:
-    """Read an object of `most` bytes, expedited or segmented as the server chooses. Raises AbortError, ProtocolError."""
+    """Read an object of at most `most` bytes, expedited or segmented as the server chooses. Raises AbortError, ProtocolError."""
     answer = yield from talk.initiate(bytes((0x40,)) + talk.mux + bytes(4), answers=(UPLOAD,))
     return (yield from _rest_of_upload(talk, answer, most))
 
@@ -271,12 +271,13 @@ def download(talk: Conversation, data: bytes) -> Transfer[None]:
 
 
 def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LARGEST_ANNOUNCED) -> Transfer[bytes]:
-    """Read an object of `most` bytes by blocks of up to `block_size` segments of seven bytes, with CRC where the server has it.
+    """Read an object of at most `most` bytes by blocks of up to `block_size` segments of seven bytes, with CRC where the server has
+    it.
 
-    Segments lost within a block are asked for again by acknowledging the last one in sequence. Raises AbortError,
+    Segments lost within a block are requested again by acknowledging the last one in sequence. Raises AbortError,
     ProtocolError.
     """
-    threshold = 0  # the server is not asked to switch protocols; one that does so all the same is followed
+    threshold = 0  # no change to segmented transfer is offered; a server that changes nevertheless is followed
     request = bytes((0xA4,)) + talk.mux + bytes((block_size, threshold, 0, 0))
     answer = yield from talk.initiate(request, answers=(BLOCK_UPLOAD, UPLOAD))
     if answer[0] & 0xE0 == UPLOAD:
@@ -309,17 +310,17 @@ def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LA
         talk.fail("CRC of the block does not match", ABORT_CRC)
     if size is not None and size != len(data):
         talk.fail(f"{len(data)} bytes came, {size} were announced", ABORT_LENGTH)
-    talk.farewell = (bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)),)
+    talk.closing_frames = (bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)),)
     return bytes(data)
 
 
 def _block(
     talk: Conversation, ask: Frames, before: bytes, block_size: int, room: int
 ) -> Transfer[tuple[bytes, bytes, bool]]:
-    """Ask for a block: (its segments up to the first that is missing, the frame that ended it, whether the object's last is there).
+    """Request a block: (its segments up to the first that is missing, the frame that ended it, whether the object's last is there).
 
     before: the server's frame before. It comes first where it was delivered twice, and would look like a block that lost all others.
-    room: bytes after which a block is left.
+    room: largest number of bytes of the block.
     """
     data = bytearray()
     expected, finished = 1, False
@@ -329,7 +330,7 @@ def _block(
         sequence = answer[0] & 0x7F if len(answer) == 8 else 0
         if len(answer) == 8 and answer[0] == ABORT and answer[1:4] in (talk.mux, b"\0\0\0"):
             talk.raise_abort(answer)
-        if sequence == 0 or (answer == before and expected == 1 < block_size):  # no segment has the number 0
+        if sequence == 0 or (answer == before and expected == 1 < block_size):  # sequence numbers begin at 1
             talk.skipped += 1
             continue
         before = answer

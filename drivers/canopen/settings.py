@@ -1,4 +1,4 @@
-"""How a CANopen drive is to be treated: times, supervision, homing."""
+"""Settings of a CANopen drive: times, supervision, homing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.canopen.power import PowerTimes
 
 @dataclass(frozen=True)
 class HomingSettings:
-    """What is written before homing; whatever is None stays as the drive has it. mm/s, and load mm of the home position."""
+    """Objects written before homing; a None is not written. mm/s, and load mm of the home position."""
 
     method: int | None = None
     speed_switch_mm_s: float | None = None
@@ -19,11 +19,11 @@ class HomingSettings:
 
 @dataclass(frozen=True)
 class CanOpenSettings:
-    """Times in seconds. heartbeat_s: the period asked of the drive, None leaves it and its supervision alone.
+    """Times in seconds. heartbeat_s: the period requested of the drive, None leaves it and its supervision unchanged.
 
-    guard_s: the drive shall stop (6007h: quick stop) when it has not heard our own heartbeat, sent as node `master_id`, for so
-    long: 1016h is set up for it; a drive that cannot is told of in the drive's notes. None: it is left alone, and an axis goes on
-    with its move when this process or the cable dies. No node of the bus may have the id `master_id`.
+    guard_s: the drive shall stop (6007h: quick stop) when it has not received our own heartbeat, sent as node `master_id`, for so
+    long: 1016h is set up for it; where that fails, the drive's notes say so. None: 1016h is not written, and an axis continues
+    its move when this process ends or the cable breaks. No node of the bus may have the id `master_id`.
     """
 
     sdo_timeout_s: float = 0.5

@@ -1,7 +1,7 @@
-"""The SDO channels of several nodes kept busy at once, each with work of its own.
+"""CanLine: keeps the SDO channels of several nodes busy at once, each with work of its own.
 
-One node has one channel and answers one request at a time; while it thinks, the bus is free for the others. `CanLine.run` sends a
-node's next request the moment its answer has come, so that many nodes are limited by the bus and not by the slowest drive.
+One node has one channel and answers one request at a time; while it prepares its answer, the bus is free for the others. `CanLine.run`
+sends a node's next request as soon as its answer has come, so that many nodes are limited by the bus and not by the slowest drive.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from drivers.raw_parameters import Line, Pause, Steps
 T = TypeVar("T")
 
 
-class _Resting:
-    """Work that waits for something else than an answer."""
+class _Pausing:
+    """Work that pauses."""
 
     def __init__(self, pause: Pause, clock: Clock) -> None:
         self._pause = pause
@@ -32,16 +32,18 @@ class _Resting:
         return self._over or self._pause.done()
 
     def expire(self) -> None:
-        self._clock.sleep_until_ns(self.until_ns)  # nothing is left to wait for unless the clock is not the bus's own
+        self._clock.sleep_until_ns(
+            self.until_ns
+        )  # returns at once unless waiting on the bus does not advance the clock
         self._over = True
 
 
 class CanLine(Line):
-    """A CAN bus. Steps on it yield `Pause`s, and `Running`s, each of another node's channel than those of the others."""
+    """A CAN bus. Steps on it yield `Pause`s and `Running`s, each job on another node's channel."""
 
     def __init__(self, link: CanLink) -> None:
         self.link = link
-        self.lost = False  # our own end of the bus
+        self.lost = False  # this program's end of the bus
 
     def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
         results: dict[int, T | BridgeError] = {}
@@ -62,7 +64,7 @@ class CanLine(Line):
     def _advance(
         self, number: int, jobs: Sequence[Steps[T]], turns: dict[int, Awaited], results: dict[int, T | BridgeError]
     ) -> None:
-        """Let one job go on until its next transfer or pause is under way, or it has ended."""
+        """Run one job until its next transfer or pause is in progress, or it has ended."""
         while True:
             try:
                 step = next(jobs[number])
@@ -73,7 +75,7 @@ class CanLine(Line):
                 results[number] = error
                 return
             if isinstance(step, Pause):
-                turns[number] = _Resting(step, self.link.clock)
+                turns[number] = _Pausing(step, self.link.clock)
                 return
             if not isinstance(step, Running):
                 raise StateError(f"{type(step).__name__} is no work for a CAN bus")
@@ -101,7 +103,7 @@ class CanLine(Line):
         running.fail(error)
 
     def _await(self, turns: Sequence[Awaited]) -> None:
-        """Wait until one has ended. Where our end of the bus is lost, every transfer ends."""
+        """Wait until one has ended. Where the bus is lost, every transfer ends."""
         try:
             wait_for_any(self.link, turns)
         except LinkLostError as error:

@@ -1,9 +1,9 @@
-"""StoppableDrive: a CANopen drive as far as a stream must know it - looked at, stopped, brought to rest and switched off.
+"""StoppableDrive: the part of a CANopen drive that a stream needs: sampling, stopping, coming to rest, taking the power off.
 
-A sample is asked for: SYNC goes out and the synchronous TPDOs that answer it are waited for, so it is never older than the call.
-While another owns SYNC (`sync.Sync`) the values are read by SDO.
+A sample is requested: SYNC is sent and the synchronous TPDOs that answer it are waited for, so it is never older than the call.
+While another producer owns SYNC (`sync.Sync`) the values are read by SDO.
 
-A stop goes out by every way there is, the fastest first, before anything is asked: `send_stop`.
+A stop is sent over every channel, the fastest first, before anything is read: `send_stop`.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ WITHOUT_TORQUE = (
 )
 """States in which a drive does not move its axis."""
 HALT_TAKEN_S = 1.0
-"""From a halt to the beginning of its ramp, and a load that rings after it, s."""
+"""Time from a halt to the beginning of its ramp, and of the vibration of the load after it, s."""
 STOP_SHOWN_S = 0.1
-"""How long a drive may take to leave operation enabled after it confirmed the quick stop command, s: ten slow control cycles."""
+"""Time a drive may take to leave operation enabled after it confirmed the quick stop command, s: ten slow control cycles."""
 
 
 class StoppableDrive(ServoDrive):
-    """One node under power. `open` of the class that completes it makes the parts, with nothing enabled or moved.
+    """One node under power. `open` of the derived class creates the parts, with nothing enabled or moved.
 
     Raises from its methods, besides what ServoDrive names: NoAnswerError and LinkLostError (wire, heartbeat, restart of the node),
     AbortError (a refused access, naming object and reason), ProtocolError.
@@ -93,13 +93,13 @@ class StoppableDrive(ServoDrive):
         self.link = link
         self.node_id = node_id
         self.settings = settings or CanOpenSettings()
-        self.notes: list[str] = []  # what open found worth telling an engineer
+        self.notes: list[str] = []  # findings of open for an engineer
         self._open = False
         self._fault_code: int | None = None
         self._stream_axis: Axis | None = None
         self._braking_s = self.settings.power.stop_s
         self._stop_lets_go = True
-        self._braking_awaited = False  # it had the time that braking needs, and was not heard since
+        self._braking_awaited = False  # it had the time that braking needs, and did not answer since
         self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
 
     def _require_open(self) -> None:
@@ -108,11 +108,11 @@ class StoppableDrive(ServoDrive):
 
     # -- reading ---------------------------------------------------------------------------------------------------------
     def sample(self) -> DriveSample:
-        """A fresh sample by SYNC. following_error_mm is demand − actual, as 60F4h has it.
+        """A fresh sample by SYNC. following_error_mm is demand − actual, as in 60F4h, mm.
 
         Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
         DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a velocity run comes to the
-        end of the travel, and (with a halt) when the drive begins a queued move that it clips.
+        end of the travel, and (with a halt) when the drive begins a queued move that it limits.
         """
         self._require_open()
         self.sampler.refresh()
@@ -134,7 +134,7 @@ class StoppableDrive(ServoDrive):
         return sample
 
     def _as_sample(self) -> DriveSample:
-        """What was heard last."""
+        """The values received last."""
         values, scaling, status = self.sampler.values, self.scaling, self.sampler.statusword
         velocity = values.get(objects.VELOCITY_ACTUAL)
         torque = values.get(objects.TORQUE_ACTUAL)
@@ -155,11 +155,11 @@ class StoppableDrive(ServoDrive):
     # -- streaming -------------------------------------------------------------------------------------------------------
     @property
     def is_streaming(self) -> bool:
-        """Whether a `stream.CyclicStream` paces this drive; its samples come by SDO meanwhile, as SYNC belongs to the stream."""
+        """Whether a `stream.CyclicStream` paces this drive; its samples are read by SDO meanwhile, as SYNC belongs to the stream."""
         return self.sampler.by_sdo
 
     def begin_streaming(self, axis: Axis) -> None:
-        """A stream takes over SYNC and the PDOs; it puts the PDOs back before `end_streaming`."""
+        """A stream takes SYNC and the PDOs; it restores the PDOs before `end_streaming`. Raises StateError while another one does."""
         self._require_open()
         if self.is_streaming:
             raise StateError(f"drive {self.name} is streaming already")
@@ -168,24 +168,24 @@ class StoppableDrive(ServoDrive):
         self._stream_axis = axis
 
     def end_streaming(self) -> None:
-        """The PDOs are those of `open` again."""
+        """To be called when the PDOs are those of `open` again."""
         self._stream_axis = None
         self.sampler.by_sdo = False
         self.sampler.subscribe()
 
     def set_mode(self, mode: Mode) -> None:
-        """Change the mode of operation; see `ProfileMotion.set_mode`."""
+        """Change the mode of operation; see `ProfileMotion.set_mode`, also for the errors."""
         self._require_open()
         with self._stopped_if_it_fails():
             self.motion.set_mode(mode)
         self.homing.under_way = False
 
-    # -- to rest, and without power --------------------------------------------------------------------------------------
+    # -- coming to rest and taking the power off -------------------------------------------------------------------------
     def disable(self) -> None:
-        """Halt, and take the power off once the axis stands. Where the halt is not confirmed or no standstill is shown in its time:
-        quick stop first, and the power goes all the same, unless the axis falls without it.
+        """Halt, and take the power off once the axis is at rest. Where the halt is not confirmed or no standstill is shown in its
+        time: quick stop first, and the power is taken off all the same, unless the axis falls without it.
 
-        Works without the node's heartbeat, and by SDO or PDO alone. Raises HeldUnderPowerError for an axis that falls and is held,
+        Works without the node's heartbeat, and over SDO or PDO alone. Raises HeldUnderPowerError for an axis that falls and is held,
         MotionTimeoutError when it was disabled without having been seen at rest, or is not seen disabled, and what the wire raises.
         """
         self._require_open()
@@ -201,26 +201,26 @@ class StoppableDrive(ServoDrive):
             )
         self._take_power()
         if self.motion.mode is Mode.PROFILE_VELOCITY:
-            self.motion.stay()  # a speed that is left in the drive would come to life with the next enabling
+            self.motion.stay()  # a velocity left in the drive would move the axis at the next enabling
         if not at_rest:
             raise MotionTimeoutError(
                 f"drive {self.name}: no standstill within {self.settings.power.stop_s:g} s; quick-stopped and disabled all the same"
             )
 
     def _brought_to_rest(self) -> bool:
-        """Halt, else quick stop; False when no standstill was seen."""
+        """Halt, else quick stop; False when no standstill was shown."""
         halted = False
         try:
             if not self.sampler.heard_by_sync():
                 if not (self.sampler.by_sdo or self.link.sync.taken):
-                    self.send_stop()  # it should have answered: stop first, ask later
+                    self.send_stop()  # the drive should have answered: stop before anything is read
                 self.sampler.refresh_somehow()
             state = decode_state(self.sampler.statusword)
             if state in WITHOUT_TORQUE:
                 return True
             if state is DriveState.ENABLED:
                 if not self.power.stopped:
-                    self._send(RUN | Control.HALT, by_sdo=False)  # SDO may be dead, and its answer is waited for
+                    self._send(RUN | Control.HALT, by_sdo=False)  # without SDO, whose answer would be waited for
                 self.motion.halt()
                 halted = True
             if self._comes_to_rest(self._halting_s if halted else self.settings.power.stop_s):
@@ -235,7 +235,7 @@ class StoppableDrive(ServoDrive):
             return self._comes_to_rest(self.settings.power.stop_s)
         except LinkLostError:
             return False
-        except BridgeError:  # nobody answers: it has the time that braking needs, before its power is taken
+        except BridgeError:  # no answer: it gets the time that braking needs, before its power is taken
             if not self._braking_awaited:
                 self.clock.sleep_s(self._braking_s)
                 self._braking_awaited = True
@@ -243,22 +243,23 @@ class StoppableDrive(ServoDrive):
 
     @property
     def _halting_s(self) -> float:
-        """What a halt from the axis's highest speed may take by a ramp three times flatter than the axis's. An axis that goes on for
-        longer does not obey it, as where another master moves it: it is quick-stopped."""
+        """Longest time of a halt from the axis's highest velocity with a ramp three times flatter than the axis's, s. An axis that
+        moves for longer does not obey, as where another master moves it: it is quick-stopped."""
         limits = self.limits
         return min(
             HALT_TAKEN_S + 3.0 * limits.max_velocity_mm_s / limits.max_acceleration_mm_s2, self.settings.power.stop_s
         )
 
     def _comes_to_rest(self, timeout_s: float) -> bool:
-        """Look until it stands, or has no torque; False when neither was shown in time. Raises when nobody answers."""
+        """Sample until it is at rest, or has no torque; False when neither was shown in time. Raises TransportError without an
+        answer."""
         standstill = Standstill(self.scaling.resolution_load_mm)
         sampler, deadline = self.sampler, self.clock.deadline(timeout_s)
         while True:
             sampler.refresh_somehow()
             self._braking_awaited = False
             status = sampler.statusword
-            with suppress(BridgeError):  # whoever watches has no say in this
+            with suppress(BridgeError):  # an error of an observer does not prevent the stop
                 self.looked_at(self._as_sample())
             velocity = sampler.values.get(objects.VELOCITY_ACTUAL)
             stands = standstill.look(
@@ -274,7 +275,8 @@ class StoppableDrive(ServoDrive):
             self.clock.sleep_s(LOOK_S)
 
     def _take_power(self) -> None:
-        """By SDO, every step confirmed; else by RPDO, and seen by TPDO. Raises what SDO raised when it is not seen."""
+        """Take the power over SDO, every step confirmed; else by RPDO, confirmed by TPDO. Raises SDO's error when it is not
+        confirmed."""
         try:
             self.power.disable()
         except (TransportError, MotionTimeoutError):
@@ -288,13 +290,13 @@ class StoppableDrive(ServoDrive):
         return WAY_OUT_S
 
     def share_way_out(self, time: SharedTime) -> None:
-        """Its time runs from now on, beside that of the others; one that answers is not limited."""
+        """Its time runs from now on, beside that of the other axes; a drive that answers is not limited."""
         del time
         if self._open:
             self.sdo.way_out.begin()
 
     def send_stop(self) -> None:
-        """By event-driven RPDO, or the synchronous one with SYNC, and by SDO. No command enables the axis until `enable` is called."""
+        """Send it by event-driven RPDO, or the synchronous one with SYNC, and by SDO. No command enables the axis until `enable`."""
         if not self._open:
             return
         self.power.stopped = True
@@ -302,9 +304,9 @@ class StoppableDrive(ServoDrive):
         self.sdo.way_out.begin()
 
     def quick_stop(self) -> None:
-        """Quick stop command; what follows the ramp is up to the drive's 605Ah.
+        """Quick stop command; 605Ah decides what follows the ramp.
 
-        Raises NoAnswerError, LinkLostError when nobody confirms it, AbortError when it is refused by SDO and not shown,
+        Raises NoAnswerError, LinkLostError when it is not confirmed, AbortError when it is refused by SDO and not shown,
         MotionTimeoutError when the drive stays in operation enabled.
         """
         self._require_open()
@@ -328,7 +330,7 @@ class StoppableDrive(ServoDrive):
             self.clock.sleep_s(LOOK_S)
 
     def _stop_is_shown(self) -> bool:
-        """By a TPDO; False where none comes."""
+        """Whether a TPDO shows the stop; False where none comes."""
         axis = self._stream_axis
         if axis is None:
             return self.sampler.heard_by_sync() and decode_state(self.sampler.statusword) is not DriveState.ENABLED
@@ -339,9 +341,9 @@ class StoppableDrive(ServoDrive):
         return heard and decode_state(axis.status) is not DriveState.ENABLED
 
     def _send(self, word: int, *, by_sdo: bool = True) -> None:
-        """A controlword that stops the axis or takes its power, by every way there is; one that fails does not keep the others.
+        """Send a controlword that stops the axis or takes its power over every channel; a failure does not prevent the others.
 
-        Waits for nothing and takes no lock of ours: for any thread, and a signal handler.
+        Never waits and takes no lock of this program: for any thread, and a signal handler.
         """
         ways = self._ways(word)
         for way in ways if by_sdo else ways[:-1]:
@@ -349,8 +351,9 @@ class StoppableDrive(ServoDrive):
                 way()
 
     def _ways(self, word: int) -> list[Callable[[], None]]:
-        """The fastest first. In a stream its RPDO carries the command too: what waits in the drive for the next SYNC would let the
-        axis go on. SYNC is sent only where it is ours, or where nobody is heard to send it. SDO is the last."""
+        """The channels, the fastest first. In a stream its RPDO carries the command too: a set-point that waits in the drive for
+        the next SYNC would enable the axis. SYNC is sent only where it is ours, or where no other producer is heard. SDO is the
+        last."""
         stop, axis = self.connection.stop_rpdo, self._stream_axis
         ways: list[Callable[[], None]] = []
         if stop is not None:
@@ -370,9 +373,9 @@ class StoppableDrive(ServoDrive):
         return ending is not None and ending.stays
 
     def _note_ramps(self) -> None:
-        """What an engineer should know of the quick stop; said once, changed never.
+        """Note, once, properties of the quick stop that an engineer should know; nothing is written.
 
-        One that brakes less than a move does overshoots the move's target; one that ends without power lets an axis fall that gravity
+        A ramp flatter than that of a move overshoots the move's target; one that ends without power lets an axis fall that gravity
         can move.
         """
         self.notes = []
@@ -390,16 +393,16 @@ class StoppableDrive(ServoDrive):
                 f" moves with up to {self.limits.max_acceleration_mm_s2:g} mm/s²: a stop may overshoot the target"
             )
         braking_mm_s2 = quick * self.scaling.resolution_load_mm or self.limits.max_acceleration_mm_s2
-        # and what the drive and the bus take, generously: ten looks
+        # and delays of drive and bus, generously: ten samples
         self._braking_s = min(self.limits.max_velocity_mm_s / braking_mm_s2 + 10 * LOOK_S, self.settings.power.stop_s)
 
     @contextmanager
     def _stopped_if_it_fails(self) -> Iterator[None]:
-        """Around what sets the axis in motion or changes how it moves: no error is raised beside a moving axis.
+        """Around orders that start or change a motion: no error is raised while the axis moves.
 
         An order that is not confirmed: the axis is halted (else quick-stopped) and its power taken off, see `disable`. A refusal
-        before anything was ordered leaves the axis as it is; a fault has the drive stop by itself. On an interrupt a stop is sent, and
-        the rest left to who handles it.
+        before anything was ordered leaves the axis as it is; in a fault the drive stops by itself. On an interrupt a stop is sent, and
+        the caller handles the rest.
         """
         try:
             yield

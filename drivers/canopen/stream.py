@@ -1,9 +1,9 @@
 """Streaming set-points to several drives, paced by SYNC: cyclic synchronous position, velocity or torque.
 
-Set-points go out right away, take effect at the next SYNC (synchronous RPDOs), and the feedback that this
-SYNC asked for comes back before the call returns. What goes wrong is counted, and acted on: once a limit is passed all axes are
+Set-points are sent at once, take effect at the next SYNC (synchronous RPDOs), and the feedback that this SYNC requested is received
+before the call returns. Deviations are counted, and acted on: once a limit is exceeded all axes are
 quick-stopped and an error names what happened. SYNC comes from this process or from the kernel's broadcast manager (SocketCAN),
-which keeps its time when Python does not.
+which keeps its period when Python does not.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ from drivers.errors import (
 from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 
-__all__ = ["AxesInStep", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings", "SyncSource"]
+__all__ = ["AxesBySync", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings", "SyncSource"]
 
 HEARTBEATS_WATCHED_S = 0.05
-"""How often a stream looks whether every drive's heartbeat comes, while its feedback does."""
+"""Interval of the checks of every drive's heartbeat while its feedback comes, s."""
 FOREIGN_SYNCS = 3
 FOREIGN_SYNC_S = 10.0
-"""More foreign SYNCs than that within that time, s, end the stream. One that only looks sends two at most before it hears the stream's
-and leaves SYNC to it; a third may come from a program that is started meanwhile."""
+"""Number of foreign SYNCs within `FOREIGN_SYNC_S` seconds above which the stream ends. A program that only samples sends at most two
+before it hears the stream's and leaves SYNC to it; a third may come from a program that is started meanwhile."""
 _RUN = Command.ENABLE_OPERATION.word
 
 
 class CyclicStream:
     """Use as a context manager around enabled drives on one link; call `cycle` once per period with a value for each drive.
 
-    On leaving, the axes are held where they are, put back into profile position and stay enabled; after an error they are
+    On leaving, the axes are held where they are, set to profile position and stay enabled; after an error they are
     quick-stopped. An axis that cannot be put back, or does not confirm its stop, is disabled. While it runs no other drive on the link
     answers SYNC.
     """
@@ -95,13 +95,13 @@ class CyclicStream:
         self._sync_taken = 0
         self._sync_task: Any = None
         self._running = False
-        self._stopped = False  # the axes were told to stop
-        self._foreign: list[int] = []  # when SYNCs came that are not the owner's, lately
+        self._stopped = False  # whether a stop was sent to the axes
+        self._foreign: list[int] = []  # times of recent SYNCs that are not the owner's
         self._first_ns = self._heard = (
             0  # of the bus's SYNCs: when the first came, how many; to tell others' from its own
         )
 
-    # -- coming and going ------------------------------------------------------------------------------------------------
+    # -- entering and leaving --------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
         self._check_fit()
         try:
@@ -110,7 +110,7 @@ class CyclicStream:
             for drive, axis in zip(self._drives, self._axes, strict=True):
                 self._prepare(drive, axis)
             self._start()
-        except BaseException as error:  # nothing was moved: the axes are put back, and stay as they were
+        except BaseException as error:  # nothing was moved: the axes are restored, and stay in their state
             self._end(error)
             raise
         return self
@@ -131,7 +131,7 @@ class CyclicStream:
         refuse_errors(lint(pdos | {follower.node_id: tuple(follower.specs) for follower in staying}, cycle=cycle))
 
     def _silence_neighbours(self) -> None:
-        """Drives on this bus that do not stream keep off its SYNC; one that cannot counts in the load."""
+        """Take drives on this bus that do not stream out of SYNC; one that cannot counts in the load."""
         streaming = [drive.sampler for drive in self._drives]
         others = [follower for follower in self.link.sync.followers if follower not in streaming]
         staying = [follower for follower in others if not follower.leave_sync()]
@@ -139,7 +139,9 @@ class CyclicStream:
             self._check_fit(*staying)
 
     def _prepare(self, drive: StoppableDrive, axis: Axis) -> None:
-        """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes hold."""
+        """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes effect.
+
+        Raises StateError, CapabilityError, ProtocolError."""
         sample = drive.sample()
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {drive.name} cannot stream: it is {sample.state.value}")
@@ -162,7 +164,7 @@ class CyclicStream:
 
     def _start(self) -> None:
         for axis in self._axes:
-            with suppress(AbortError):  # 1006h is optional; by it a drive notices by itself that SYNC has stopped
+            with suppress(AbortError):  # 1006h is optional; by it a drive notices itself that SYNC has stopped
                 sdo = axis.node.sdo
                 axis.sync_period_before = sdo.read(objects.SYNC_PERIOD)
                 sdo.write(objects.SYNC_PERIOD, round(self.settings.period_s * 1e6))
@@ -174,14 +176,14 @@ class CyclicStream:
             self._sync_task = self.link.send_periodically(message, self.settings.period_s)
 
     def _stop_all(self, error: BaseException) -> None:
-        """Every axis is told at once to stop; then each stop is seen confirmed, and an axis that does not confirm it is disabled."""
+        """Send the stop to every axis at once; then wait for each confirmation, and disable an axis that does not confirm it."""
         self._running, self._stopped = False, True
         for drive in self._drives:
             drive.send_stop()
         undo_all([("", partial(_stop, drive)) for drive in self._drives], during=error)
 
     def _end(self, error: BaseException | None) -> None:
-        """The drives stop watching SYNC, SYNC stops, every axis is given back; every step is tried, see `undo_all`."""
+        """The drives stop supervising SYNC, SYNC stops, every axis is given back; every step is tried, see `undo_all`."""
         self._running = False
         taken = [(drive, axis) for drive, axis in zip(self._drives, self._axes, strict=True) if axis.taken]
         with ExitStack() as stack:
@@ -205,12 +207,12 @@ class CyclicStream:
         try:
             if task is not None:
                 task.stop()
-                self.link.poll()  # its last frames are not somebody else's
+                self.link.poll()  # its last frames must not count as foreign
         finally:
             self.link.unsubscribe(SYNC, self._on_sync)
 
     def _give_back(self, drive: StoppableDrive, axis: Axis) -> None:
-        """PDOs as before, and into profile position unless it was stopped; an axis that cannot be put back is disabled."""
+        """Restore the PDOs, and profile position unless it was stopped; an axis that cannot be restored is disabled."""
         self.link.unsubscribe(axis.tpdo.cob_id, axis.receive)
         axis.taken = False
         try:
@@ -227,12 +229,12 @@ class CyclicStream:
 
     @property
     def next_sync_ns(self) -> int:
-        """When this process sends SYNC next, in the clock's time."""
+        """Time at which this process sends SYNC next, in the clock's time, ns."""
         return self._next_sync_ns
 
     # -- the cycle -------------------------------------------------------------------------------------------------------
     def cycle(self, values: Sequence[float]) -> list[Feedback]:
-        """Send one value per drive (load mm, mm/s or percent of rated torque), wait for the SYNC that takes them, and for feedback.
+        """Send one value per drive (load mm, mm/s or percent of rated torque), wait for the SYNC that applies them, and for feedback.
 
         Raises LimitError before anything is sent; SafetyError (cycles missed), NoAnswerError (feedback missing), LinkLostError
         (no SYNC, heartbeat), DriveFaultError, FollowingErrorError, StateError - each with all axes quick-stopped.
@@ -243,7 +245,7 @@ class CyclicStream:
         if len(values) != len(axes):
             raise InputError(f"{len(values)} values for {len(axes)} drives")
         try:
-            self._heed_stops()
+            self._end_when_stopped()
             for axis, value in zip(axes, values, strict=False):
                 axis.planned = axis.counts_of(value)
             self._exchange()
@@ -269,26 +271,26 @@ class CyclicStream:
             raise
 
     def _exchange_with_host_sync(self) -> None:
-        """Set-points out at once, SYNC when it is due."""
+        """Send the set-points at once, SYNC when it is due."""
         link, clock = self.link, self.clock
         now_ns = clock.now_ns()
         if not self.counters.cycles:
-            self._next_sync_ns = now_ns + self._period_ns  # time runs from the first set-point on
+            self._next_sync_ns = now_ns + self._period_ns  # the first set-point is the zero of time
         if now_ns > self._next_sync_ns:
             self._account_for_lateness(now_ns - self._next_sync_ns)
         else:
             self._missed_in_a_row = 0
         for axis in self._axes:
             link.send_message(axis.message_with(_RUN, axis.planned))
-        self._heed_stops()  # before SYNC: one that came just now was sent before the set-point, which would undo it
+        self._end_when_stopped()  # before SYNC: a stop that came just now was sent before the set-point, which would cancel it
         clock.sleep_until_ns(self._next_sync_ns)
-        link.poll()  # what came late belongs to the cycle before
+        link.poll()  # late frames belong to the cycle before
         self._begin_cycle()
         link.send_message(self._sync_message)
         self._next_sync_ns += self._period_ns
 
     def _exchange_with_foreign_sync(self) -> None:
-        """Set-points out at once, then wait for the SYNC that takes them."""
+        """Send the set-points at once, then wait for the SYNC that applies them. Raises LinkLostError when none comes."""
         self.link.poll()
         if not self.counters.cycles:
             self._sync_taken = self._sync_count
@@ -297,21 +299,21 @@ class CyclicStream:
         self._account_for_missed(missed)
         for axis in self._axes:
             self.link.send_message(axis.message_with(_RUN, axis.planned))
-        self._heed_stops()
+        self._end_when_stopped()
         if not self.link.wait(lambda: self._sync_count > self._sync_taken, 2.5 * self.settings.period_s):
             self.counters.sync_losses += 1
             raise LinkLostError(f"stream: no SYNC on the bus for {2.5e3 * self.settings.period_s:g} ms")
         self._sync_taken = self._sync_count
 
     def _account_for_lateness(self, late_ns: int) -> None:
-        """The set-points come after the SYNC that was to take them: whole periods are missed cycles."""
+        """Set-points after the SYNC that should have applied them: whole periods are missed cycles."""
         self.counters.worst_late_ns = max(self.counters.worst_late_ns, late_ns)
         missed = late_ns // self._period_ns
         self._next_sync_ns += missed * self._period_ns
         self._account_for_missed(missed)
 
     def _account_for_missed(self, missed: int) -> None:
-        """SYNCs went by without new set-points: count them, and stop when it is too many in a row."""
+        """Count SYNCs without new set-points, and raise SafetyError when too many follow each other."""
         if not missed:
             self._missed_in_a_row = 0
             return
@@ -323,25 +325,25 @@ class CyclicStream:
             )
 
     def _begin_cycle(self) -> None:
-        """At a SYNC: what was sent is in force now, and every axis owes an answer."""
+        """At a SYNC: the set-points sent are in force now, and the answer of every axis is awaited."""
         for axis in self._axes:
             axis.fresh = False
             axis.demand_counts = axis.next_counts
 
-    def _heed_stops(self) -> None:
-        """An axis that was told to stop ends the stream: no further set-point enables it."""
+    def _end_when_stopped(self) -> None:
+        """End the stream when a stop was sent to an axis: no further set-point enables it. Raises StateError."""
         for axis in self._axes:
             if axis.power.stopped:
                 raise axis.explain_status()
 
     def _on_sync(self, time_ns: int, _data: bytes) -> None:
-        """A SYNC came in: the bus's own in a stream that it paces; otherwise, or too many of them, somebody else's."""
+        """A SYNC was received: the bus's own in a stream that it paces; otherwise, or too many of them, a foreign one."""
         if self._sync_task is not None:
             if not self._heard:
                 self._first_ns = time_ns
             self._heard += 1
             due = (2 * (time_ns - self._first_ns) + self._period_ns) // (2 * self._period_ns) + 1
-            # those that were taken late look like fewer than are due, never like more
+            # SYNCs received late look like fewer than are due, never like more
             if self._heard - due <= self.counters.foreign_syncs:
                 self._sync_count += 1
                 self._begin_cycle()
@@ -350,7 +352,9 @@ class CyclicStream:
             self._account_for_foreign(time_ns)
 
     def _account_for_foreign(self, time_ns: int) -> None:
-        """A SYNC that is not the owner's; one that only looks at its drives stops sending them when it hears ours."""
+        """Account for a SYNC that is not the owner's; a program that only samples stops sending them when it hears ours.
+
+        Raises StateError above `FOREIGN_SYNCS`."""
         self.counters.foreign_syncs += 1
         self._foreign.append(time_ns)
         self._foreign = [heard_ns for heard_ns in self._foreign if time_ns - heard_ns <= FOREIGN_SYNC_S * NS_PER_S]
@@ -361,12 +365,12 @@ class CyclicStream:
 
     def _all_answered(self) -> bool:
         for axis in self._last_first:  # noqa: SIM110 - each cycle comes here, a generator would cost as much as a frame
-            if not axis.fresh:  # arbitration lets them answer in order: one look is enough until the last is in
+            if not axis.fresh:  # arbitration keeps the order of answers: one check is enough until the last has come
                 return False
         return True
 
     def _account_for_late(self) -> None:
-        """Somebody's feedback did not come in time."""
+        """Account for axes without feedback in this cycle. Raises NoAnswerError after too many cycles."""
         for axis in self._axes:
             if axis.fresh:
                 continue
@@ -380,13 +384,13 @@ class CyclicStream:
                 )
 
     def _judge_status(self, axis: Axis) -> None:
-        """Raise what a statusword other than "enabled and following" means; the first cycle may not follow yet."""
+        """Raise the error of a statusword other than "enabled and following"; the first cycle may not follow yet."""
         if self.counters.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
             raise axis.explain_status()
 
 
 def _stop(drive: StoppableDrive) -> None:
-    """A quick stop that is seen confirmed; the axis is disabled where it is not."""
+    """Quick stop with confirmation; the axis is disabled where it is not confirmed."""
     try:
         drive.quick_stop()
     except BridgeError as error:
@@ -409,9 +413,9 @@ def _interpolation(period_s: float) -> tuple[int, int]:
     raise InputError(f"a period of {period_s} s cannot be written into 60C2h")
 
 
-# -- behind the faces that all wires have --------------------------------------------------------------------------------------
+# -- as the set-point streams of all wires ---------------------------------------------------------------------------------
 class _BySync(SetPoints):
-    """SYNC comes from this process. On entering, the axes must be enabled and the bus be able to carry the cycle."""
+    """SYNC is sent by this process. On entering, the axes must be enabled and the bus be able to carry the cycle."""
 
     def __init__(self, drives: Sequence[StoppableDrive], settings: SetPointSettings) -> None:
         error_mm, missed = settings.following_error_mm, settings.missed_limit
@@ -433,7 +437,7 @@ class _BySync(SetPoints):
 
 
 class OneAxisStream(_BySync, SetPointStream):
-    """One axis by SYNC."""
+    """Set-points to one axis, paced by SYNC."""
 
     def __init__(self, drive: StoppableDrive, settings: SetPointSettings) -> None:
         super().__init__([drive], settings)
@@ -442,7 +446,7 @@ class OneAxisStream(_BySync, SetPointStream):
 
     def cycle(self, position_load_mm: float) -> float:
         (feedback,) = self._stream.cycle([position_load_mm])
-        if not feedback.late:  # it is of the SYNC that this cycle was for
+        if not feedback.late:  # it belongs to the SYNC of this cycle
             self._found = self._stream.next_sync_ns - self._period_ns, feedback.position_load_mm
         return feedback.position_load_mm
 
@@ -455,8 +459,8 @@ class OneAxisStream(_BySync, SetPointStream):
         return self._stream.next_sync_ns
 
 
-class AxesInStep(_BySync, SetPointGroup):
-    """Several axes on one bus, all by one SYNC."""
+class AxesBySync(_BySync, SetPointGroup):
+    """Set-points to several axes on one bus, all paced by one SYNC."""
 
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
         return [feedback.position_load_mm for feedback in self._stream.cycle(positions_load_mm)]

@@ -1,6 +1,6 @@
-"""What a stream is made of: its settings and counters, and one axis with its frames, its latest feedback and its limits in counts.
+"""Settings and counters of a stream, and one axis of it with its frames, its latest feedback and its limits in counts.
 
-What may go in: data, and what concerns one axis alone. Pacing and the reactions to what goes wrong are `stream`'s.
+Holds what concerns one axis alone. `stream` paces it and reacts to errors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from drivers.scaling import AxisScaling
 
 
 class SyncSource(Enum):
-    """Who sends SYNC."""
+    """The producer of SYNC."""
 
     HOST = "this process, when a cycle is due"
     BROADCAST_MANAGER = "the bus itself: the kernel's broadcast manager on SocketCAN"
@@ -33,10 +33,10 @@ class SyncSource(Enum):
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """period_s: the SYNC cycle. bitrate: for the prediction whether the cycle fits, bit/s; None skips it.
+    """period_s: the SYNC cycle, s. bitrate: for the prediction whether the cycle fits, bit/s; None skips it.
 
-    The limits are cycles in a row: after that many the stream is stopped. following_error_mm: largest allowed difference between
-    the set-point that was in force and the position that came back (position streams). torque_limit_percent bounds torque streams.
+    The limits are numbers of successive cycles, after which the stream is stopped. following_error_mm: largest allowed difference
+    between the set-point that was in force and the position that came back, mm (position streams). torque_limit_percent: of rated.
     """
 
     period_s: float
@@ -53,7 +53,7 @@ class StreamSettings:
 
 @dataclass
 class StreamCounters:
-    """What happened since the start. worst_late_ns: how late the host was with its set-points at most."""
+    """Events since the start. worst_late_ns: largest delay of the host's set-points, ns."""
 
     cycles: int = 0
     missed_cycles: int = 0  # SYNCs that went by without new set-points
@@ -64,7 +64,7 @@ class StreamCounters:
 
 
 class Feedback(NamedTuple):
-    """What an axis showed at a SYNC. late: this is an older value, the one of this cycle did not come in time."""
+    """The values of an axis at a SYNC. late: an older value, as the one of this cycle did not come in time."""
 
     time_ns: int
     status: int
@@ -81,15 +81,15 @@ TARGETS: dict[Mode, Entry] = {
     Mode.CYCLIC_VELOCITY: objects.TARGET_VELOCITY,
     Mode.CYCLIC_TORQUE: objects.TARGET_TORQUE,
 }
-ANY = 1 << 62  # more counts than there are
+ANY = 1 << 62  # larger than every number of counts
 RUNNING = 0x0027 | int(Status.FOLLOWS_COMMAND)  # operation enabled, and the set-points are followed
 RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
 
 
 class Axis:
-    """One axis in the stream: its frames, its latest feedback, its limits in counts. Everything that a cycle needs is at hand.
+    """One axis in the stream: its frames, its latest feedback, its limits in counts, precomputed for the cycle.
 
-    stop: the RPDO that stops the drive at once, which the stream leaves in place; None where it has none.
+    stop: the RPDO that stops the drive at once, which the stream leaves in place; None where there is none.
     counts_of(value): a set-point (load mm, mm/s, percent of rated torque) in the drive's units; raises LimitError.
     """
 
@@ -121,13 +121,13 @@ class Axis:
         self.status = 0
         self.position_counts = 0
         self.heard_ns = 0
-        self.fresh = False  # the answer to the last SYNC is here
+        self.fresh = False  # whether the answer to the last SYNC was received
         self.late_in_a_row = 0
-        self.planned = 0  # checked, to be sent next
+        self.planned = 0  # checked, sent next
         self.demand_counts = 0  # in force at the last SYNC
         self.next_counts = 0  # sent for the next one
         self.sync_period_before: int | None = None
-        self.taken = False  # the drive is ours for now
+        self.taken = False  # whether this stream controls the drive
         self.counts_of = {
             Mode.CYCLIC_POSITION: self._position_counts,
             Mode.CYCLIC_VELOCITY: self._velocity_counts,
@@ -136,7 +136,7 @@ class Axis:
         self.direction = scaling.direction
         self.mm_per_count = scaling.direction * scaling.resolution_load_mm
         self.counts_per_mm = scaling.direction * scaling.counts_per_load_mm
-        # one count of rounding at either end is not a matter of speed
+        # one count of rounding at either end does not count as velocity
         self.max_step_counts = math.floor(limits.max_velocity_mm_s * settings.period_s * scaling.counts_per_load_mm) + 1
         self.travel_min_mm, self.travel_max_mm = limits.travel_min_mm, limits.travel_max_mm
         by_position = settings.mode is Mode.CYCLIC_POSITION
@@ -153,16 +153,16 @@ class Axis:
             self.fresh = True
 
     def message_with(self, controlword: int, counts: int) -> can.Message:
-        """The RPDO of this axis; one message for good, filled anew."""
+        """The RPDO of this axis; one message object, filled anew each time."""
         self.next_counts = counts
         message = self.message
         self._pack_into(message.data, 0, controlword, counts)
         return message
 
     def command(self, controlword: int) -> can.Message:
-        """A command that stops the axis, as the RPDO of this axis: a message of its own, as any thread may send it.
+        """A command that stops the axis, as the RPDO of this axis: a message object of its own, as any thread may send it.
 
-        The target is the last one of a position stream, and nothing in the others.
+        The target is the last one of a position stream, and 0 in the others.
         """
         counts = self.next_counts if self.settings.mode is Mode.CYCLIC_POSITION else 0
         data = self.rpdo.codec.pack(controlword, counts)
@@ -170,7 +170,7 @@ class Axis:
 
     # -- set-points ------------------------------------------------------------------------------------------------------
     def _position_counts(self, position_load_mm: float) -> int:
-        """Raises LimitError for a place outside the travel, or too far from the last one."""
+        """Load mm -> counts. Raises LimitError for a position outside the travel, or too far from the last one."""
         if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
             self.limits.check_target(position_load_mm)
         counts = round(position_load_mm * self.counts_per_mm)
@@ -196,7 +196,7 @@ class Axis:
         return self.direction * round(10 * torque_percent)
 
     def _check_inside(self, value: float) -> None:
-        """Velocity and torque streams must not push an axis further out of its travel."""
+        """Raise LimitError where a velocity or torque would push an axis at the end of its travel further out."""
         if not math.isfinite(value):
             raise LimitError(f"drive {self.node.name}: {value} is no set-point")
         place_mm = self.position_counts * self.mm_per_count
@@ -205,7 +205,7 @@ class Axis:
 
     # -- feedback --------------------------------------------------------------------------------------------------------
     def explain_error(self) -> FollowingErrorError:
-        """The axis is too far from the set-point that was in force."""
+        """The error of an axis too far from the set-point that was in force."""
         error_mm = abs(self.position_counts - self.demand_counts) * abs(self.mm_per_count)
         return FollowingErrorError(
             f"drive {self.node.name}: {error_mm:.3f} mm from its set-point,"
@@ -213,7 +213,7 @@ class Axis:
         )
 
     def explain_status(self) -> BridgeError:
-        """What a statusword other than "enabled and following" means."""
+        """The error of a statusword other than "enabled and following"."""
         state, name = decode_state(self.status), self.node.name
         if self.power.stopped:
             return StateError(f"drive {name} was told to stop while streaming")

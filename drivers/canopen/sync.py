@@ -1,4 +1,4 @@
-"""Who sends SYNC on one CAN bus: one owner, as a second SYNC would pace a stream at the wrong moments."""
+"""Sync: ownership of SYNC on one CAN bus. It has one owner, as a second SYNC would pace a stream at the wrong moments."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from drivers.errors import StateError
 
 SYNC = 0x080
 LISTEN_S = 0.05
-"""A link listens for so long before its first SYNC, s: the period of the slowest stream that is plausible (20 Hz)."""
+"""Time a link listens before its first SYNC, s: the period of the slowest plausible stream (20 Hz)."""
 SYNC_SILENCE_S = 1.0
-"""Silence of a foreign SYNC after which it may be taken up here, s; one look a second is the slowest of a panel that watches."""
+"""Silence of a foreign SYNC after which this link may send it, s; one sample a second is the slowest rate of a panel."""
 SYNC_STEP_S = 0.02
-"""Added to the silence per node id, s: of two links that wait the one with the lower node id takes SYNC up first."""
+"""Added to the silence per node id, s: of two waiting links the one with the lower node id sends SYNC first."""
 SYNC_FRESH_S = 0.1
-"""A foreign SYNC heard within this time is a stream's or a quick watcher's, s: its next one comes without our help."""
+"""A foreign SYNC within this time is that of a stream or of quick sampling, s: its next one comes without our help."""
 CLAIM_S = 0.2
 """How long a stream listens after it has claimed SYNC from another producer, s: four periods of `LISTEN_S`."""
 YIELD_S = 0.02
-"""Within this time of the claim one that only looks may still send a SYNC that was under way, s."""
+"""Time after the claim within which a link that only samples may still send a SYNC, s."""
 
 
 class SyncFollower(Protocol):
-    """What answers SYNC on a link while nobody streams: the sampled TPDOs of one drive."""
+    """Receiver of SYNC on a link without a stream: the sampled TPDOs of one drive."""
 
     @property
     def node_id(self) -> int: ...
@@ -34,31 +34,31 @@ class SyncFollower(Protocol):
     def specs(self) -> Sequence[PdoSpec]: ...
 
     def leave_sync(self) -> bool:
-        """Take the TPDOs out of SYNC; False when they stay."""
+        """Take the TPDOs out of SYNC; False when they stay in it."""
 
 
 class Sync:
-    """Who sends SYNC on one bus: one owner. A stream on this link; else another link or program that was heard; else this link.
+    """Ownership of SYNC on one bus: a stream on this link; else another link or program that was heard; else this link.
 
-    While it is `taken`, drives are sampled by SDO and their TPDOs do not answer SYNC, so that none of them loads a stream that was not
-    planned with it. Two links that only look converge: each stops sending when it hears the other, and takes SYNC up again after a
+    While it is `taken`, drives are sampled by SDO and their TPDOs do not answer SYNC, so that none of them adds unplanned load to a
+    stream. Two links that only sample converge: each stops sending when it hears the other, and sends again after a
     silence whose length depends on its lowest node id.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._stream: object | None = None
-        self._foreign_ns: int | None = None  # when one that is not ours was heard last
-        self._begin_ns = clock.now_ns()  # of listening
+        self._foreign_ns: int | None = None  # time of the last SYNC of another producer
+        self._begin_ns = clock.now_ns()  # begin of listening
         self.followers: list[SyncFollower] = []
 
     def heard(self, time_ns: int, _data: bytes) -> None:
-        """A SYNC came in; those that this link sends do not."""
+        """A SYNC was received, at `time_ns`; those that this link sends are not reported here."""
         if self._stream is None:
             self._foreign_ns = time_ns
 
     def reset(self) -> None:
-        """The bus was opened: nothing is known of it."""
+        """The bus was opened: forget what was heard."""
         self._foreign_ns, self._begin_ns = None, self._clock.now_ns()
 
     @property
@@ -68,12 +68,12 @@ class Sync:
 
     @property
     def streaming(self) -> bool:
-        """A stream on this link owns SYNC."""
+        """Whether a stream on this link owns SYNC."""
         return self._stream is not None
 
     @property
     def taken(self) -> bool:
-        """SYNC is not for a look to send."""
+        """Whether this link must not send SYNC to sample."""
         if self._stream is not None:
             return True
         if self._foreign_ns is None:
@@ -83,7 +83,7 @@ class Sync:
 
     @property
     def foreign_runs(self) -> bool:
-        """Another link or program sends SYNC so often that its next one can be waited for."""
+        """Whether another link or program sends SYNC so often that its next one can be waited for."""
         return self._foreign_ns is not None and self._clock.now_ns() - self._foreign_ns <= SYNC_FRESH_S * NS_PER_S
 
     def take(self, stream: object) -> None:
@@ -95,6 +95,6 @@ class Sync:
         self._stream = stream
 
     def release(self, stream: object) -> None:
-        """The stream has ended; nothing when it is not the owner."""
+        """End the ownership of a stream; nothing when it is not the owner."""
         if self._stream is stream:
             self._stream = self._foreign_ns = None

@@ -1,13 +1,13 @@
-"""The map of a CANopen drive's own correction table: a TOML file that says what it is like and in which objects it stands.
+"""The map of a CANopen drive's own correction table: a TOML file with its properties and its objects.
 
     [table]              name, points, nodes, interpolation, outside, directions, sign, memory
-    [table.position]     unit, scale: what one of it stands for; [table.value] likewise, for the values
+    [table.position]     unit, scale: value of one raw step; [table.value] likewise, for the values
     [objects]            enable, and where the drive has them: count, origin, step, backlash, applied
                          form "array": plus, minus and position, each {object = first sub-index, type}
                          form "domain": domain = object, record = columns of one point in their order with their types
     [objects.enable]     object, type, on, off
 
-`drivers/canopen/tables` holds two complete examples, which the simulated drive obeys. Numbers are little-endian, as CiA-301 has them.
+`drivers/canopen/tables` holds two complete examples, which the simulated drive uses. Numbers are little-endian, as in CiA-301.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _MOST_POINTS = 1 << 16
 
 @dataclass(frozen=True)
 class TableMap:
-    """Where a table stands. columns: the first sub-index of each array; record: (column, type) of a domain's point, in order.
+    """The objects of a table. columns: the first sub-index of each array; record: (column, type) of a domain's point, in order.
 
-    scalars: count, origin, step, backlash and applied, as far as the drive has them.
+    scalars: count, origin, step, backlash and applied, where the drive has them.
     """
 
     path: Path
@@ -66,7 +66,7 @@ def shipped_tables() -> dict[str, Path]:
 
 
 def load_table_map(name_or_path: str | Path) -> TableMap:
-    """A file, or a shipped map by name. Raises InputError naming file, line and key."""
+    """A map from a file, or a shipped map by name. Raises InputError naming file, line and key."""
     path = Path(name_or_path)
     shipped = shipped_tables()
     if not path.is_file():
@@ -174,7 +174,7 @@ class _Quantity:
     high: int | None = None
 
     def quantity(self, kind: DataType) -> Quantity:
-        """In the range of a type, or less."""
+        """The quantity, in the range of a type or within the limits given. Raises SchemaError."""
         low, high = bounds(kind)
         for key, value in (("low", self.low), ("high", self.high)):
             if value is not None and not low <= value <= high:
@@ -198,7 +198,7 @@ class _Table(TableHead):
 
 @dataclass(frozen=True)
 class _Places:
-    """Where the parts of a table stand, and the types of its columns."""
+    """The objects of the parts of a table, and the types of its columns."""
 
     columns: dict[str, Entry]
     domain: Entry | None
@@ -207,7 +207,7 @@ class _Places:
 
 
 def _places(table: _Table, objects: _Objects) -> _Places:
-    """Hold [table] and [objects] against each other."""
+    """Check [table] and [objects] against each other. Raises SchemaError."""
     in_domain = table.form == "domain"
     named = table.named(objects, "a table", without=(*COLUMNS, "count") if in_domain else ())
     scalars = {key: each.entry(key) for key, each in named.items()}

@@ -1,6 +1,6 @@
-"""Touch probe over CiA-402: 60B8h arms, 60B9h shows, 60BAh to 60BDh hold what was latched.
+"""Touch probe over CiA-402: 60B8h arms, 60B9h shows the state, 60BAh to 60BDh hold the latched positions.
 
-What may go in: the bits of these objects. What counts as a new latch is `drivers.touch_probe`'s business.
+Holds the bits of these objects. `drivers.touch_probe` decides which latch is new.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""What a CiA-402 drive says of its own position units (608Fh, 6091h, 6092h and 60A8h), and every way in which it may mean it.
+"""Position units that a CiA-402 drive reports (608Fh, 6091h, 6092h and 60A8h), with every possible interpretation.
 
-They are a claim; whether the axis moves by what they say only an instrument can tell.
+These values are a claim; whether the axis moves by them, only an instrument shows.
 
 By the standard the position on the wire (6064h) is internal increments · feed / (encoder resolution · gear ratio), in the unit that
-60A8h names, and the feed (6092h) is in the same unit (IEC 61800-7-201, factor group): what the wire counts per revolution of the
-driving shaft. Where 60A8h names a length, that is the screw's lead too, and nothing is left open. Where it names increments, or is
-missing, drives differ: some keep to that; others show the encoder's increments and keep the lead in the feed, in the unit that their
-manufacturer chose. Micrometres are taken then, the usual choice.
+60A8h names, and the feed (6092h) is in the same unit (IEC 61800-7-201, factor group): position units per revolution of the
+driving shaft. Where 60A8h names a length, that is the screw's lead too, and there is one interpretation. Where it names increments, or
+is missing, drives differ: some follow the standard; others show the encoder's increments and keep the lead in the feed, in the unit
+that their manufacturer chose. Micrometres are assumed then, the usual choice.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ UM_PER_MM = 1000
 
 
 def read_units(sdo: SdoClient) -> ReportedScaling:
-    """Ask the drive. Raises NoAnswerError, ProtocolError; what is missing or zero in the drive becomes None."""
+    """Read the objects. Raises NoAnswerError, ProtocolError; an object that is missing or zero becomes None."""
     encoder = _ratio(sdo, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
     gear = _ratio(sdo, objects.GEAR_MOTOR_REVOLUTIONS, objects.GEAR_SHAFT_REVOLUTIONS)
     feed = _ratio(sdo, objects.FEED, objects.FEED_SHAFT_REVOLUTIONS)
@@ -64,9 +64,9 @@ def _ratio(sdo: SdoClient, above: Entry, below: Entry) -> Fraction | None:
 
 
 def readings(reported: ReportedScaling) -> tuple[ReportedScaling, ...]:
-    """What `read_units` made of a drive's objects, and how else they may be meant, the likeliest first.
+    """The values of `read_units`, and their other possible interpretations, the likeliest first.
 
-    A feed of 1 per revolution is a factory value and no feed.
+    A feed of 1 per revolution is a factory default and not used as a feed.
     """
     encoder, gear = reported.encoder_counts_per_motor_rev, reported.motor_revs_per_shaft_rev
     units, feed_mm = reported.position_units_per_shaft_rev, reported.feed_mm_per_shaft_rev

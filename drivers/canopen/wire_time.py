@@ -1,7 +1,6 @@
-"""How long frames keep the bus busy, before any is sent: the range without and with the worst stuffing (ISO 11898-1).
+"""Bus time of frames, computed beforehand: the range without and with the worst stuffing (ISO 11898-1).
 
-What may go in: arithmetic that predicts load and cycle times. The exact length of a given frame is the simulated bus's business,
-which counts it bit by bit on its own.
+Predicts load and cycle times. The simulated bus computes the exact length of each frame, bit by bit, with code of its own.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True)
 class BitRange:
-    """Bits on the wire, at least and at most."""
+    """Number of bits on the wire, least and most."""
 
     least: int
     most: int
@@ -23,7 +22,7 @@ class BitRange:
         return BitRange(self.least + other.least, self.most + other.most)
 
     def time_ns(self, bitrate: int) -> tuple[int, int]:
-        """(least, most) in ns."""
+        """(least, most) duration in ns at `bitrate` bit/s."""
         return self.least * NS_PER_S // bitrate, self.most * NS_PER_S // bitrate
 
 

@@ -1,8 +1,8 @@
-"""Any instrument that writes its value as text, a line each, sans I/O: the line is described by a pattern.
+"""Decoder for instruments that send their value as text, one line each; a pattern describes the line. No I/O.
 
 A pattern is a regular expression over the whole line with a group `value` and, where the line says it, a group `unit` (mm, um, µm,
-in, inch, "). It should pin down the width of the number, or `decimals` be given: of a line that lost its end, `+0000.12` would be as
-good a number as `+0000.123`. Shipped: "mitutoyo" (01A+0000.123 CR, 9600 8N1, digital counters and USB tools) and "number".
+in, inch, "). It should fix the width of the number, or `decimals` be given: otherwise `+0000.12`, a line that lost its end, would
+be as valid as `+0000.123`. Shipped: "mitutoyo" (01A+0000.123 CR, 9600 8N1, digital counters and USB tools) and "number".
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,2})?")
 
 @dataclass(frozen=True)
 class AsciiSettings:
-    """pattern: the name of a shipped one, or a regular expression; fault: one for lines that say 'no value', "" for none.
+    """pattern: the name of a shipped one, or a regular expression; fault: one for lines that report 'no value', "" for none.
 
-    unit: of the value where the line does not say; decimals: digits after the point that a value must have, None for any;
-    request: what asks for a value, b"" for an instrument that sends by itself.
+    unit: of the value where the line does not contain it; decimals: digits after the point that a value must have, None for any;
+    request: bytes that ask for a value, b"" for an instrument that sends by itself. Raises InputError for what cannot work.
     """
 
     pattern: str = "number"
@@ -48,7 +48,7 @@ class AsciiSettings:
 
 
 class AsciiDecoder:
-    """Lines by a pattern. One that does not match is a BadLine, never a guess."""
+    """Decodes lines by a pattern. A line that does not match is a BadLine, never a guess."""
 
     def __init__(self, settings: AsciiSettings) -> None:
         self.settings = settings
@@ -58,15 +58,15 @@ class AsciiDecoder:
 
     @property
     def request(self) -> bytes:
-        """What asks for one value; empty for an instrument that sends by itself."""
+        """The bytes that ask for one value; empty for an instrument that sends by itself."""
         return self.settings.request
 
     def restart(self) -> None:
-        """Forget an unfinished line; of a stream that is joined in mid-line, the first is not believed."""
+        """Discard an unfinished line; the first line of a stream joined in the middle is refused."""
         self._lines = LineSplitter(LONGEST_BYTES, from_line_start=bool(self.settings.request))
 
     def feed(self, data: bytes) -> list[ValueEvent]:
-        """Events that are complete with these bytes, in order."""
+        """Events completed by these bytes, in order. Raises nothing."""
         before, whole, after = self._lines.feed(data)
         return [*before, *(self._event(line) for line in whole if line), *after]
 
@@ -76,7 +76,7 @@ class AsciiDecoder:
             return BadLine(raw, f"line longer than {LONGEST_BYTES} bytes")
         try:
             text = raw.decode("utf-8")
-        except UnicodeDecodeError:  # a µ of eight bits, or noise, which no pattern matches
+        except UnicodeDecodeError:  # an 8-bit µ or noise, which no pattern matches
             text = raw.decode("latin-1")
         if self._fault is not None and self._fault.fullmatch(text):
             return Fault(f"the instrument says {text.strip()!r}")

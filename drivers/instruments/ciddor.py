@@ -1,4 +1,4 @@
-"""Phase index of air by Ciddor's equation, for who prefers it to Edlén's (`air`): P. E. Ciddor, Applied Optics 35 (1996) 1566-1573.
+"""Phase index of air by Ciddor's equation, as an alternative to Edlén's (`air`): P. E. Ciddor, Applied Optics 35 (1996) 1566-1573.
 
 Good to a few 1e-8 between −40 and 100 °C. Density by the BIPM formula (Davis, Metrologia 29 (1992) 67); the steps are those of the
 paper's appendix. 450 ppm of CO₂. Pure functions.
@@ -24,7 +24,7 @@ def _compressibility(kelvin: float, pressure_pa: float, vapour_share: float) -> 
 
 
 def _density(kelvin: float, pressure_pa: float, vapour_share: float) -> tuple[float, float]:
-    """Of the dry air and of the vapour in it, kg/m³."""
+    """Densities of the dry air and of the vapour in it, kg/m³."""
     moles = pressure_pa / (_compressibility(kelvin, pressure_pa, vapour_share) * _R * kelvin)
     return moles * _DRY_KG * (1.0 - vapour_share), moles * _WATER_KG * vapour_share
 
@@ -35,7 +35,7 @@ def refractive_index(
     humidity_percent: float,
     vacuum_wavelength_nm: float = HELIUM_NEON_VACUUM_NM,
 ) -> float:
-    """n of air with 450 ppm CO₂. Raises InputError as `air.refractive_index`."""
+    """Phase index n of air with 450 ppm CO₂ from °C, hPa, % and nm. Raises InputError as `air.refractive_index`."""
     check_air(temperature_c, pressure_hpa, humidity_percent)
     wavenumber2 = (1000.0 / vacuum_wavelength_nm) ** 2  # µm⁻²
     dry = 1e-8 * (5792105.0 / (238.0185 - wavenumber2) + 167917.0 / (57.362 - wavenumber2))

@@ -1,8 +1,9 @@
 """A display or gauge on a serial line as a `DistanceInstrument`: port + protocol + clock + direction.
 
-One that has to be asked is asked once at a time: the next request goes out when a look finds the answer to the last one, or none
-within ANSWER_S and the line quiet. A reading is no older than its request; of an instrument that sends by itself, no older than the
-look before it. After a fault, or a port that was away, the zero may be another one: positions stay latched until `acknowledge_loss()`.
+An instrument that answers requests has one request open at a time: the next one is sent when a poll finds the answer to the last
+one, or none within ANSWER_S on a quiet line. A reading is no older than its request; of an instrument that sends by itself, no
+older than the poll before it. After a fault or a lost port the zero may have changed: positions stay withheld until
+`acknowledge_loss()`.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from drivers.instruments.link import AskedLink
 from drivers.instruments.values import BadLine, Fault, Value, ValueProtocol
 
 ANSWER_S = 0.5
-"""How long a display is given for its answer."""
+"""Time a display is given for its answer, s."""
 
 
 class Gauge(DistanceInstrument):
-    """The instrument. direction: +1 or −1, motion of the load for rising values. `poll` returns at once; there is no thread."""
+    """The instrument. direction: +1 or −1, motion of the load for rising values. `poll` returns at once; there is no thread.
+
+    Raises InputError for another direction."""
 
     def __init__(
         self, link: AskedLink, clock: Clock, protocol: ValueProtocol, *, direction: int = 1, name: str = "gauge"
@@ -35,7 +38,7 @@ class Gauge(DistanceInstrument):
         self._latched = False
         self._looked_ns = clock.now_ns()
         self._asked_ns: int | None = None
-        self._quiet = False  # what others left on the line has been taken off
+        self._quiet = False  # whether bytes left over on the line have been discarded
         self.bad_lines = 0
         self.last_bad_line: BadLine | None = None
         self.last_fault = ""
@@ -68,7 +71,7 @@ class Gauge(DistanceInstrument):
         if not self.answers_when_asked:
             return self._readings(data, now_ns, self._looked_ns)
         readings: list[Reading] = []
-        if self._asked_ns is None:  # nothing is expected: what comes was not asked for
+        if self._asked_ns is None:  # no request is open: what comes is unrequested
             self._quiet = not data
         else:
             readings = self._readings(data, now_ns, self._asked_ns)
@@ -106,10 +109,10 @@ class Gauge(DistanceInstrument):
         self._latched = False
 
     def environment(self) -> Environment:
-        """None of these measures the air."""
+        """Empty: none of these instruments measures the air."""
         return Environment(self._looked_ns)
 
     @property
     def sample_rate_hz(self) -> float | None:
-        """Not stated by any of these."""
+        """None: none of these instruments states its rate."""
         return None

@@ -1,6 +1,6 @@
-"""Lines out of a stream of bytes, sans I/O: in pieces, with any line end, joined in the middle, or never ending.
+"""Splits a stream of bytes into lines, without I/O: in pieces, with any line end, joined in the middle, or never ending.
 
-What every instrument that talks in lines needs before it looks at a character. Memory is bounded by the longest line allowed.
+Used by every instrument that talks in lines, before a character is interpreted. Memory is bounded by the longest line allowed.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 
 class BadLine(NamedTuple):
-    """Bytes that are no reading: `raw` without the line end, cut to the longest line; `reason` for a person."""
+    """Bytes that are no reading: `raw` without the line end, cut to the longest line; `reason` as text."""
 
     raw: bytes
     reason: str
 
 
 class Lines(NamedTuple):
-    """What one piece completed: `whole` lines without their ends, and what was refused before and after them."""
+    """The result of one piece: `whole` lines without their ends, and what was refused before and after them."""
 
     before: list[BadLine]
     whole: list[bytes]
@@ -24,9 +24,9 @@ class Lines(NamedTuple):
 
 
 class LineSplitter:
-    """Lines may arrive in pieces and end in CR, LF or both; both together count as one end, so an empty line means nothing.
+    """Lines may arrive in pieces and end in CR, LF or both; both together count as one end, so an empty line is ignored.
 
-    Joining a running stream one usually starts in mid-line, where a cut first number would look like a small one: the bytes before
+    A running stream is usually joined in mid-line, where a cut first number would look like a small one: the bytes before
     the first line end are refused unless `from_line_start`.
     """
 
@@ -56,7 +56,7 @@ class LineSplitter:
         return Lines(before, whole, after)
 
     def _refuse_first(self, whole: list[bytes]) -> list[BadLine]:
-        """The end of a line whose beginning was never heard, or was reported as overlong."""
+        """Refuse the end of a line whose beginning was not received, or was reported as overlong."""
         first = whole.pop(0)
         refused = [BadLine(first[: self._longest], "joined in mid-line")] if first and not self._overlong else []
         self._aligned = True

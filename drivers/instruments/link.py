@@ -1,4 +1,4 @@
-"""What an instrument needs of its wire: bytes that have arrived, without waiting. `SerialLink` is one; tests bring their own."""
+"""ByteLink: what an instrument needs of its wire, bytes that have arrived, without waiting. `SerialLink` implements it."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from drivers.clock import NS_PER_S, Clock
 from drivers.errors import LinkLostError
 
 RETRY_S = 0.5
-"""How often a port that went away is looked for."""
+"""Interval at which a lost port is tried again, s."""
 
 
 class ByteLink(Protocol):
-    """A wire that is only ever looked at."""
+    """A wire that is polled and never waited for."""
 
     def open(self) -> None:
-        """Raises LinkLostError when there is none."""
+        """Open it. Raises LinkLostError when it cannot be opened."""
 
     def close(self) -> None:
         """Never raises."""
 
     def read_waiting(self) -> bytes:
-        """What has arrived, possibly nothing. Raises LinkLostError when the wire is gone."""
+        """The bytes that have arrived, possibly none. Raises LinkLostError when the wire is lost."""
 
 
 class AskedLink(ByteLink, Protocol):
-    """One that takes requests too."""
+    """A wire that also takes requests."""
 
     def write(self, data: bytes) -> None:
-        """Raises LinkLostError when the wire is gone."""
+        """Send bytes. Raises LinkLostError when the wire is lost."""
 
 
 class PatientLink:
-    """A wire that may be unplugged and plugged in again: every look says that it is gone until it is there again.
+    """A wire that may be unplugged and plugged in again: every access raises LinkLostError until it has been opened again.
 
-    Who reads it learns of the gap from the LinkLostError; what was unfinished then, and a zero that a restart took, is theirs to know.
+    The reader learns of the gap from that error; it then has to discard unfinished data and to expect another zero.
     """
 
     def __init__(self, link: AskedLink, clock: Clock) -> None:

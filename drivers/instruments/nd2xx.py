@@ -1,14 +1,14 @@
-"""HEIDENHAIN ND 2xx displays (length gauges, encoders), sans I/O: bytes in, typed events out; and what to ask them.
+"""Decoder for HEIDENHAIN ND 2xx displays (length gauges, encoders): bytes in, typed events out, and the requests. No I/O.
 
-RS-232-C, 7 data bits, even parity, 2 stop bits. A display says nothing by itself. Two requests give the position (user's manual,
+RS-232-C, 7 data bits, even parity, 2 stop bits. A display sends nothing unrequested. Two requests give the position (user's manual,
 "Data interface"):
 
     Ctrl-B          -> what is displayed, 15 characters and CR LF: sign, 10 for the number with its decimal point (leading zeros
                        are blanks), blank, unit (blank mm, " inch, ? fault), sorting status, kind of a measurement series
     ESC A0200 CR    -> the count: STX, sign, 9 digits without a decimal point, CR LF
 
-A pulse on the display's external input (EXT) stores a value within a microsecond and sends what is displayed without being asked.
-An ESC command that is not understood is answered by NAK. Whatever arrives, `Nd2xxDecoder.feed` raises nothing.
+A pulse on the display's external input (EXT) stores a value within a microsecond and sends the displayed value unrequested.
+An ESC command that is not understood is answered by NAK. `Nd2xxDecoder.feed` raises nothing, whatever arrives.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _TEXT = re.compile(rb"\x02(?=.*[A-Za-z])(?P<text>[ -~]{1,20})")
 
 
 class Nd2xxDecoder:
-    """Replies of either kind. count_mm: what one step of the count is; None where only the displayed value is asked for.
+    """Replies of either kind. count_mm: one step of the count, mm; None where only the displayed value is requested.
 
-    pulsed: nothing is asked for, its external input does
+    pulsed: no requests; its external input triggers the values. Raises InputError for a count_mm outside 0…1.
     """
 
     def __init__(self, count_mm: float | None = None, *, pulsed: bool = False) -> None:
@@ -46,17 +46,17 @@ class Nd2xxDecoder:
 
     @property
     def request(self) -> bytes:
-        """What asks for one value."""
+        """The bytes that ask for one value."""
         if self._pulsed:
             return b""
         return ASK_DISPLAYED if self._count_mm is None else ASK_COUNT
 
     def restart(self) -> None:
-        """Forget an unfinished reply."""
+        """Discard an unfinished reply."""
         self._lines = LineSplitter(LONGEST_BYTES, from_line_start=True)
 
     def feed(self, data: bytes) -> list[ValueEvent]:
-        """Events that are complete with these bytes, in order. ACK says nothing of a position and is left out."""
+        """Events completed by these bytes, in order; ACK carries no position and is left out. Raises nothing."""
         before, whole, after = self._lines.feed(data.replace(ACK, b"\n").replace(NAK, b"\n" + NAK + b"\n"))
         return [*before, *(self._event(line) for line in whole if line), *after]
 

@@ -1,7 +1,7 @@
-"""A recorded file played as an instrument, with its timing: what a real one said once, for trying everything else without it.
+"""Playback of a recorded file as an instrument, with its timing: real data for trying everything else without the instrument.
 
-`Recording` is the file's columns (CSV, `#` comments, header row; plain or .gz), `ReplayInstrument` plays one of them by a clock.
-Readings carry the time they were recorded at, brought forward to when playing began; after the last one there are no more.
+`Recording` holds the file's columns (CSV, `#` comments, header row; plain or .gz), `ReplayInstrument` plays one of them by a clock.
+Readings carry their recorded time, shifted to the start of playback; after the last one none follow.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _AIR = ("air_temp_c", "air_pressure_hpa", "air_humidity_percent")
 
 @dataclass(frozen=True)
 class Recording:
-    """Columns of one length by name; `time_s` among them, ascending."""
+    """Columns of one length by name; `time_s` among them, ascending. Raises InputError for others."""
 
     columns: Mapping[str, Sequence[float]]
 
@@ -39,7 +39,7 @@ class Recording:
 
     @classmethod
     def read(cls, path: str | Path) -> Recording:
-        """A file. Raises InputError naming it, and the line."""
+        """Read a file. Raises InputError naming it, and the line."""
         try:
             data = Path(path).read_bytes()
             text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode("utf-8")
@@ -53,7 +53,7 @@ class Recording:
             raise InputError(error.what, path=path, line=error.line) from error
 
     def column(self, name: str) -> Sequence[float]:
-        """Raises InputError for one that is not there."""
+        """The values of a column. Raises InputError for one that is not there."""
         if name not in self.columns:
             raise InputError(f"recording has no column {name}; it has {', '.join(self.columns)}")
         return self.columns[name]
@@ -85,7 +85,7 @@ def _columns(text: str) -> dict[str, list[float]]:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """column: the one that is the position; direction: +1 or −1, motion of the load for rising values; speed: of playing."""
+    """column: the position's; direction: +1 or −1, motion of the load for rising values; speed: playback factor. Raises InputError."""
 
     column: str = "laser_mm"
     direction: int = 1
@@ -118,7 +118,7 @@ class ReplayInstrument(DistanceInstrument):
         self._start_ns, self._next = self._clock.now_ns(), 0
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Does nothing: no file is kept open."""
 
     def poll(self) -> list[Reading]:
         end = bisect_right(self._due_ns, self._clock.now_ns() - self._start_ns)
@@ -138,7 +138,7 @@ class ReplayInstrument(DistanceInstrument):
         return self._next == len(self._due_ns)
 
     def environment(self) -> Environment:
-        """Of the last row played; what the recording does not hold is unknown."""
+        """Values of the last row played; what the recording does not hold is None."""
         row = max(0, self._next - 1)
         now = {name: column[row] for name, column in self._recording.columns.items() if isfinite(column[row])}
         air_temp_c, pressure_hpa, humidity_percent = (now.get(name) for name in _AIR)
@@ -148,5 +148,5 @@ class ReplayInstrument(DistanceInstrument):
 
     @property
     def sample_rate_hz(self) -> float | None:
-        """The mean rate, where there is one."""
+        """The mean rate of the recording, Hz; None for one of no duration."""
         return (len(self._due_ns) - 1) * NS_PER_S / self._due_ns[-1] if self._due_ns[-1] else None

@@ -1,6 +1,6 @@
-"""A serial port that is only ever looked at: whatever arrived is taken, nothing is waited for.
+"""SerialLink: a serial port that is polled: it returns the bytes that have arrived and never waits.
 
-The one module of the instruments that touches pyserial; protocols stay free of I/O.
+No other module of the instruments uses pyserial; the protocols have no I/O.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class SerialLink:
         return self._serial is not None
 
     def open(self) -> None:
-        """Open exclusively."""
+        """Open exclusively. Raises LinkLostError."""
         if self._serial is not None:
             return
         try:
@@ -53,10 +53,10 @@ class SerialLink:
             try:
                 port.close()
             except (serial.SerialException, OSError):
-                return  # it is gone, which is what was wanted
+                return  # already gone, which has the same effect
 
     def read_waiting(self) -> bytes:
-        """What has arrived, possibly nothing; at most MAX_READ_BYTES."""
+        """The bytes that have arrived, possibly none; at most MAX_READ_BYTES. Raises LinkLostError."""
         if self._serial is None:
             raise LinkLostError(f"port {self.port} is not open")
         try:
@@ -67,7 +67,7 @@ class SerialLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """For instruments that have to be asked. A port that does not take the few bytes of a request at once is as good as gone."""
+        """Send a request. Raises LinkLostError, also for a port that does not take the few bytes of a request at once."""
         if self._serial is None:
             raise LinkLostError(f"port {self.port} is not open")
         try:

@@ -1,4 +1,4 @@
-"""The µMD interferometer's serial protocol, sans I/O: bytes in, typed events out. Knows no port, no clock and no unit but its own.
+"""Decoder for the µMD interferometer's serial protocol: bytes in, typed events out. No I/O, no clock, no unit but the protocol's.
 
 The firmware (Micro Measurement Display, publicly documented, 115200 baud 8N1) sends one line per sample without being asked: 8
 decimal integers, 16 where several axes are fitted, separated by blanks, ended by CR LF:
@@ -9,7 +9,7 @@ REF, MEAS: cycles of the reference and of the measuring beam within one sample; 
 optics; phase: its fraction in 1/256, of which bit 0x100 is the sign and 0x7E00 are error bits; seq: number of the sample;
 lsCode/lsData: one slow value at a time.
 
-Whatever arrives, `UmdDecoder.feed` raises nothing: what is no sample becomes a `BadLine` with its bytes. Memory is bounded.
+`UmdDecoder.feed` raises nothing, whatever arrives: bytes that are no sample become a `BadLine`. Memory is bounded.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _CLEAN = b"0123456789- "
 
 
 class SlowCode(IntEnum):
-    """lsCode: what lsData holds. Scales as the firmware fills them: 0.01 °C, Pa, 0.1 %, 0.01 Hz."""
+    """lsCode: the meaning of lsData. Scales as the firmware fills them: 0.01 °C, Pa, 0.1 %, 0.01 Hz."""
 
     NONE = 0
     LASER_POWER = 1
@@ -51,7 +51,7 @@ SLOW_SCALE: dict[int, float] = {
 
 
 class SampleState(Enum):
-    """What a sample says about the signal."""
+    """State of the signal in one sample."""
 
     GOOD = "good"
     HEAD_ERROR = "no reference signal"
@@ -65,7 +65,7 @@ _ERROR_BITS = _REFERENCE_BITS | _BEAM_BITS
 
 
 class AxisSample(NamedTuple):
-    """What one axis of a line says, in the protocol's integers."""
+    """The values of one axis in a line, in the protocol's integers."""
 
     ref: int
     meas: int
@@ -75,7 +75,7 @@ class AxisSample(NamedTuple):
 
     @property
     def state(self) -> SampleState:
-        """Of the reference first: without it nothing else means anything."""
+        """State of the reference first: without it the other values mean nothing."""
         phase_error = self.phase & _ERROR_BITS if self.phase >= 0 else 0
         if self.ref == 0 or phase_error & _REFERENCE_BITS:
             return SampleState.HEAD_ERROR
@@ -132,7 +132,7 @@ def lost_between(previous: int, sequence: int) -> int | None:
 
 
 class UmdDecoder:
-    """Incremental parser; lines in pieces, line ends and joining in mid-line are `LineSplitter`'s."""
+    """Incremental parser; `LineSplitter` handles lines in pieces, line ends and joining in mid-line."""
 
     def __init__(self, *, from_line_start: bool = False) -> None:
         self._lines = LineSplitter(MAX_LINE_BYTES, from_line_start=from_line_start)
@@ -143,7 +143,7 @@ class UmdDecoder:
         return self._lines.pending_bytes
 
     def feed(self, data: bytes) -> list[UmdEvent]:
-        """Events that are complete with these bytes, in order."""
+        """Events completed by these bytes, in order. Raises nothing."""
         before, whole, after = self._lines.feed(data)
         events: list[UmdEvent] = [*before]
         if any(line.translate(None, _CLEAN) or len(line) > MAX_LINE_BYTES for line in whole):

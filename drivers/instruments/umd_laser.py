@@ -1,8 +1,7 @@
 """A µMD laser interferometer as a `DistanceInstrument`: port + protocol + clock + wavelength in air.
 
-The display sends raw counts; the wavelength, the air's index, the direction and the dead path are this side's business. It counts
-increments, so once the beam was lost, or the port was away, the zero is gone: with `latch_loss` no position is given any more until
-`acknowledge_loss()`, whatever the signal does.
+The display sends raw counts; wavelength, air index, direction and dead path are applied here. It counts increments, so after a lost
+beam or port the zero is invalid: with `latch_loss` positions are withheld until `acknowledge_loss()`, whatever the signal does.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class Optics(IntEnum):
 
 @dataclass(frozen=True)
 class FixedAir:
-    """Air values that no sensor delivers (or that one is not to be believed about); None means 'from the instrument'."""
+    """Air values in °C, hPa, % that no sensor delivers, or that override a sensor; None means 'from the instrument'."""
 
     temp_c: float | None = None
     pressure_hpa: float | None = None
@@ -45,7 +44,7 @@ class FixedAir:
 
 @dataclass(frozen=True)
 class Beside:
-    """Angle or straightness optics on another axis of the display, 1 to 3. per_unit: of its quantity for one unit, signed."""
+    """Angle or straightness optics on another axis of the display, 1 to 3. per_unit: its quantity per unit of displacement, signed."""
 
     axis: int
     per_unit: float
@@ -53,7 +52,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class UmdSettings:
-    """How the instrument is set up.
+    """Set-up of the instrument. Raises InputError for values that cannot work.
 
     direction: +1 or −1, load motion for rising counts; phase_sign: +1 adds the phase's fraction, −1 subtracts it (firmware differs);
     axis: 1 to 3; places: name of a material thermometer -> slow code (3 or 4); dead_path_mm: length of air between the fixed optics
@@ -107,9 +106,9 @@ _STATUS = {
 
 
 class UmdLaser(DistanceInstrument):
-    """The instrument. `poll` reads what is there and returns at once; there is no thread.
+    """The instrument. `poll` returns the readings received and never waits; there is no thread.
 
-    With `compensate_air`, good readings are withheld until the air's index is known: `missing_air` says what it waits for.
+    With `compensate_air`, good readings are withheld until the air's index is known: `missing_air` names the missing quantities.
     """
 
     numbers_samples = True
@@ -184,7 +183,7 @@ class UmdLaser(DistanceInstrument):
         axis = sample.axis(self.settings.axis)
         status = ReadingStatus.HEAD_ERROR if axis is None else _STATUS[axis.state]
         if restarted and status is ReadingStatus.GOOD:
-            status = ReadingStatus.HEAD_ERROR  # it counts from a new zero
+            status = ReadingStatus.HEAD_ERROR  # it counts from another zero
         if self._latched is not None and status is ReadingStatus.GOOD:
             status = self._latched
         elif status is not ReadingStatus.GOOD and self.settings.latch_loss:
@@ -201,11 +200,11 @@ class UmdLaser(DistanceInstrument):
 
     @property
     def loss_latched(self) -> ReadingStatus | None:
-        """Why no position is given any more although the signal may be back; None when all is well."""
+        """Why positions are withheld although the signal may be back; None when they are not."""
         return self._latched
 
     def acknowledge_loss(self) -> None:
-        """Give positions again; their zero is a new one."""
+        """Allow positions again; their zero is another one."""
         self._latched = None
 
     # -- environment -------------------------------------------------------------------------------------------------
@@ -219,7 +218,7 @@ class UmdLaser(DistanceInstrument):
             self._update_unit()
 
     def _hear_beside(self, sample: UmdSample) -> None:
-        """A channel without a good signal has no value."""
+        """A channel without a good signal gets no value."""
         for column, optics in self.settings.beside.items():
             axis = sample.axis(optics.axis)
             if axis is None or axis.state is not SampleState.GOOD:
@@ -248,7 +247,7 @@ class UmdLaser(DistanceInstrument):
         try:
             self._index = settings.air_equation(temp_c, pressure_hpa, humidity, settings.vacuum_wavelength_nm)
         except InputError:
-            return  # a sensor that tells nonsense changes nothing; it shows in environment()
+            return  # an implausible sensor value changes nothing; it shows in environment()
         self._unit_mm = vacuum_mm / self._index
         if settings.dead_path_mm:
             if self._index_at_zero is None:
@@ -262,7 +261,7 @@ class UmdLaser(DistanceInstrument):
 
     @property
     def missing_air(self) -> tuple[str, ...]:
-        """Air quantities without which no position can be given; empty when all is known or nothing is compensated."""
+        """Air quantities without which no position can be given; empty when all are known or nothing is compensated."""
         if not self.settings.compensate_air:
             return ()
         names = ("air temperature", "air pressure", "air humidity")

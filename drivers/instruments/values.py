@@ -1,6 +1,6 @@
-"""What a display or gauge on a serial line says, one line a value: the events, and what makes them.
+"""Events of a display or gauge on a serial line, one line per value, and the protocol interface that produces them.
 
-A protocol file turns bytes into these; `gauge` joins one to a port and a clock.
+A protocol module turns bytes into events; `gauge` connects it to a port and a clock.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ __all__ = ["BadLine", "Fault", "Value", "ValueEvent", "ValueProtocol"]
 
 
 class Value(NamedTuple):
-    """A position as the instrument counts it, in mm."""
+    """A position as the instrument counts it, mm."""
 
     position_mm: float
 
 
 class Fault(NamedTuple):
-    """The instrument says that it has no value; `reason` for a person."""
+    """The instrument reports that it has no value; `reason` as text."""
 
     reason: str
 
@@ -28,14 +28,14 @@ ValueEvent = Value | Fault | BadLine
 
 
 class ValueProtocol(Protocol):
-    """Bytes in, events out; raises nothing, whatever arrives, and keeps a bounded number of bytes."""
+    """Bytes in, events out. Raises nothing, whatever arrives, and keeps a bounded number of bytes."""
 
     @property
     def request(self) -> bytes:
-        """What asks for one value; empty for an instrument that sends by itself."""
+        """The bytes that ask for one value; empty for an instrument that sends by itself."""
 
     def restart(self) -> None:
-        """Forget what is unfinished: the wire was silent, or is another one."""
+        """Discard what is unfinished: the wire was silent, or is another one."""
 
     def feed(self, data: bytes) -> list[ValueEvent]:
-        """Events that are complete with these bytes, in order."""
+        """Events completed by these bytes, in order."""

@@ -1,8 +1,8 @@
-"""Registers <-> values: types, word order and byte order, and finding the order from a value that is known.
+"""Conversion between registers and values: types, word order and byte order; and finding the order from a known value.
 
-Pure. A Modbus register is 16 bits, high byte first on the wire; everything wider is the vendor's invention. Two choices describe all
-layouts met in practice: which 16-bit word of a wide value comes first, and whether the bytes inside each word are swapped.
-`big`/`big` is ABCD, `little`/`big` CDAB, `big`/`little` BADC, `little`/`little` DCBA.
+Pure functions. A Modbus register is 16 bits, high byte first on the wire; wider values are laid out by each vendor. Two choices
+describe all layouts met in practice: which 16-bit word of a wide value comes first, and whether the bytes inside each word are
+swapped. `big`/`big` is ABCD, `little`/`big` CDAB, `big`/`little` BADC, `little`/`little` DCBA.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from drivers.errors import InputError
 
 
 class Order(Enum):
-    """Which end comes first."""
+    """Order of words in a value, or of bytes in a word: which end comes first."""
 
     BIG = "big"
     LITTLE = "little"
 
 
 class RegisterType(Enum):
-    """How the bits of one or more registers are to be read."""
+    """Interpretation of the bits of one or more registers."""
 
     BIT = "bit"  # a coil or a discrete input
     BITS = "bits"  # a 16-bit field of named flags
@@ -41,7 +41,7 @@ class RegisterType(Enum):
 
     @property
     def words(self) -> int:
-        """Registers that a value takes; 0 for a string, whose length the map states."""
+        """Number of registers of a value; 0 for a string, whose length the map states."""
         return _WORDS[self]
 
     @property
@@ -93,7 +93,7 @@ Raw = int | float | str
 
 @dataclass(frozen=True)
 class Layout:
-    """Type and orders of one value; length is the number of registers of a string."""
+    """Type and orders of one value; length: number of registers of a string. Raises InputError for a length outside 1…123."""
 
     type: RegisterType
     word_order: Order = Order.BIG
@@ -106,12 +106,12 @@ class Layout:
 
     @property
     def words(self) -> int:
-        """Registers (or coils) that the value takes."""
+        """Number of registers (or coils) of the value."""
         return self.length if self.type is RegisterType.STRING else self.type.words
 
 
 def decode(registers: Sequence[int], layout: Layout) -> Raw:
-    """Registers, shape (layout.words,), each 0…65535, -> the raw value. Raises InputError on a wrong count."""
+    """Registers, shape (layout.words,), each 0…65535, -> the raw value. Raises InputError for another number of registers."""
     if len(registers) != layout.words:
         raise InputError(f"{len(registers)} registers for a {layout.type.value}, expected {layout.words}")
     if layout.type is RegisterType.BIT:
@@ -127,7 +127,7 @@ def decode(registers: Sequence[int], layout: Layout) -> Raw:
 def encode(value: Raw, layout: Layout) -> tuple[int, ...]:
     """The raw value -> registers, shape (layout.words,).
 
-    Raises InputError when the value does not fit the type: nothing is clipped or wrapped.
+    Raises InputError for a value outside the type: nothing is clipped or wrapped.
     """
     kind = layout.type
     if kind is RegisterType.STRING:
@@ -173,7 +173,7 @@ def _from_bytes(data: bytes, layout: Layout) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class OrderMatch:
-    """One way to read the registers that gives the known value; offset counts registers from the first one given."""
+    """One layout by which the registers give the known value; offset counts registers from the first one given."""
 
     offset: int
     layout: Layout
@@ -196,14 +196,14 @@ _F32_RELATIVE = 2.0**-23  # a known value typed in decimals is not exactly a flo
 def probe_order(
     registers: Sequence[int], known_value: float, *, scale: float = 1.0, tolerance: float = 0.0
 ) -> tuple[OrderMatch, ...]:
-    """All places, types and orders in which the registers hold the known value.
+    """All offsets, types and orders by which the registers give the known value.
 
-    registers: raw registers as read, shape (n,); giving one or two more on either side of the documented address also shows an
-    address base that is off by one. known_value: what the drive's own display says, in units of `scale` per count;
-    tolerance: how far it may be off, in the same unit (an axis that is not quite still).
+    registers: raw registers as read, shape (n,); one or two more on either side of the documented address also reveal an
+    address base that is off by one. known_value: what the drive's own display shows, in units of `scale` per count;
+    tolerance: largest deviation in the same unit (for an axis that is not quite at rest).
 
-    Signed and unsigned types are both named where the value fits both; a value whose words are all alike (0, −1, 0x00010001) fits
-    every word order, so choose a known value with four different bytes.
+    Signed and unsigned types are both returned where the value fits both; a value whose words are all alike (0, −1, 0x00010001) fits
+    every word order, so choose a known value with four different bytes. Raises InputError for arguments that are not finite.
     """
     if not scale or not math.isfinite(scale):
         raise InputError(f"scale is {scale!r}, expected a finite number other than 0")

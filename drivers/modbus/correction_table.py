@@ -1,4 +1,4 @@
-"""A Modbus drive's own correction table: blocks of registers, read and written in as few requests as the model bears."""
+"""A Modbus drive's own correction table: blocks of registers, read and written in as few requests as the model allows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PLACES = ("origin", "step", "backlash")
 
 
 class ModbusCorrectionTable(CorrectionTable):
-    """wear: counts what goes into EEPROM, once for each column and each change."""
+    """The correction table of one open drive. wear: counts writes to EEPROM, one for each column and each change."""
 
     def __init__(self, drive: str, access: RegisterAccess, blocks: TableBlocks, wear: WearLedger) -> None:
         self.drive = drive
@@ -75,7 +75,7 @@ class ModbusCorrectionTable(CorrectionTable):
         self._access.write({register.name: raw})
 
     def _write_column(self, first: Register, values: Sequence[int], before: Sequence[int]) -> None:
-        """What differs, neighbours together."""
+        """Write what differs from `before`, neighbouring registers in one request."""
         width, access = first.span.count, self._access
         differs = [index >= len(before) or before[index] != value for index, value in enumerate(values)]
         if any(differs):

@@ -1,8 +1,8 @@
-"""ModbusDrive: any Modbus servo drive, by what its register map says and nothing else.
+"""ModbusDrive: any Modbus servo drive, driven by its register map alone.
 
-There is no drive model in this file: states, transitions, hand-shakes and units come from a `DriveMap`. What is fixed here is what
-every drive must be spared: a target that is not the actual position when power comes on, a fault left by enabling, a move that the
-drive never acknowledged but is believed to run, a start bit sent twice.
+There is no drive model in this file: states, transitions, hand-shakes and units come from a `DriveMap`. Fixed here are the rules for
+every drive: the target is the actual position when power comes on; a fault is never left by enabling; a move that was not acknowledged
+does not count as running; a start bit is never sent twice.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ from drivers.standstill import FROZEN_S, FrozenValues, Standstill
 from drivers.undo import undo_all
 
 _CONFIRM_S = 0.5
-"""How long a drive may take to show that it obeys a quick stop, s: many times the scan of a slow drive's interface."""
+"""Longest time for a drive to show that it obeys a quick stop, s: many times the scan of a slow drive's interface."""
 _ATTAINED_S = 0.5
-""""Homing attained" that was never seen to go away after the start counts when it and the axis stay for so long, s."""
+""""Homing attained" that did not go away after the start counts when it and the axis's position stay for this long, s."""
 
 
 class ModbusDrive(ServoDrive):
-    """One unit on a link as a drive. Several drives may share the link; it is let go when the last of them closes.
+    """One unit on a link as a drive. Several drives may share the link; it is closed when the last of them closes.
 
     Raises from its methods, besides what ServoDrive names: NoAnswerError and LinkLostError, AbortError (a refused access),
-    ProtocolError (a state or hand-shake that the map does not know), MotionTimeoutError (a transition that does not come).
+    ProtocolError (a state or hand-shake that is not in the map), MotionTimeoutError (a transition that does not come).
     """
 
     def __init__(
@@ -81,9 +81,9 @@ class ModbusDrive(ServoDrive):
         self._open = False
         self._homed: bool | None = None
         self._homing = False
-        self._attained_gone = False  # "homing attained" of the last time, since the start of this one
-        self._attained_stands = Standstill(scaling.resolution_load_mm)  # with it shown
-        self._running = False  # at a velocity that stands in the drive
+        self._attained_gone = False  # whether the "homing attained" of the last homing has gone since this one started
+        self._attained_stands = Standstill(scaling.resolution_load_mm)  # while it is shown
+        self._running = False  # a velocity other than 0 is written in the drive
         self._frozen = FrozenValues()
         self.values = DriveValues(name, drive_map, scaling)
         self.way_out = WayOut(clock, limits)
@@ -101,7 +101,7 @@ class ModbusDrive(ServoDrive):
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
-        """Connect and take one sample; writes nothing."""
+        """Connect and take one sample; writes nothing. Raises StateError when it is open already, LinkLostError, NoAnswerError."""
         if self._open:
             raise StateError(f"drive {self.name} is already open")
         self.link.open()
@@ -111,7 +111,7 @@ class ModbusDrive(ServoDrive):
             self.moves.under_way = None
             self.orders.forget()
             self.way_out.over()
-            self.link.heed(self.unit, self.way_out)
+            self.link.limit_by(self.unit, self.way_out)
             self.access.note(self.map.quick_stop)
             self.sample()
         except BaseException:
@@ -120,9 +120,9 @@ class ModbusDrive(ServoDrive):
             raise
 
     def close(self) -> None:
-        """Disable, put mode, speeds and ramps back as they were found, and disconnect; every step is tried.
+        """Disable, restore mode, speeds and ramps as they were found, and disconnect; every step is tried, see `undo_all`.
 
-        Silent when all of it failed because nobody answers: there is nobody left to tell.
+        Raises nothing when all of it failed without an answer: without a drive nothing can be done.
         """
         if not self._open:
             return
@@ -137,21 +137,22 @@ class ModbusDrive(ServoDrive):
             self.link.close()
 
     def _disable_at_last(self) -> None:
-        """Once more where the first try failed and the drive answers, as one that answers late or fell silent for a while does."""
+        """Disable once more where the first try failed and the drive answers, such as one that answers late or was silent for a
+        while."""
         try:
             self.disable()
         except HeldUnderPowerError:
-            self.orders.forget()  # a mode is not changed under an axis that its drive holds
+            self.orders.forget()  # the mode of an axis under power is not changed
             raise
         except BridgeError:
             if not self._answers():
                 raise
-            with suppress(BridgeError):  # disabling says what is wrong
+            with suppress(BridgeError):  # the error of disabling is reported
                 self.quick_stop()
             self.disable()
 
     def _answers(self) -> bool:
-        """Whether one request, without repeats, is answered by anything."""
+        """Whether the unit gives any answer to one request without repeats."""
         try:
             self._stop_look()
         except TransportError:
@@ -166,7 +167,7 @@ class ModbusDrive(ServoDrive):
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """What the map describes."""
+        """The capabilities that the map describes."""
         found = {Capability.PROFILE_POSITION, Capability.PARAMETERS}
         if self.map.homing is not None:
             found.add(Capability.HOMING)
@@ -183,13 +184,13 @@ class ModbusDrive(ServoDrive):
         return frozenset(found)
 
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
-        """By the map's [drive.scaling]: constants of the model, or its registers."""
+        """Units by the map's [drive.scaling]: constants of the model, or its registers."""
         self._require_open()
         return (self._parameters.reported_scaling(),)
 
     @property
     def correction_table(self) -> ModbusCorrectionTable | None:
-        """By the map's [drive.correction_table]."""
+        """The table by the map's [drive.correction_table]; None without one."""
         self._require_open()
         blocks = self.map.table
         return None if blocks is None else ModbusCorrectionTable(self.name, self.access, blocks, self._parameters.wear)
@@ -197,21 +198,23 @@ class ModbusDrive(ServoDrive):
     # -- reading ---------------------------------------------------------------------------------------------------
     @property
     def sample_wire_s(self) -> float:
-        """Predicted time on the wire of one sample."""
+        """Predicted time on the wire of one sample, s."""
         return self.access.plan(self.map.sampled()).wire_s
 
     def sample(self) -> DriveSample:
-        """A fresh sample, all its registers asked for in as few requests as the wire is best served with.
+        """A fresh sample, all its registers read in as few requests as the wire allows.
 
-        following_error_mm is as the drive gives it. Raises DriveFaultError once when a homing that was started failed, LimitError
+        following_error_mm is as the drive gives it, mm. Raises DriveFaultError once when a homing that was started failed, LimitError
         (with a quick stop) when a velocity run comes to the end of the travel, ProtocolError (with a stop) for values that are frozen
-        while the axis was told to move.
+        while the axis was ordered to move.
         """
         sample = self._look()
         self._judge_alive(sample)
         if self._running and sample.state is DriveState.ENABLED:
             velocity_mm_s = sample.velocity_mm_s or 0.0
-            lag_mm = math.copysign(sample.following_error_mm or 0.0, velocity_mm_s)  # it brakes from where it should be
+            lag_mm = math.copysign(
+                sample.following_error_mm or 0.0, velocity_mm_s
+            )  # it brakes from its demand position
             self._watch_travel(sample.position_load_mm + lag_mm, velocity_mm_s)
         return sample
 
@@ -228,7 +231,7 @@ class ModbusDrive(ServoDrive):
             )
 
     def _look(self) -> DriveSample:
-        """A sample, without what a velocity run is watched for."""
+        """A sample, without the supervision of a velocity run."""
         self._require_open()
         raw = self.access.read(self.map.sampled())
         time_ns = self.clock.now_ns()
@@ -265,13 +268,13 @@ class ModbusDrive(ServoDrive):
         self._homing, self._homed = False, attained
 
     def _is_of_this_homing(self, attained: bool, time_ns: int, position_mm: float) -> bool:
-        """Whether what is shown can no longer be the "attained" of the last homing, which stays until a drive looks at its orders."""
+        """Whether the "attained" shown cannot be that of the last homing, which stays until the drive has processed its orders."""
         self._attained_gone = self._attained_gone or not attained
         stayed = self._attained_stands.look(time_ns, position_mm, still_s=_ATTAINED_S)
         return self._attained_gone or stayed
 
     def zero(self) -> DriveZero:
-        """By the map's [drive.homing] and identity."""
+        """Zero by the map's [drive.homing] and identity."""
         self._require_open()
         identity: dict[str, int | str] = {"map": self.registers.name}
         identity |= {name: str(self._parameters.read(name)) for name in self.map.identity}
@@ -284,8 +287,8 @@ class ModbusDrive(ServoDrive):
         return DriveZero(method, self.values.load_mm(raw, homing.home_position), identity)
 
     def says_homed(self) -> bool | None:
-        """A flag that means something in homing mode only is asked in that mode, which a disabled drive is put into; the drive may
-        have forgotten it with the change of mode."""
+        """A flag that is valid in homing mode only is read in that mode, which a disabled drive is put into; the drive may
+        have lost it with the change of mode."""
         self._require_open()
         homing = self.map.homing
         if self._homed is None and homing is not None and self.power.state() is DriveState.SWITCH_ON_DISABLED:
@@ -301,7 +304,7 @@ class ModbusDrive(ServoDrive):
         self.way_out.over()
         try:
             self._enable_by_steps()
-        except BridgeError as error:  # a drive that was too slow for a step must not come up afterwards
+        except BridgeError as error:  # a drive that was too slow for a step must not be enabled afterwards
             undo_all([("not disabled", self.disable)], during=error)
             raise
 
@@ -318,7 +321,7 @@ class ModbusDrive(ServoDrive):
         self.power.enable(self._target_here)
 
     def _target_here(self) -> None:
-        """Target := actual, so that power coming on moves nothing."""
+        """Target := actual, so that switching power on moves nothing."""
         self._write_here(self.map.move.target)
         self.moves.under_way = None
 
@@ -327,7 +330,7 @@ class ModbusDrive(ServoDrive):
         self.access.write({target: self.values.raw(counts, target)})
 
     def disable(self) -> None:
-        """Halt, wait for standstill, then power off. One that does not come to rest is quick-stopped, and disabled all the same.
+        """Halt, wait for standstill, then power off. An axis that does not come to rest is quick-stopped, and disabled all the same.
 
         Raises HeldUnderPowerError for an axis that would then fall: it stays under power, quick-stopped. After any other error of the
         wire or the drive a stop was sent.
@@ -345,14 +348,15 @@ class ModbusDrive(ServoDrive):
         state = self.power.state()
         if state in FAULTS or not self.power.can_disable(state):
             self._end_run()
-            return  # nothing is powered
+            return  # the power stage is off
         if state in (DriveState.ENABLED, DriveState.QUICK_STOP):
             self._come_to_rest(state)
         undo_all([("", partial(self._power_off, state)), ("", self._end_run)])
         self.moves.under_way = None
 
     def _power_off(self, state: DriveState) -> None:
-        """state: the last that was seen. Where nobody answers, what takes power off is sent all the same: the axis had its time."""
+        """state: the last one seen. Without an answer the writes that take power off are sent all the same, after the time of
+        braking."""
         try:
             now = self.power.state()
             if self.power.can_disable(now):
@@ -373,7 +377,8 @@ class ModbusDrive(ServoDrive):
             )
 
     def _halted(self) -> bool:
-        """By the halt of the map, in the time that braking from the axis's highest speed needs: half of the way out, at most."""
+        """Halt by the map, within the time of braking from the axis's highest velocity: half of the limit of shutting down, at
+        most."""
         try:
             self.orders.give(self.map.halt)
         except BridgeError:
@@ -383,7 +388,7 @@ class ModbusDrive(ServoDrive):
         return self._stands_within(self.way_out.within_s(braking_s, leave_s=0.5 * self.way_out.budget_s))
 
     def _braking_s(self) -> float:
-        """Within which any drive brings its axis to rest, also by a ramp ten times flatter than the axis's, if nothing limits it."""
+        """Longest time of braking, s, also with a ramp ten times flatter than the axis's."""
         return 5.0 + 10.0 * self.limits.max_velocity_mm_s / self.limits.max_acceleration_mm_s2
 
     def _stands_within(self, timeout_s: float) -> bool:
@@ -405,17 +410,17 @@ class ModbusDrive(ServoDrive):
         self.way_out.share(time)
 
     def send_stop(self) -> None:
-        """The map's quick stop, posted: past the lock, the back-off and the exchange under way."""
+        """The map's quick stop, posted: without waiting for the lock, the back-off or the exchange in progress."""
         self.orders.stopped = True
         if self._open:
-            with suppress(Exception):  # whoever sends a stop is in trouble already
+            with suppress(Exception):  # send_stop never raises
                 self.access.post(self.map.quick_stop)
 
     def quick_stop(self) -> None:
-        """Sent at once, whatever the state and however long the unit has been silent; then seen to be obeyed.
+        """Sent at once, in any state and however long the unit has been silent; then the drive must show that it obeys.
 
-        Where the drive does not show it, it is sent again until it is acknowledged. Raises what the wire raises, and
-        MotionTimeoutError for a drive that goes on.
+        Where the drive does not show it, it is sent again until it is acknowledged. Raises NoAnswerError, LinkLostError,
+        AbortError, and MotionTimeoutError for a drive that moves on.
         """
         self._require_open()
         self._homing = False
@@ -436,14 +441,14 @@ class ModbusDrive(ServoDrive):
             )
 
     def _stop_shown(self) -> bool:
-        """One look, without repeats."""
+        """Whether one sample, without repeats, shows the stop."""
         try:
             return self._stop_look().state is not DriveState.ENABLED
         except BridgeError:
             return False
 
     def _stop_look(self) -> DriveSample:
-        """What tells whether a stop is obeyed; also of a unit in back-off."""
+        """The values that show whether a stop is obeyed; also of a unit in back-off."""
         names = [rule.condition.register for rule in self.map.states] + [self.map.position]
         raw = self.access.read(tuple(dict.fromkeys(names)), urgent=True, repeats=0)
         position_mm = self.scaling.load_mm(self.values.position_counts(raw))
@@ -451,12 +456,12 @@ class ModbusDrive(ServoDrive):
 
     @staticmethod
     def _obeys(sample: DriveSample, standstill: Standstill) -> bool:
-        """Some drives stop without leaving "operation enabled"."""
+        """Whether a sample shows the stop; some drives stop without leaving "operation enabled"."""
         return sample.state is not DriveState.ENABLED or standstill.look(sample.time_ns, sample.position_load_mm)
 
     @contextmanager
     def _no_motion_after_errors(self) -> Iterator[None]:
-        """An error inside stops the axis and takes its power off; what else ends it (the operator) sends a stop."""
+        """An error inside stops the axis and takes its power off; another exception (the operator's stop) sends a stop."""
         try:
             yield
         except BridgeError as error:
@@ -491,7 +496,7 @@ class ModbusDrive(ServoDrive):
                 self.clock.sleep_s(POLL_S)
 
     def _attained_seen(self, homing: HomingMap) -> bool:
-        """One look for whether "attained" has gone, or has stayed for long enough."""
+        """Whether one sample shows that "attained" has gone, or has stayed for long enough."""
         raw = self.access.read(self.map.sampled())
         position_mm = self.scaling.load_mm(self.values.position_counts(raw))
         attained = hold(homing.applies, raw) and hold(homing.attained, raw)
@@ -501,7 +506,7 @@ class ModbusDrive(ServoDrive):
         self.orders.give(homing.release)
 
     def _leave_homing(self, raw: dict[str, Raw]) -> None:
-        """A homing order that still stands would come to life again, or be taken for a new set-point."""
+        """Take back a homing order that is still set: it would start another homing, or act as a new set-point."""
         homing = self.map.homing
         self._homing = False
         if homing is not None and homing.applies and hold(homing.applies, raw):
@@ -509,7 +514,7 @@ class ModbusDrive(ServoDrive):
 
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         raw = self.access.read(self.map.sampled())
-        move = self.moves.planned(position_load_mm, velocity_mm_s, raw)  # refused here, before anything is written
+        move = self.moves.planned(position_load_mm, velocity_mm_s, raw)  # refuses before anything is written
         with self._no_motion_after_errors():
             self._leave_homing(raw)
             self._end_run()
@@ -522,14 +527,14 @@ class ModbusDrive(ServoDrive):
         if run is None:
             raise CapabilityError(f"drive {self.name}: its register map has no velocity run")
         counts_per_s = self.scaling.direction * velocity_mm_s * self.scaling.counts_per_load_mm
-        target = {run.target: self.values.raw(counts_per_s, run.target)}  # refused here, before anything is written
+        target = {run.target: self.values.raw(counts_per_s, run.target)}  # refuses before anything is written
         raw = self.access.read(self.map.sampled())
         self.moves.under_way = None
         with self._no_motion_after_errors():
             self._leave_homing(raw)
             self.access.write(self.moves.ramp_settings(run.acceleration, run.deceleration))
             if not self._running:
-                self._write_no_velocity()  # what is left there from before must not come to life with the mode
+                self._write_no_velocity()  # an old velocity must not take effect with the mode
             self.orders.set_mode(run.mode, run.mode_shown, run.timeout_s)
             self._running = True
             self.orders.start(run.start, "velocity run", run.timeout_s)
@@ -540,7 +545,7 @@ class ModbusDrive(ServoDrive):
             self.access.write({self.map.run.target: self.values.raw(0.0, self.map.run.target)})
 
     def _end_run(self) -> None:
-        """No velocity stays behind in the drive."""
+        """Write 0 to the velocity register, so that no velocity stays in the drive."""
         if self._running:
             self._write_no_velocity()
             self._running = False
@@ -554,7 +559,7 @@ class ModbusDrive(ServoDrive):
         return PacedGroup([self, *others], settings)
 
     def begin_stream(self) -> DriveSample:
-        """For `ModbusStream`: target := actual, then the mode in which the drive follows it; where it stands then."""
+        """For `ModbusStream`: target := actual, then the mode in which the drive follows it; a sample. Raises CapabilityError."""
         stream = self.map.stream
         self._require_enabled("stream")
         if stream is None:
@@ -568,18 +573,18 @@ class ModbusDrive(ServoDrive):
             return self.sample()
 
     def send_set_point(self, position_load_mm: float) -> None:
-        """For `ModbusStream`: the next set-point."""
+        """For `ModbusStream`: the next set-point, load mm."""
         target = self.map.stream.target if self.map.stream is not None else self.map.move.target
         counts = float(self.scaling.motor_counts(position_load_mm))
         self.orders.write({target: self.values.raw(counts, target)})
 
     def end_stream(self) -> None:
-        """For `ModbusStream`: back to the mode of moves, held where it is."""
+        """For `ModbusStream`: return to the mode of moves, held where it is."""
         with self._no_motion_after_errors():
             self._target_here()
             self.moves.set_mode()
 
-    # -- what stands beside the motion -----------------------------------------------------------------------------------
+    # -- touch probe and parameters --------------------------------------------------------------------------------------
     def _touch_probe(self) -> ModbusTouchProbe:
         return ModbusTouchProbe(
             self.name,
@@ -591,7 +596,7 @@ class ModbusDrive(ServoDrive):
 
     @property
     def parameters(self) -> ModbusParameters:
-        """By the names of the register map."""
+        """Parameters by the names of the register map."""
         return self._parameters
 
 
@@ -622,7 +627,7 @@ class ModbusStream(PacedStream):
 
 
 def _is_silence(error: BridgeError) -> bool:
-    """Whether nothing but unanswered requests is in it."""
+    """Whether the error consists of unanswered requests only."""
     if isinstance(error, UndoError):
         return all(_is_silence(each) for each in error.errors)
     return isinstance(error, TransportError)

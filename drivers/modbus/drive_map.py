@@ -1,11 +1,11 @@
-"""What makes registers a servo drive: states, transitions, hand-shakes and the places of its values, all as data.
+"""The map of a servo drive in Modbus registers: states, transitions, hand-shakes and registers of its values, all as data.
 
     [drive]                position, velocity, torque, following_error, fault_code: names of registers; identity: a list of those that
                            tell this drive from others
     [[drive.state]]        (register, mask, value) -> a state of `DriveState`; the first rule that fits holds
     [[drive.enable]]       from these states, write this, and the drive must come to those states within timeout_s;
                            [[drive.disable]] and [[drive.reset_fault]] likewise
-    [drive.quick_stop]     what to write, whatever the state; [drive.halt] to stop before switching off
+    [drive.quick_stop]     what to write, in any state; [drive.halt] to stop before switching off
     [drive.move]           hand-shake of a profile move      [drive.homing], with its method and home_position
     [drive.store]  [drive.scaling]
     [drive.run]            where the drive runs at a velocity   [drive.stream]  where it follows set-points that come cyclically
@@ -96,10 +96,12 @@ class Transition:
 
 
 class Handshake(Enum):
-    """How a drive learns that a new target is to be taken, and says that it has been."""
+    """Hand-shake for a new target: how it is announced to the drive, and how the drive acknowledges it."""
 
-    SET_POINT_BIT = "set-point bit"  # CiA-402: raise the bit, see the acknowledge, take it back, see that gone
-    TRIGGER = "trigger"  # write a start register or bit, which the drive takes back or answers
+    SET_POINT_BIT = (
+        "set-point bit"  # CiA-402: set the bit, wait for the acknowledge, clear it, wait until that is cleared
+    )
+    TRIGGER = "trigger"  # write a start register or bit, which the drive clears or answers
     ON_WRITE = "on write"  # writing the target starts the move
 
 
@@ -112,7 +114,7 @@ _NEEDED = {
 
 @dataclass(frozen=True)
 class MoveMap:
-    """A profile move. `window` is in the target register's unit: `reached` is believed only that close to the target."""
+    """A profile move. `window`, in the target register's unit: `reached` counts only this close to the target. Raises SchemaError."""
 
     handshake: Handshake
     target: Annotated[str, role(POSITION_UNITS, written=True)]
@@ -140,9 +142,9 @@ class MoveMap:
 
 @dataclass(frozen=True)
 class HomingMap:
-    """The drive's own homing. `attained` and `failed` mean something only while `applies` holds (an empty one always does).
+    """The drive's own homing. `attained` and `failed` are valid only while `applies` holds (an empty one always does).
 
-    method, home_position: the registers that decide what becomes the zero, where the map names them
+    method, home_position: the registers that define the zero, where the map names them
     """
 
     start: SomeWrites
@@ -160,7 +162,7 @@ class HomingMap:
 
 @dataclass(frozen=True)
 class RunMap:
-    """Profile velocity: the (signed) target is followed from when the mode is shown, after `start` where that is needed."""
+    """Profile velocity: the (signed) target is followed once the mode is shown, after `start` where that is needed."""
 
     target: Annotated[str, role(VELOCITY_UNITS, written=True, signed=True)]
     acceleration: Acceleration | None = None
@@ -185,7 +187,8 @@ class StreamMap:
 
 @dataclass(frozen=True)
 class EdgeMap:
-    """One edge of a probe: written before `on` to have it latched, shown as latched by, and where its values stand."""
+    """One edge of a probe: the writes that select it before `on`, the condition that shows a latch, and the registers of its
+    values."""
 
     latched: SomeConditions
     position: Position
@@ -196,7 +199,7 @@ class EdgeMap:
 
 @dataclass(frozen=True)
 class ProbeMap:
-    """One probe input: `off` forgets edges and latches, then edges, `continuous` where every edge is wanted, and `on`."""
+    """One probe input: `off` discards edges and latches, then edges, `continuous` where every edge is wanted, and `on`."""
 
     number: Annotated[int, Limits(ge=1, le=16, description="the number of the input, 1 to 16")]
     off: SomeWrites
@@ -212,7 +215,7 @@ class ProbeMap:
 
     @property
     def edges(self) -> Mapping[Edge, EdgeMap]:
-        """Those that it latches."""
+        """The edges that it latches."""
         both = {Edge.POSITIVE: self.positive, Edge.NEGATIVE: self.negative}
         return {edge: found for edge, found in both.items() if found is not None}
 
@@ -250,7 +253,7 @@ Stated = Annotated[Ratio | None, Via(Positive | _RatioRow, _ratio, "a number > 0
 
 @dataclass(frozen=True)
 class ScalingMap:
-    """Where the drive states its own units; None where it does not."""
+    """The drive's own units; None where it does not state them."""
 
     encoder_counts_per_motor_rev: Stated = None
     motor_revs_per_shaft_rev: Stated = None
@@ -322,12 +325,12 @@ class DriveMap:
 
 
 def all_hold(conditions: tuple[Condition, ...], raw: Mapping[str, int]) -> bool:
-    """True when every condition holds for these raw values, by register."""
+    """Whether every condition holds for these raw values, by register."""
     return all(condition.holds(raw[condition.register]) for condition in conditions)
 
 
 def leads_to_enabled(transitions: tuple[Transition, ...], state: DriveState) -> bool:
-    """True when the transitions have a way from the state to ENABLED."""
+    """Whether the transitions have a way from the state to ENABLED."""
     seen: set[DriveState] = set()
     open_states = {state}
     while open_states:

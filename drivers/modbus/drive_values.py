@@ -1,21 +1,60 @@
-"""A drive's registers as what they stand for on its axis: state, motor counts, load mm, percent. Pure."""
+"""A drive's registers converted to quantities of its axis: state, motor counts, load mm, percent. No I/O.
+
+Registers in rev and rpm are of the motor's shaft. `AxisScaling` alone turns motor counts into load mm.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from drivers.drive import DriveState
-from drivers.errors import ProtocolError
+from drivers.errors import InputError, ProtocolError
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import DriveMap
-from drivers.modbus.drive_units import from_counts, to_counts, to_percent
 from drivers.modbus.orders import hold
 from drivers.modbus.register_access import whole
+from drivers.modbus.register_map import Register
 from drivers.scaling import AxisScaling
+
+_PER_REV = {"rev": 1.0, "rpm": 1.0 / 60.0, "rev/s": 1.0, "rpm/s": 1.0 / 60.0, "rev/s2": 1.0}
+_COUNTS = ("counts", "counts/s", "counts/s2")
+
+
+def counts_per_unit(register: Register, counts_per_motor_rev: int) -> float:
+    """Motor counts (per s, per s²) in one unit of the register. Raises InputError for a unit that is neither counts nor
+    revolutions."""
+    if register.unit in _COUNTS:
+        return 1.0
+    if register.unit in _PER_REV:
+        return _PER_REV[register.unit] * counts_per_motor_rev
+    raise InputError(f"register {register.name} is in {register.unit or 'no unit'}, expected counts or revolutions")
+
+
+def to_counts(raw: Raw, register: Register, counts_per_motor_rev: int) -> float:
+    """A register's raw value -> motor counts (per s, per s²); exact for counts without a scale. Raises InputError for a text."""
+    value = register.value_of(raw)
+    if isinstance(value, str):
+        raise InputError(f"register {register.name} holds {value!r}, expected a number")
+    factor = counts_per_unit(register, counts_per_motor_rev)
+    return value if factor == 1.0 else value * factor
+
+
+def from_counts(counts: float, register: Register, counts_per_motor_rev: int) -> Raw:
+    """Motor counts (per s, per s²) -> the raw value. Raises InputError outside the register's limits."""
+    factor = counts_per_unit(register, counts_per_motor_rev)
+    return register.raw_of(counts if factor == 1.0 else counts / factor)
+
+
+def to_percent(raw: Raw, register: Register) -> float:
+    """A torque register's raw value -> percent of rated torque. Raises InputError for another unit."""
+    value = register.value_of(raw)
+    if isinstance(value, str) or register.unit not in ("percent", "permille"):
+        raise InputError(f"register {register.name} is in {register.unit or 'no unit'}, expected percent or permille")
+    return value / 10.0 if register.unit == "permille" else float(value)
 
 
 class DriveValues:
-    """By the drive's map and the axis's scaling. raw: values by register name, at least of those that are asked for."""
+    """Conversion by the drive's map and the axis's scaling. raw: values by register name, at least of those that are used."""
 
     def __init__(self, drive_name: str, drive_map: DriveMap, scaling: AxisScaling) -> None:
         self._name = drive_name
@@ -24,7 +63,7 @@ class DriveValues:
         self._scaling = scaling
 
     def state(self, raw: dict[str, Raw]) -> DriveState:
-        """The first rule of the map that fits. Raises ProtocolError where none does."""
+        """The state of the first rule of the map that fits. Raises ProtocolError where none does."""
         for rule in self._map.states:
             if hold((rule.condition,), raw):
                 return rule.state
@@ -35,15 +74,15 @@ class DriveValues:
         raise ProtocolError(f"drive {self._name}: {shown} is no state that its register map knows")
 
     def counts(self, value: Raw, name: str) -> float:
-        """Motor counts (per s, per s²)."""
+        """A raw value -> motor counts (per s, per s²). Raises InputError for a text."""
         return to_counts(value, self._registers[name], self._scaling.encoder_counts_per_motor_rev)
 
     def raw(self, counts: float, name: str) -> Raw:
-        """The raw value of motor counts. Raises InputError outside the register's limits."""
+        """Motor counts (per s, per s²) -> the raw value. Raises InputError outside the register's limits."""
         return from_counts(counts, self._registers[name], self._scaling.encoder_counts_per_motor_rev)
 
     def raw_speed(self, counts: float, name: str) -> Raw:
-        """The same for a speed or ramp above 0: one that rounds to 0 would never arrive, so it is at least one step."""
+        """As `raw`, for a velocity or ramp above 0: at least one step, as one rounded to 0 would never arrive."""
         register = self._registers[name]
         step = to_counts(1, register, self._scaling.encoder_counts_per_motor_rev)
         return self.raw(counts if register.layout.type.is_float else max(counts, step), name)
@@ -52,21 +91,21 @@ class DriveValues:
         return self.counts(raw[self._map.position], self._map.position)
 
     def load_mm(self, raw: Mapping[str, Raw], name: str | None) -> float | None:
-        """A position or velocity of the load, None of a register that the drive has not."""
+        """A position or velocity of the load, mm or mm/s; None for a register that the drive does not have."""
         return None if name is None else self._scaling.load_mm(self.counts(raw[name], name))
 
     def torque_percent(self, raw: Mapping[str, Raw]) -> float | None:
-        """Of rated torque, in the load's direction."""
+        """Percent of rated torque, in the load's direction; None where the drive has no such register."""
         name = self._map.torque
         return None if name is None else self._scaling.direction * to_percent(raw[name], self._registers[name])
 
     def fault_code(self, raw: Mapping[str, Raw]) -> int | None:
-        """None while there is none."""
+        """The fault code, None while there is none."""
         name = self._map.fault_code
         return None if name is None else whole(raw[name], name) or None
 
     def window_counts(self) -> float:
-        """How close to a move's target the drive's "in position" is believed; 0 where the map does not say."""
+        """Largest distance from a move's target at which the drive's "in position" counts, motor counts; 0 where the map has none."""
         window = self._map.move.window or 0.0
         in_counts = self._registers[self._map.move.target].unit == "counts"
         return window if in_counts else window * self._scaling.encoder_counts_per_motor_rev

@@ -1,18 +1,18 @@
-"""A Modbus line that several drives may share: retries, back-off, silence and doubt, each decided in the open.
+"""ModbusLink: one Modbus line that several drives may share, with retries, back-off, silence and lost answers handled in one place.
 
-- Reads are repeated a stated number of times. A write is never sent twice. One that was not answered is in doubt: it is read back
-  whole, and where that does not show the value its fate is told in the error. A register may be one that acts when it is written, and
-  a request that was delayed may still arrive. The exception is an order that stops the axis or takes its power: twice does what once
-  does, and an axis that goes on is worse.
+- Reads are repeated a stated number of times. A write is never sent twice. One that was not answered is in doubt: all of it is read
+  back, and where that does not show the value, the error says so. A register may act when it is written, and
+  a request that was delayed may still arrive. The exception is an order that stops the axis or takes its power: sent twice it has the
+  same effect, and an axis that moves on is worse.
 - A unit that does not answer is asked again only after a back-off that doubles, so that one dead drive does not stall the others.
-- On a serial line a frame is preceded by the silent interval, and after a time-out by a longer quiet in which a late reply dies out.
-  RTU replies carry no number: where a reply still to come could be taken for that of the next request, a read of another length comes
-  between. An exchange that the operator's stop breaks off is treated like one that timed out.
-- A stop is posted: it passes by the lock, the back-off, the silence and the replies still to come.
+- On a serial line a frame is preceded by the silent interval, and after a time-out by a longer silence in which a late reply ends.
+  RTU replies carry no number: where a late reply could be taken for that of the next request, a read of another length is sent
+  in between. An exchange that the operator's stop interrupts is treated like one that timed out.
+- A stop is posted: it does not wait for the lock, the back-off, the silence or late replies.
 
-Every call ends, whatever the units do: an exchange takes the time-out at most (see `PymodbusWire`), and a call no more exchanges than
-its repeats, the repeats for a busy unit, and one before each that parts it from a late reply.
-On a drive's way out it is fewer and shorter: as its `WayOut` leaves time for.
+Every call ends, whatever the units do: an exchange takes at most the time-out (see `PymodbusWire`), and a call at most the
+exchanges of its repeats, of the repeats for a busy unit, and one before each of them that separates it from a late reply.
+While a drive is shut down they are fewer and shorter, within the time of its `WayOut`.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from drivers.modbus.plan import Span, Table, WireCost, silent_interval_s
 from drivers.modbus.way_out import WayOut
 from drivers.modbus.wire import ACKNOWLEDGE, BUSY, Endpoint, Function, PymodbusWire, Request, RtuEndpoint, Wire
 
-_SILENCE_S = 0.01  # real time without a byte, after which a serial line is believed to be quiet
+_SILENCE_S = 0.01  # real time without a byte after which a serial line counts as quiet, s
 
 
 @dataclass(frozen=True)
 class LinkPolicy:
-    """How patient a link is. Times in s; `*_retries` are repeats after the first attempt.
+    """Time-outs and repeats of a link. Times in s; `*_retries` are repeats after the first attempt.
 
-    quiet_s: silence on a serial line after a time-out. turn_s: how long the others who share the line may keep it from us, in real
-    time; by default as long as three writes that are read back, each attempt of which is waited out with 0.5 s.
+    quiet_s: silence on a serial line after a time-out. turn_s: longest wait for the line while other users have it, in real
+    time; by default the time of three writes that are read back, with 0.5 s for each attempt.
     """
 
     read_retries: int = 2
@@ -61,13 +61,15 @@ class LinkPolicy:
 
 
 class Doubt(Enum):
-    """What to do about a write that was not answered."""
+    """Treatment of a write that was not answered."""
 
-    READ_BACK = "read back"  # compare
+    READ_BACK = "read back"  # compare with the value read back
     STOP = (
-        "stop"  # an order that stops the axis or takes its power: sent again until it is answered, the only one that is
+        "stop"  # an order that stops the axis or takes its power: the only one that is sent again until it is answered
     )
-    RAISE = "raise"  # cannot be read back (a start bit that the drive takes back); the caller looks for other evidence
+    RAISE = (
+        "raise"  # cannot be read back (a start bit that the drive clears itself); the caller checks the axis instead
+    )
 
 
 @dataclass(frozen=True)
@@ -88,17 +90,17 @@ class _Unit:
     failures: int = 0
     not_before_ns: int = 0
     pending: Request | None = None  # timed out; its reply may still come
-    answered: dict[tuple[object, ...], Request] = field(default_factory=dict)  # reads that were, by their echo
-    way_out: WayOut | None = None  # what limits its requests on the way out
+    answered: dict[tuple[object, ...], Request] = field(default_factory=dict)  # answered reads, by their echo
+    way_out: WayOut | None = None  # limits its requests while it is shut down
 
     def reply_s(self) -> float:
         return math.inf if self.way_out is None else self.way_out.reply_s()
 
 
 class ModbusLink:
-    """Use `open` and `close` in pairs: the wire is let go when the last user closes. Calls are serialised by one lock.
+    """Use `open` and `close` in pairs: the wire is closed when the last user closes. One lock serialises the calls.
 
-    clock: the wire's time; simulated time too, which then passes while the line has to be silent. Every wait hears its
+    clock: the time of the wire; simulated time passes while the line has to be silent. Every wait calls its
     `check_interrupt`.
     """
 
@@ -122,19 +124,19 @@ class ModbusLink:
         self._wire: Wire | None = None
         self._users = 0
         self._units: dict[int, _Unit] = {}
-        self._line = _Unit()  # the connection itself has a back-off too
+        self._line = _Unit()  # back-off of the connection itself
         self._free_ns = 0
-        self._unclean = False  # something may still come in that nobody asked for
+        self._unclean = False  # unrequested bytes may still come in
         self._lock = threading.RLock()
 
     @property
     def cost(self) -> WireCost:
-        """What requests cost on this wire, for planning."""
+        """The cost of requests on this wire, for planning."""
         return self.endpoint.cost
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
-        """Connect, or join those who are. Raises LinkLostError."""
+        """Connect, or join the present users. Raises LinkLostError."""
         with self._turn(self.policy.turn_s):
             if self._wire is None:
                 self._wire = self._make_wire(self.endpoint)
@@ -147,15 +149,15 @@ class ModbusLink:
             self._users += 1
 
     def close(self) -> None:
-        """Leave; the last one out disconnects. Never raises."""
+        """Leave; the last user disconnects. Never raises."""
         with self._lock:
             self._users = max(0, self._users - 1)
             if self._users == 0 and self._wire is not None:
                 self._wire.disconnect()
                 self._wire = None
 
-    def heed(self, unit: int, way_out: WayOut) -> None:
-        """Requests to this unit keep to the time that is left for its way out."""
+    def limit_by(self, unit: int, way_out: WayOut) -> None:
+        """Limit requests to this unit to the time that is left for shutting it down."""
         self._unit(unit).way_out = way_out
 
     def _connect(self, wire: Wire, *, urgent: bool, within_s: float) -> None:
@@ -177,7 +179,7 @@ class ModbusLink:
 
     @contextmanager
     def _turn(self, within_s: float) -> Iterator[None]:
-        """The line is ours inside; waiting for it hears the operator."""
+        """Hold the line inside; the wait for it can be interrupted. Raises NoAnswerError after `within_s`."""
         end_s = time.monotonic() + within_s
         while not self._lock.acquire(timeout=IO_SLICE_S):
             self.clock.check_interrupt()
@@ -192,9 +194,9 @@ class ModbusLink:
 
     # -- stopping ----------------------------------------------------------------------------------------------------
     def post(self, unit: int, requests: Sequence[Request]) -> None:
-        """Put requests on the wire at once without waiting for replies or for anyone: stops, and nothing that must not come twice.
+        """Send requests at once without waiting for replies or for the lock: stops, and nothing that must not come twice.
 
-        From any thread and from a signal handler. What no longer has a connection is not sent, on a serial line.
+        From any thread and from a signal handler. On a serial line without a connection nothing is sent.
         """
         wire = self._wire
         if wire is not None:
@@ -232,7 +234,7 @@ class ModbusLink:
         request = Request.write(table, start, values, single=single)
         with self._turn_of(unit):
             state = self._unit(unit)
-            # nothing is in doubt while nothing was sent
+            # nothing was sent, so nothing is in doubt
             self._respect_backoff(state, f"Modbus {self.endpoint} unit {unit}", NoAnswerError, urgent=urgent)
             self._connect(self._opened(), urgent=urgent, within_s=state.reply_s())
             if doubt is Doubt.READ_BACK:
@@ -245,7 +247,7 @@ class ModbusLink:
                 if isinstance(error, AbortError) and error.code != ACKNOWLEDGE:
                     raise
                 if isinstance(error, AbortError) and doubt is Doubt.STOP:
-                    return  # it was taken, and whoever stops looks at what the axis does
+                    return  # it was accepted; the caller then checks the axis
                 raise NoAnswerError(f"{error}; whether it was carried out is unknown") from error
 
     def _read(self, unit: int, request: Request, *, urgent: bool, repeats: int | None = None) -> tuple[int, ...]:
@@ -254,7 +256,7 @@ class ModbusLink:
         return self._attempts(unit, request, repeats, urgent=urgent, blamed=repeats > 0)
 
     def _write_resolved(self, unit: int, request: Request, table: Table) -> None:
-        """Sent once. Busy (exception 6) is a refusal: nothing was carried out, and the standard has the client ask again."""
+        """Send it once. Busy (exception 6) is a refusal: nothing was carried out, and the standard has the client ask again."""
         try:
             self._attempts(unit, request, 0, urgent=True, blamed=False)
             return
@@ -279,7 +281,7 @@ class ModbusLink:
             raise NoAnswerError(f"{error}; in doubt, as reading it back failed: {second}") from second
 
     def _await_carried_out(self, unit: int, request: Request, table: Table, error: AbortError) -> None:
-        """A write that the unit has taken and still works on is not sent again, only looked for."""
+        """Wait for a write that the unit has accepted and is still processing; it is not sent again."""
         for _ in range(self._repeats(unit, self.policy.busy_retries) + 1):
             self.clock.sleep_s(self.policy.busy_pause_s)
             seen = self._read_back(unit, request, table, error)
@@ -291,7 +293,7 @@ class ModbusLink:
     def _attempts(
         self, unit: int, request: Request, repeats: int, *, urgent: bool, blamed: bool = True
     ) -> tuple[int, ...]:
-        """blamed: failing starts the unit's back-off. A single lost write or look does not: it is asked about next."""
+        """blamed: failing starts the unit's back-off. A single lost write or read does not: it is followed by another request."""
         state = self._unit(unit)
         self._respect_backoff(state, f"Modbus {self.endpoint} unit {unit}", NoAnswerError, urgent=urgent)
         tried = busy = 0
@@ -336,9 +338,9 @@ class ModbusLink:
     def _send(self, wire: Wire, unit: int, state: _Unit, request: Request) -> tuple[int, ...]:
         self.clock.sleep_until_ns(self._free_ns)
         if self._unclean:
-            self._unclean = False  # before: a stop may be posted meanwhile
+            self._unclean = False  # before sending: a stop may be posted meanwhile
             wire.discard(_SILENCE_S)
-        self.clock.check_interrupt()  # nothing is in doubt yet
+        self.clock.check_interrupt()  # before anything is in doubt
         self._count(requests=1)
         began_s = time.monotonic()
         try:
@@ -372,26 +374,26 @@ class ModbusLink:
             state.way_out.unanswered(time.monotonic() - began_s)
 
     def _end_of_exchange(self, state: _Unit) -> None:
-        state.pending = None  # a unit answers in the order in which it was asked
+        state.pending = None  # a unit answers in the order of the requests
         self._free_ns = self.clock.now_ns() + self._silence_ns
 
     def _expect_late_reply(self, state: _Unit, request: Request) -> None:
-        """TCP numbers its replies; a late one is recognised there without our help."""
+        """Keep a request whose reply may come late. TCP numbers its replies, so that late ones are recognised there."""
         if self._serial:
             state.pending = request
             self._unclean = True
             self._free_ns = self.clock.now_ns() + max(self._silence_ns, round(self.policy.quiet_s * NS_PER_S))
 
     def _resynchronise(self, wire: Wire, unit: int, state: _Unit, request: Request) -> None:
-        """Exchange something whose reply cannot be mistaken for the one that is late; any answer to it shows that the line is ours."""
+        """Exchange a request whose reply differs from the late one; any answer to it shows that the line is in step again."""
         known = (each for echo, each in state.answered.items() if echo != request.echo)
-        probe = next(known, None) or _other_length(request)  # a refusal would not show whose it is
+        probe = next(known, None) or _other_length(request)  # a refusal would not show to which request it belongs
         try:
             self._send(wire, unit, state, probe)
         except AbortError:
             return  # refused, but that was the refusal of this request
         except ProtocolError:
-            return  # the late reply itself; the probe's own is still to come, but is of another length than the request's
+            return  # the late reply itself; the probe's own is still to come, but has another length than the request's
 
     # -- back-off ------------------------------------------------------------------------------------------------------
     def _respect_backoff(self, state: _Unit, who: str, kind: type[TransportError], *, urgent: bool) -> None:
@@ -409,7 +411,7 @@ class ModbusLink:
     def _heard(state: _Unit) -> None:
         state.failures = 0
 
-    # -- small things --------------------------------------------------------------------------------------------------
+    # -- helpers -------------------------------------------------------------------------------------------------------
     def _opened(self) -> Wire:
         if self._wire is None:
             raise LinkLostError(f"Modbus {self.endpoint} is not open")
@@ -427,7 +429,7 @@ class ModbusLink:
 
 
 def _other_length(request: Request) -> Request:
-    """A read near the request's own place whose reply has another function or length."""
+    """A read near the request's own address whose reply has another function or length."""
     if request.function.is_write:
         function = Function.READ_COILS if request.function.is_bits else Function.READ_HOLDING
         return Request(function, request.address, 1)

@@ -1,7 +1,7 @@
-"""Reads register maps, and refuses in [drive] what cannot work together before it meets a machine.
+"""Loader of register maps; it refuses a [drive] part that cannot work before it is used at a machine.
 
-Refused with file, line and key: states that no rule shows or that lead nowhere, a fault that enabling would leave. What a single key
-may hold is said where it stands in `drivers.modbus.drive_map`.
+Refused with file, line and key: states that no rule shows or that lead nowhere, a fault that enabling would leave. The limits of
+single keys are in `drivers.modbus.drive_map`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def load_drive_map(name_or_path: str | Path) -> DriveMap:
 
 
 def load_register_map(name_or_path: str | Path) -> RegisterMap:
-    """Read [map] and [registers] of a file; its [drive] part, where there is one, is checked too."""
+    """Read [map] and [registers] of a file; a [drive] part is checked too. Raises InputError naming file, line and key."""
     document = Document.read(find_map(name_or_path))
     registers = parse_registers(document)
     if "drive" in document:
@@ -52,7 +52,7 @@ def _drive(document: Document, registers: RegisterMap) -> DriveMap:
 
 
 def _wrong(key: str, transition: Transition, shown: set[DriveState]) -> str:
-    """What a transition may not do, "" where all is well."""
+    """Why a transition is refused, "" for one that is accepted."""
     for state in (*transition.sources, *transition.targets):
         if state not in shown:
             return f"speaks of {state.value!r}, which no rule in drive.state shows"

@@ -1,7 +1,7 @@
-"""What every part of a register map's [drive] consists of: registers in a role, conditions and writes.
+"""Parts of a register map's [drive]: registers in a role, conditions and writes.
 
-The document's context is the `RegisterMap` they speak of. Refused: a name that does not exist, reading what is write-only, writing
-what is read-only, a unit that a role cannot have, motion kept in EEPROM, a mask or value that does not fit.
+The document's context is the `RegisterMap` with the registers. Refused: a name that does not exist, reading what is write-only,
+writing what is read-only, a unit that a role cannot have, motion kept in EEPROM, a mask or value that does not fit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drivers.toml_types import Limits, SchemaError, Text, Via, not_empty, one_of
 
 @dataclass(frozen=True)
 class Condition:
-    """Holds when (raw & mask) == value; mask None means the whole value. `negate` turns it round."""
+    """Holds when (raw & mask) == value; mask None means the whole value. `negate` inverts it."""
 
     register: str
     mask: int | None
@@ -97,7 +97,7 @@ class _Masked:
     value: int | None = None
 
     def masked(self, key: str, value: int | None) -> tuple[str, int | None, int]:
-        """Register, mask and value."""
+        """(register, mask, value). Raises SchemaError."""
         register, mask = self.register, self.mask
         low, high = register.layout.type.bounds
         if self.bit is not None:

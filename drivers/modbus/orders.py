@@ -1,6 +1,6 @@
-"""Orders to one Modbus unit that are waited for, and what stood in its settings before they were changed.
+"""Orders to one Modbus unit that are waited for, and the settings as they were before they were changed.
 
-Which orders there are is the register map's business, what they mean the drive's.
+The register map defines the orders; `drive` decides when to give them.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Evidence = Callable[[], bool]
 
 
 class Orders:
-    """shown_state(): the drive's present state in words, for what is said when something does not come. post_stop(): sends the stop.
+    """shown_state(): the drive's present state in words, for time-out errors. post_stop(): sends the stop.
 
-    stopped: a stop was sent since the axis was enabled last, by any thread. From then on no order leaves here, as one that enables
-    would let the axis go on (CiA 402, transition 16).
+    stopped: a stop was sent since the axis was enabled last, by any thread. From then on no order is sent, as one that enables
+    makes the axis continue (CiA 402, transition 16).
     """
 
     def __init__(
@@ -45,43 +45,43 @@ class Orders:
         self._shown_state = shown_state
         self._post_stop = post_stop
         self.stopped = False
-        self._found: dict[str, Raw] = {}  # settings as they were before we changed them
+        self._found: dict[str, Raw] = {}  # settings as they were before they were changed
 
-    # -- what stood there --------------------------------------------------------------------------------------------
+    # -- earlier settings --------------------------------------------------------------------------------------------
     def forget(self) -> None:
-        """A new connection: nothing has been changed yet."""
+        """For a new connection: nothing has been changed yet."""
         self._found, self.stopped = {}, False
 
     def remember(self, names: Sequence[str]) -> None:
-        """Note what stands there before it is written for the first time."""
+        """Keep the values of these registers before they are written for the first time."""
         registers = self._access.registers
         new = [name for name in names if name not in self._found and registers[name].readable]
         if new:
             self._found.update(self._access.read(new))
 
     def put_back(self) -> None:
-        """Everything that was remembered, each by a write of its own: what cannot be put back keeps nothing else from it."""
+        """Restore everything that was remembered, each by a write of its own, whatever fails. Raises as `undo_all`."""
         found, self._found = self._found, {}
         undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
 
     # -- orders ------------------------------------------------------------------------------------------------------
     def give(self, writes: Sequence[Write]) -> None:
-        """Each of them, certain when this returns. Raises StateError once the axis was told to stop."""
+        """Write each of them; all are certain when this returns. Raises StateError once a stop was sent, and as `ModbusLink.write`."""
         for write in writes:
             self._unless_stopped(partial(self._access.command, write))
 
     def give_stopped(self, writes: Sequence[Write]) -> None:
-        """The same for what resets a fault, which a stopped axis does too."""
+        """As `give`, also after a stop: for the writes that reset a fault."""
         for write in writes:
             self._access.command(write)
 
     def take_power(self, writes: Sequence[Write]) -> None:
-        """What takes power off, from a stopped axis too; the only orders but the stop that are sent again while unanswered."""
+        """Writes that take power off, also after a stop; the only orders but the stop that are repeated while unanswered."""
         for write in writes:
             self._access.command(write, stops=True)
 
     def write(self, values: Mapping[str, Raw]) -> None:
-        """Set-points, on which some drives start. Raises StateError once the axis was told to stop."""
+        """Write set-points, on which some drives start. Raises StateError once a stop was sent."""
         self._unless_stopped(partial(self._access.write, values))
 
     def _unless_stopped(self, order: Callable[[], None]) -> None:
@@ -89,13 +89,13 @@ class Orders:
             try:
                 order()
             finally:
-                if self.stopped:  # meanwhile, by another thread: the order may have come after the stop
+                if self.stopped:  # by another thread meanwhile: the order may have come after the stop
                     self._post_stop()
         if self.stopped:
             raise StateError(f"drive {self._name} was told to stop; it takes orders again once it is enabled anew")
 
     def start(self, writes: Sequence[Write], what: str, timeout_s: float, taken: Evidence = lambda: False) -> None:
-        """Start something. Where a start bit went unanswered and cannot be read back, what the axis does is the evidence."""
+        """Start a motion. Where a start bit went unanswered and cannot be read back, `taken` decides. Raises NoAnswerError."""
         for write in writes:
             try:
                 self.give((write,))
@@ -110,7 +110,7 @@ class Orders:
         timeout_s: float,
         raw: dict[str, Raw] | None = None,
     ) -> None:
-        """Change the mode of operation and see it confirmed; does nothing when it is already shown."""
+        """Change the mode of operation and see it confirmed; nothing when it is already shown. Raises MotionTimeoutError."""
         if not writes or (shown and self.hold_now(shown, raw or {})):
             return
         self.remember([write.register for write in writes if write.mask is None])
@@ -119,13 +119,13 @@ class Orders:
 
     # -- waiting -----------------------------------------------------------------------------------------------------
     def hold_now(self, conditions: tuple[Condition, ...], raw: dict[str, Raw]) -> bool:
-        """Whether they hold, from values just read where they are among them."""
+        """Whether the conditions hold, with the values of `raw` where they are in it."""
         if all(condition.register in raw for condition in conditions):
             return hold(conditions, raw)
         return all_hold(conditions, self._access.of_conditions(conditions))
 
     def becomes(self, test: Evidence, timeout_s: float) -> bool:
-        """Look until it is so; False when it does not come in time. At least one look, also where no time is left for the way out."""
+        """Sample until it is true; False when it is not in time (s). At least one sample, also where no time is left."""
         deadline = self._clock.deadline(self._way_out.within_s(timeout_s))
         while not test():
             if deadline.expired:
@@ -134,7 +134,7 @@ class Orders:
         return True
 
     def wait_for(self, conditions: tuple[Condition, ...], what: str, timeout_s: float) -> None:
-        """Raises MotionTimeoutError naming `what` when they do not come to hold."""
+        """Wait until the conditions hold. Raises MotionTimeoutError naming `what` after `timeout_s`."""
         if not conditions:
             return
         timeout_s = self._way_out.within_s(timeout_s)
@@ -145,7 +145,7 @@ class Orders:
 
 
 def hold(conditions: tuple[Condition, ...], raw: dict[str, Raw]) -> bool:
-    """Whether all hold for these raw values."""
+    """Whether all conditions hold for these raw values."""
     return all_hold(
         conditions, {condition.register: whole(raw[condition.register], condition.register) for condition in conditions}
     )

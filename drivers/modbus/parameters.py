@@ -1,6 +1,6 @@
-"""A drive's parameters by name: checked before they are written, proven after, and sparing its EEPROM.
+"""A Modbus drive's parameters by name: checked before they are written, read back after, with few writes to its EEPROM.
 
-What moves the axis is not a parameter: registers that commands, targets and modes use are refused here.
+Registers that move the axis are no parameters: those of commands, targets and modes are refused here.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from drivers.scaling import ReportedScaling
 
 
 def kind_of(register: Register) -> ParameterKind:
-    """A whole number that has a scale is shown as a number."""
+    """The kind of a register's value; a whole number that has a scale is a number."""
     if register.layout.type is RegisterType.STRING:
         return ParameterKind.TEXT
     plain = register.layout.type.is_integer and register.scale == 1.0 and register.offset == 0.0
     return ParameterKind.INTEGER if plain else ParameterKind.NUMBER
 
 
-_SETTLE_S = 0.5  # a drive may take this long to show a parameter that it has saved
+_SETTLE_S = 0.5  # longest time until a drive shows a parameter that it has saved, s
 _POLL_S = 0.02
 
 
@@ -48,7 +48,7 @@ class ModbusParameters(DriveParameters):
 
     @property
     def writable_names(self) -> tuple[str, ...]:
-        """Those that are the user's to change."""
+        """Names of the registers that the user may change."""
         moving = self._map.moving()
         return tuple(
             name
@@ -57,7 +57,7 @@ class ModbusParameters(DriveParameters):
         )
 
     def register(self, name: str) -> Register:
-        """What the map says of a register. Raises InputError for a name the map does not have."""
+        """A register of the map. Raises InputError for a name that the map does not have."""
         return self._access.registers[name]
 
     def describe(self, name: str) -> ParameterInfo:
@@ -75,18 +75,18 @@ class ModbusParameters(DriveParameters):
         )
 
     def read(self, name: str) -> Value:
-        """One parameter in its unit. Raises InputError for a name the map does not have."""
+        """One parameter in its unit. Raises InputError for a name that the map does not have, and as `ModbusLink.read`."""
         return self.read_many((name,))[name]
 
     def read_many(self, names: tuple[str, ...]) -> dict[str, Value]:
-        """Several parameters, grouped into as few requests as the wire is best served with."""
+        """Several parameters, read in as few requests as the wire allows. Raises as `read`."""
         return {name: self._access.registers[name].value_of(raw) for name, raw in self._access.read(names).items()}
 
     def write(self, name: str, value: ParameterValue) -> bool:
-        """Write one parameter and read it back; True when the drive was written to, False when it held the value already.
+        """Write one parameter and read it back; False when the drive held the value already and nothing was written.
 
-        Raises InputError outside the map's limits or for an unknown name, CapabilityError for what is read only or moves the axis,
-        StateError when its EEPROM budget is used up, AbortError when the drive refuses, ProtocolError when it took the value but
+        Raises InputError outside the map's limits or for an unknown name, CapabilityError for one that is read only or moves the axis,
+        StateError when its EEPROM budget is used up, AbortError when the drive refuses, ProtocolError when it accepted the value but
         shows another.
         """
         register = self._access.registers[name]
@@ -139,7 +139,7 @@ class ModbusParameters(DriveParameters):
             self._clock.sleep_s(_POLL_S)
 
     def reported_scaling(self) -> ReportedScaling:
-        """The drive's own units, exact."""
+        """The drive's own units, exact fractions. Raises ProtocolError for a divisor of 0."""
         scaling = self._map.scaling
         return ReportedScaling(
             self._ratio(scaling.encoder_counts_per_motor_rev),
@@ -162,7 +162,7 @@ class ModbusParameters(DriveParameters):
         return Fraction(str(raw)) * Fraction(str(register.scale)) + Fraction(str(register.offset))
 
     def probe_order(self, name: str, known_value: float, *, tolerance: float = 0.0) -> tuple[OrderMatch, ...]:
-        """Every type and order in which the registers at and around `name` hold the value the drive's own display shows.
+        """Every type and order by which the registers at and around `name` hold the value that the drive's own display shows.
 
         known_value and tolerance in the register's unit; offset 0 of a match is the mapped address, ±1 a base that is off by one.
         """

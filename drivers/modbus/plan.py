@@ -1,7 +1,7 @@
-"""Which requests to send: reads grouped so that the wire is busy for the shortest time, and how long that will be.
+"""Planning of requests: reads grouped for the shortest time on the wire, with that time.
 
-Pure. A request costs a frame each way, two silent intervals and the drive's thinking time, so reading a few registers nobody asked
-for is often cheaper than a second request; how many depends on the wire, and `WireCost` knows it. A value of several registers
+Pure functions. A request costs a frame each way, two silent intervals and the drive's processing time, so reading a few registers too
+many is often cheaper than a second request; how many depends on the wire, see `WireCost`. A value of several registers
 is never split over two requests: its halves would be of different moments.
 
 Wire time of Modbus RTU: 11 bits per character, silent interval t3.5 = 3.5 characters up to 19200 baud and 1.75 ms above
@@ -43,7 +43,7 @@ class Table(Enum):
 
 @dataclass(frozen=True, order=True)
 class Span:
-    """`count` neighbouring registers (or bits) from the 0-based PDU address `start`."""
+    """`count` neighbouring registers (or bits) from the 0-based PDU address `start`. Raises InputError beyond 65535."""
 
     start: int
     count: int
@@ -54,7 +54,7 @@ class Span:
 
     @property
     def end(self) -> int:
-        """The first address after it."""
+        """The first address behind it."""
         return self.start + self.count
 
     def covers(self, other: Span) -> bool:
@@ -63,7 +63,7 @@ class Span:
 
 @dataclass(frozen=True)
 class WireCost:
-    """How long requests take. `fixed_s` per request, `per_byte_s` per byte of either direction (headers are added here).
+    """The time that requests take, s: `fixed_s` per request, `per_byte_s` per byte of either direction (headers are added here).
 
     header_bytes: bytes of request and reply together that are not PDU.
     """
@@ -74,12 +74,12 @@ class WireCost:
 
     @classmethod
     def rtu(cls, baud: int, drive_s: float = 0.001) -> WireCost:
-        """A serial line; drive_s is what the drive takes to answer."""
+        """A serial line of `baud` bit/s; drive_s: processing time of the drive, s."""
         return cls(2 * silent_interval_s(baud) + drive_s, _BITS_PER_CHARACTER / baud, 2 * 3)  # unit id and CRC each way
 
     @classmethod
     def tcp(cls, round_trip_s: float = 0.001, bits_per_s: float = 100e6, drive_s: float = 0.0) -> WireCost:
-        """Ethernet; 20+20+7+18 bytes of IP, TCP, MBAP and Ethernet each way."""
+        """Ethernet; 20+20+7+18 bytes of IP, TCP, MBAP and Ethernet each way. Times in s."""
         return cls(round_trip_s + drive_s, 8 / bits_per_s, 2 * 65)
 
     def exchange_s(self, request_pdu: int, reply_pdu: int) -> float:
@@ -97,7 +97,7 @@ class WireCost:
         return self.exchange_s(6 + _data_bytes(table, count), 5)
 
     def gap_tolerance(self, table: Table) -> int:
-        """The most registers (or bits) nobody asked for that are cheaper to read along than a second request."""
+        """Largest gap of unwanted registers (or bits) that is cheaper to read along than a second request."""
         if self.per_byte_s <= 0:
             return _limit(table)
         saved_bytes = (self.read_s(table, 1) - _data_bytes(table, 1) * self.per_byte_s) / self.per_byte_s
@@ -106,7 +106,7 @@ class WireCost:
 
 
 def silent_interval_s(baud: int) -> float:
-    """The pause that ends an RTU frame: 3.5 characters, a fixed 1.75 ms above 19200 baud."""
+    """The pause that ends an RTU frame, s: 3.5 characters, a fixed 1.75 ms above 19200 baud. Raises InputError for baud <= 0."""
     if baud <= 0:
         raise InputError(f"baud is {baud}, expected > 0")
     return 3.5 * _BITS_PER_CHARACTER / baud if baud <= 19200 else 0.00175
@@ -122,7 +122,7 @@ class ReadRequest:
 
 @dataclass(frozen=True)
 class ReadPlan:
-    """Requests that together read everything asked for, and the predicted time on the wire."""
+    """Requests that together read everything wanted, and the predicted time on the wire, s."""
 
     requests: tuple[ReadRequest, ...]
     wire_s: float
@@ -139,7 +139,7 @@ def plan_reads(
     """Group reads so that the wire is busy for the shortest time; ties go to fewer requests.
 
     gaps_readable: False for drives that refuse a request touching an address they do not have.
-    avoid: places that must not be read along either (write-only registers, registers that act when read).
+    avoid: registers that must not be read along either (write-only registers, registers that act when read).
     max_registers: the drive's own limit for one request, at most 125 (bits: 2000 regardless).
     Raises InputError when one value alone is longer than a request may be.
     """
@@ -179,7 +179,7 @@ def _merge_overlapping(spans: Sequence[Span], limit: int) -> list[Span]:
 
 
 def _group(table: Table, blocks: Sequence[Span], cost: WireCost, joins: Sequence[bool], limit: int) -> list[Span]:
-    """The cheapest way to cut the ordered blocks into runs: best[i] covers the first i blocks.
+    """The cheapest way to split the ordered blocks into runs: best[i] covers the first i blocks.
 
     joins[i]: block i and the next may be read together.
     """
@@ -208,9 +208,9 @@ def _group(table: Table, blocks: Sequence[Span], cost: WireCost, joins: Sequence
 
 
 def group_writes(writes: Sequence[tuple[Table, Span]], *, max_registers: int = MAX_WRITE_REGISTERS) -> list[list[int]]:
-    """Indices of `writes`, in their order, put together where one follows the other without a gap in the same table.
+    """Indices of `writes`, in their order, grouped where one follows the other without a gap in the same table.
 
-    Never reordered (a start bit must come after its target) and never bridging a gap (that would write what nobody asked for).
+    Never reordered (a start bit must come after its target) and never bridging a gap (other registers would be written).
     """
     groups: list[list[int]] = []
     for index, (table, span) in enumerate(writes):

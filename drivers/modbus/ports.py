@@ -1,9 +1,10 @@
-"""The socket or serial port under a Modbus wire: every wait is cut into slices in which the operator is heard, and ends in real time.
+"""The socket or serial port of a Modbus wire. Every wait is cut into slices, can be interrupted between them, and ends in real time.
 
-A stop is *posted*: it leaves without waiting for a reply and without any lock. TCP carries it beside the exchange under way, as
-replies are numbered there. A serial line carries one frame at a time, and two without silence between them are none: a stop waits for
-the request under way to have left and for its reply, but for no time-out. A unit that has not begun to reply `_TURNAROUND_S` after the
-request may be dead; the stop is then sent, and where an exchange goes on once more at its end, as a late reply may have destroyed it.
+A stop is *posted*: it is sent without waiting for a reply and without any lock. On TCP it goes beside the exchange in progress, as
+replies are numbered there. A serial line carries one frame at a time, and two frames without silence between them are lost: a stop
+waits until the request in progress is sent and for its reply, but for no time-out. A unit that has not begun to reply `_TURNAROUND_S`
+after the request may be dead; the stop is then sent, and, during an exchange, once more at its end, as a late reply may have
+destroyed it.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from drivers.clock import IO_SLICE_S
 from drivers.modbus.plan import silent_interval_s
 
 Check = Callable[[], None]
-"""check(): raises whatever ends the present wait, such as the operator's stop (`Clock.check_interrupt`)."""
+"""check(): raises the error that ends the present wait, such as the operator's stop (`Clock.check_interrupt`)."""
 
 _LONGEST_FRAME = 256  # bytes of the longest RTU frame (Modbus over serial line V1.02, 2.3)
 _BITS_PER_CHARACTER = 11  # 2.5.1
 _TURNAROUND_S = 0.02
-"""How long a stop waits for a reply to begin, s: most drives take 1 to 20 ms. The standard
+"""Time a stop waits for a reply to begin, s: most drives take 1 to 20 ms. The standard
 leaves the time-out to the master (2.4.1)."""
 
 
 def slices(end_s: float, check: Check) -> Iterator[float]:
-    """How long to block next, s, until this moment of `time.monotonic`; `check` is called before each. The last is 0.0, a last look.
+    """Durations to block next, s, until this moment of `time.monotonic`; `check` is called before each. The last one is 0.0.
 
-    Before and not after: where something comes in all the time nobody takes a second slice.
+    Before and not after: while bytes come in all the time no second slice is taken.
     """
     while (left_s := end_s - time.monotonic()) > 0.0:
         check()
@@ -46,9 +47,9 @@ def slices(end_s: float, check: Check) -> Iterator[float]:
 
 
 class Port(ABC):
-    """Bytes to and from one line. Everything raises OSError when the line is gone, and what `check` raises."""
+    """Bytes to and from one line. Every method raises OSError when the line is lost, and what `check` raises."""
 
-    rest_of_frame_s = 0.0  # how much longer than the time-out a reply may take that has begun to come in
+    rest_of_frame_s = 0.0  # extra time for a reply that has begun within the time-out, s
 
     @property
     @abstractmethod
@@ -56,22 +57,22 @@ class Port(ABC):
 
     @abstractmethod
     def open(self, within_s: float) -> None:
-        """within_s: for what takes its time, if that is less than the time-out."""
+        """Connect. within_s: used instead of the time-out if it is less, s."""
 
     @abstractmethod
     def close(self) -> None:
-        """Never raises."""
+        """Close the line; never raises."""
 
     @abstractmethod
     def send(self, frame: bytes) -> None: ...
 
     @abstractmethod
     def receive(self, end_s: float) -> bytes:
-        """What has arrived, as soon as anything has; b"" when nothing has by `end_s` (`time.monotonic`)."""
+        """The bytes that have arrived, as soon as there are any; b"" when there are none by `end_s` (`time.monotonic`)."""
 
     @abstractmethod
     def discard(self, silence_s: float) -> None:
-        """Read and forget until nothing has come for silence_s; a line that never falls silent is not waited out."""
+        """Read and discard until nothing has come for silence_s; a line that never falls silent is not waited for."""
 
     @abstractmethod
     def post(self, frames: Sequence[bytes]) -> None:
@@ -79,13 +80,13 @@ class Port(ABC):
 
     @contextmanager
     def exchange(self) -> Iterator[None]:
-        """A request is sent and its reply awaited inside."""
+        """Context of one exchange: a request is sent and its reply awaited inside."""
         yield
 
 
 # -- TCP ---------------------------------------------------------------------------------------------------------------
 class TcpPort(Port):
-    """A connection to a server; timeout_s is for connecting."""
+    """A connection to a server; timeout_s: for connecting, s."""
 
     def __init__(self, host: str, port: int, timeout_s: float, check: Check) -> None:
         self._place = (host, port)
@@ -96,13 +97,13 @@ class TcpPort(Port):
 
     @property
     def is_open(self) -> bool:
-        """Not once the server has hung up, as idle ones do: a write would be lost there, and is sent once only."""
+        """False once the server has closed the connection, as idle ones do: a write would be lost there, and is sent only once."""
         return self._socket is not None and not _hung_up(self._socket)
 
     def open(self, within_s: float) -> None:
         self.close()
         connection = _dialled(self._place, min(self._timeout_s, within_s), self._check)
-        # a stop posted beside a request must not wait for that request to be acknowledged (Nagle's algorithm)
+        # without it a posted stop waits until the request before it is acknowledged (Nagle's algorithm)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._peer = connection.getpeername()[:2]
         self._socket = connection
@@ -120,7 +121,7 @@ class TcpPort(Port):
 
     def send(self, frame: bytes) -> None:
         connection = self._opened()
-        connection.settimeout(IO_SLICE_S)  # only a server that reads nothing lets the buffer fill up
+        connection.settimeout(IO_SLICE_S)  # the buffer fills up only where the server does not read
         connection.sendall(frame)
 
     def receive(self, end_s: float) -> bytes:
@@ -135,7 +136,7 @@ class TcpPort(Port):
         return b""
 
     def discard(self, silence_s: float) -> None:
-        """Replies are numbered: an old one is told from the one awaited."""
+        """Nothing to do: replies are numbered, so that an old one is recognised."""
 
     def post(self, frames: Sequence[bytes]) -> None:
         data, connection = b"".join(frames), self._socket
@@ -143,7 +144,7 @@ class TcpPort(Port):
             with suppress(OSError):
                 if connection.send(data) == len(data):
                     return
-        # in a thread, so that a dead server holds up nobody's stop
+        # in a thread, so that an unreachable server does not delay other stops
         threading.Thread(target=self._post_anew, args=(data,), name="modbus stop", daemon=True).start()
 
     def _post_anew(self, data: bytes) -> None:
@@ -152,7 +153,7 @@ class TcpPort(Port):
 
 
 def _hung_up(connection: socket.socket) -> bool:
-    """Whether the other side has closed it, so that what is sent now would be lost."""
+    """Whether the server has closed it, so that what is sent now would be lost."""
     try:
         connection.setblocking(False)  # with a time-out set, Python waits for it whatever the flags of `recv` are
         return connection.recv(1, socket.MSG_PEEK) == b""
@@ -163,7 +164,7 @@ def _hung_up(connection: socket.socket) -> bool:
 
 
 def _dialled(place: tuple[str, int], timeout_s: float, check: Check) -> socket.socket:
-    """A new connection, made in a thread: a name that is being resolved cannot be waited for in slices. Raises OSError."""
+    """A new connection, made in a thread, because resolving a name cannot be waited for in slices. Raises OSError."""
     done: queue.SimpleQueue[socket.socket | OSError] = queue.SimpleQueue()
     given_up = threading.Event()
 
@@ -197,7 +198,7 @@ def _dialled(place: tuple[str, int], timeout_s: float, check: Check) -> socket.s
 
 # -- serial lines --------------------------------------------------------------------------------------------------------
 def _serial_errors() -> tuple[type[Exception], ...]:
-    """What pyserial raises besides OSError: a TypeError of a port closed under it, and where there are terminals their own error."""
+    """Errors of pyserial besides OSError: TypeError for a port closed during a call, and termios.error where there are terminals."""
     try:
         import termios  # noqa: PLC0415
     except ImportError:
@@ -216,12 +217,12 @@ def _as_os_error() -> Iterator[None]:
         raise OSError(str(error)) from error
 
 
-_LOOK_S = 0.0005  # between two looks for a byte
-_MOST_SILENCES = 64  # a line that never falls silent is listened to for so many times the silence asked for
+_LOOK_S = 0.0005  # interval of checks for a byte, s
+_MOST_SILENCES = 64  # `discard` ends after this many times the silence asked for
 
 
 class SerialPort(Port):
-    """A serial line; timeout_s is for a port that takes no bytes."""
+    """A serial line; timeout_s: for a port that takes no bytes, s."""
 
     def __init__(self, device: str, baud: int, *, parity: str, stop_bits: int, timeout_s: float, check: Check) -> None:
         self._device = device
@@ -232,10 +233,10 @@ class SerialPort(Port):
         self._character_s = _BITS_PER_CHARACTER / baud
         self.rest_of_frame_s = _LONGEST_FRAME * self._character_s
         self._serial: serial.Serial | None = None
-        self._posted: deque[bytes] = deque()  # stops that wait for the exchange under way
-        self._early = 0  # how many of them were sent beside it already
+        self._posted: deque[bytes] = deque()  # stops that wait for the exchange in progress
+        self._early = 0  # number of them that were sent during it already
         self._exchanging = False
-        self._reply_due_s = 0.0  # by when the reply to the last frame has begun, 0.0: nothing is awaited
+        self._reply_due_s = 0.0  # time by which the reply to the last frame must have begun, 0.0: none is awaited
 
     @property
     def is_open(self) -> bool:
@@ -251,7 +252,7 @@ class SerialPort(Port):
     def close(self) -> None:
         port, self._serial = self._serial, None
         if port is not None:
-            with suppress(OSError), _as_os_error():  # a port that is gone cannot be closed any better
+            with suppress(OSError), _as_os_error():  # a lost port is as good as closed
                 port.close()
 
     def _opened(self) -> serial.Serial:
@@ -261,8 +262,8 @@ class SerialPort(Port):
 
     def send(self, frame: bytes) -> None:
         port = self._opened()
-        _taken(port)  # replies that nobody waits for any more
-        self._expect_reply(frame)  # before: a stop may be posted meanwhile
+        _taken(port)  # discard replies that are no longer awaited
+        self._expect_reply(frame)  # before sending: a stop may be posted meanwhile
         self._put(port, frame, self._check)
         self._expect_reply(frame)
 
@@ -299,7 +300,7 @@ class SerialPort(Port):
     # -- stops -------------------------------------------------------------------------------------------------------
     def post(self, frames: Sequence[bytes]) -> None:
         self._posted.extend(frames)
-        if not self._exchanging:  # else whoever waits for a reply sends them
+        if not self._exchanging:  # else the thread that awaits the reply sends them
             self._send_posted()
 
     @contextmanager
@@ -319,7 +320,7 @@ class SerialPort(Port):
             self._early += 1
 
     def _send_posted(self) -> None:
-        with suppress(IndexError, OSError), _as_os_error():  # IndexError: no more of them
+        with suppress(IndexError, OSError), _as_os_error():  # IndexError: the queue is empty
             while True:
                 self._send_stop(self._opened(), self._posted.popleft())
 
@@ -330,8 +331,8 @@ class SerialPort(Port):
         self._expect_reply(frame)
 
     def _await_quiet(self, port: serial.Serial) -> None:
-        """Until a reply to the last frame has begun in its time, and no byte has come for the silent interval; no longer than the
-        longest frame takes."""
+        """Wait until a reply to the last frame has begun in its time, and no byte has come for the silent interval; at most the
+        time of the longest frame."""
         while time.monotonic() < self._reply_due_s and not port.in_waiting:
             time.sleep(0.001)
         end_s = time.monotonic() + self.rest_of_frame_s
@@ -342,10 +343,10 @@ class SerialPort(Port):
 
 
 def _taken(port: serial.Serial, *, wait: bool = False) -> bytes:
-    """What has come in; wait: for the first byte, `IO_SLICE_S` at most.
+    """The bytes that have come in; wait: for the first byte, `IO_SLICE_S` at most.
 
-    Its count is looked at; `select` on a terminal without input waits in Linux for a kernel thread (`tty_buffer_flush_work`), which
-    takes up to 0.8 s where other programs keep all cores busy, whatever its time-out.
+    The count of waiting bytes is read: `select` on a terminal without input waits in Linux for a kernel thread
+    (`tty_buffer_flush_work`), which takes up to 0.8 s where other programs keep all cores busy, whatever its time-out.
     """
     end_s = time.monotonic() + IO_SLICE_S
     with _as_os_error():
@@ -356,7 +357,7 @@ def _taken(port: serial.Serial, *, wait: bool = False) -> bytes:
 
 
 def _written(port: serial.Serial, frame: bytes) -> int:
-    """How many bytes the port took, without waiting: pyserial's own write spins until its time-out on a port that takes none."""
+    """Number of bytes that the port took, without waiting: pyserial's own write spins until its time-out on a port that takes none."""
     if sys.platform == "win32":
         return int(port.write(frame) or 0)
     try:

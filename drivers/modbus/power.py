@@ -1,6 +1,6 @@
-"""Walking the states of a Modbus drive by the transitions of its register map, with the reason when it does not move.
+"""State changes of a Modbus drive by the transitions of its register map, with the reason when it does not move.
 
-What may go in: states and the writes that change them. It knows nothing of positions; who enables writes the target first.
+Holds states and the writes that change them; it knows no positions. The caller writes the target before it enables.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from drivers.modbus.orders import POLL_S, Orders
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.way_out import WayOut
 
-_BOOT_S = 5.0  # how long a drive may be not ready to switch on
+_BOOT_S = 5.0  # longest time in not ready to switch on, s
 
 StateTest = Callable[[DriveState], bool]
 
 
 class PowerStates:
-    """sample(): of the drive, for the fault that is named in an error."""
+    """sample(): of the drive, for the fault code in an error."""
 
     def __init__(
         self,
@@ -46,21 +46,24 @@ class PowerStates:
         self._sample = sample
 
     def state(self) -> DriveState:
-        """Asked for now."""
+        """The state, read now. Raises ProtocolError for one that is not in the map."""
         names = [rule.condition.register for rule in self._map.states]
         return self._values.state(dict(self._access.integers(names)))
 
     def await_ready(self) -> None:
-        """Until the drive is through with starting up."""
+        """Wait until the drive has started up. Raises MotionTimeoutError."""
         self._await("ready", lambda now: now is not DriveState.NOT_READY, _BOOT_S)
 
     def can_disable(self, state: DriveState) -> bool:
         """Whether the map leads out of this state by taking power off."""
         return any(state in transition.sources for transition in self._map.disable)
 
-    # -- walks -------------------------------------------------------------------------------------------------------
+    # -- sequences of transitions ------------------------------------------------------------------------------------
     def enable(self, before_power: Callable[[], None]) -> None:
-        """Walk to ENABLED; `before_power()` is called right before the step that closes the loop."""
+        """Go to ENABLED; `before_power()` is called right before the step that switches on.
+
+        Raises DriveFaultError in a fault, StateError where the map has no way, ProtocolError where it has a loop,
+        MotionTimeoutError."""
         for _ in range(len(self._map.enable) + 1):
             state = self.state()
             if state is DriveState.ENABLED:
@@ -72,11 +75,11 @@ class PowerStates:
         raise ProtocolError(f"drive {self._name}: enabling goes round in circles, it is {self.state().value}")
 
     def disable(self, state: DriveState) -> None:
-        """Power off from this state, of an axis that stands still."""
+        """Take the power off from this state, of an axis at rest. Raises StateError, MotionTimeoutError."""
         self._walk(self._from(self._map.disable, state, "disable"), "disable", off=True)
 
     def post_off(self, state: DriveState) -> None:
-        """The writes of `disable`, put on the wire without waiting. Never raises for a drive that answers nothing."""
+        """The writes of `disable`, sent without waiting. Never raises for a drive without an answer."""
         for transition in self._map.disable:
             if state in transition.sources:
                 self._access.post(transition.writes)
@@ -101,7 +104,7 @@ class PowerStates:
                 f"drive {self._name}: the fault stays, its cause is still there", sample.fault_code
             ) from error
         if self.can_disable(state) and state not in transition.targets:
-            self.disable(state)  # a stop that was sent in the fault still stands
+            self.disable(state)  # a stop that was sent in the fault is still in force
 
     def _from(self, transitions: tuple[Transition, ...], state: DriveState, verb: str) -> Transition:
         for transition in transitions:
@@ -114,7 +117,7 @@ class PowerStates:
         raise StateError(f"drive {self._name} cannot {verb} from {state.value}")
 
     def _walk(self, transition: Transition, verb: str, *, off: bool = False) -> None:
-        """off: power goes, which a stop does not forbid, and a fault does as well."""
+        """off: takes the power off, which is allowed after a stop and ends in a fault as well."""
         (self._orders.take_power if off else self._orders.give)(transition.writes)
         state = self._await(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",

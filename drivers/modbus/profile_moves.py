@@ -1,7 +1,7 @@
-"""Profile moves of a Modbus drive by the hand-shake of its register map: begun so that each step is seen to be taken.
+"""Profile moves of a Modbus drive by the hand-shake of its register map; each step is confirmed.
 
-What may go in: what one move needs between the settings it is given and the moment in which the axis has set off. Whether it may be
-begun at all, and stopping one that was never confirmed, is the drive's business.
+Covers one move from its settings to the moment in which the axis starts. `drive` decides whether it may begin, and stops one that
+was not confirmed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from drivers.scaling import AxisScaling
 
 @dataclass(frozen=True)
 class Move:
-    """In motor counts, with what is written for it; velocity of the load."""
+    """One move in motor counts, with the values to write; velocity of the load, mm/s."""
 
     start_counts: float
     target_counts: float
@@ -29,7 +29,7 @@ class Move:
 
 
 class ProfileMoves:
-    """Of one drive. under_way: the last move begun, None after anything else moved the axis."""
+    """The moves of one drive. under_way: the last move begun, None after another order has moved the axis."""
 
     def __init__(
         self,
@@ -52,13 +52,13 @@ class ProfileMoves:
         self._limits = limits
 
     def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> Move:
-        """A move from where a sample found the axis. Raises InputError for what its registers cannot hold; writes nothing."""
+        """A move (mm, mm/s) from the position of a sample. Raises InputError for values outside its registers; writes nothing."""
         start_counts = self._values.position_counts(raw)
         target_counts = float(self._scaling.motor_counts(position_load_mm))
         return Move(start_counts, target_counts, velocity_mm_s, self._profile(target_counts, velocity_mm_s))
 
     def _profile(self, target_counts: float, velocity_mm_s: float) -> dict[str, Raw]:
-        """All that a move needs, speeds before the target, as some drives start on the target; neighbours are joined when written."""
+        """All settings of a move, speeds before the target, as some drives start on the target; neighbours are joined when written."""
         move = self._map.move
         speed = {move.velocity: velocity_mm_s * self._scaling.counts_per_load_mm}
         written = self._settings(speed | self._ramps(move.acceleration, move.deceleration))
@@ -68,7 +68,7 @@ class ProfileMoves:
         return dict(sorted(written.items(), key=lambda item: self._map.registers[item[0]].span))
 
     def ramp_settings(self, *names: str | None) -> dict[str, Raw]:
-        """The axis's highest acceleration for these registers, as far as the drive has them, to be written."""
+        """The axis's highest acceleration for those of these registers that the drive has, raw."""
         return self._settings(self._ramps(*names))
 
     def _ramps(self, *names: str | None) -> dict[str, float]:
@@ -76,17 +76,17 @@ class ProfileMoves:
         return {name: counts_s2 for name in names if name is not None}
 
     def _settings(self, wanted: dict[str, float]) -> dict[str, Raw]:
-        """Speeds and ramps in counts -> raw, after noting what stood there."""
+        """Speeds and ramps in counts -> raw, after keeping the earlier values."""
         self._orders.remember(tuple(wanted))
         return {name: self._values.raw_speed(counts, name) for name, counts in wanted.items()}
 
     def set_mode(self, raw: dict[str, Raw] | None = None) -> None:
-        """The mode of operation for moves; raw: what was read just now."""
+        """Set the mode of operation for moves; raw: values read just now. Raises MotionTimeoutError."""
         move = self._map.move
         self._orders.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
 
     def make_ready(self, raw: dict[str, Raw]) -> None:
-        """Mode and hand-shake as a new target needs them."""
+        """Set mode and hand-shake as a new target needs them. Raises MotionTimeoutError."""
         move = self._map.move
         self.set_mode(raw)
         if not self._orders.hold_now(move.idle, raw):
@@ -94,7 +94,8 @@ class ProfileMoves:
             self._orders.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
 
     def begin(self, planned: Move) -> None:
-        """Returns when the axis has set off. After any error it may be moving."""
+        """Start the move; returns when the axis has started. After an error it may be moving. Raises MotionTimeoutError,
+        NoAnswerError."""
         move, orders = self._map.move, self._orders
         orders.write(planned.written)
         self.under_way = planned
@@ -105,7 +106,7 @@ class ProfileMoves:
         self._await_departure(planned)
 
     def reached(self, raw: dict[str, Raw]) -> bool:
-        """Whether the drive says it is in position, and is where the move under way ends."""
+        """Whether the drive shows "in position", and its position is the target of the move in progress."""
         move = self._map.move
         if not hold(move.reached, raw):
             return False
@@ -118,9 +119,9 @@ class ProfileMoves:
         return self.reached(self._access.read(self._map.sampled()))
 
     def _await_departure(self, move: Move) -> None:
-        """See "in position" of the last move go, so that nobody takes it for the end of this one.
+        """Wait until "in position" of the last move goes, so that it is not taken for the end of this one.
 
-        Raises MotionTimeoutError when the drive accepted the target but stays where it is and says that it is there.
+        Raises MotionTimeoutError when the drive accepted the target but does not move and shows "in position".
         """
         way_counts = abs(move.target_counts - move.start_counts)
         way_mm = abs(self._scaling.load_mm(way_counts))

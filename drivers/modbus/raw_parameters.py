@@ -1,7 +1,7 @@
 """A Modbus drive's parameters as raw bytes, for whole sets: its registers by the names of its map, their words high byte first.
 
-What may go in: `RawParameters` over one unit. Reads are grouped as the wire is best served with, writes of neighbours go together,
-each write to an EEPROM is counted. A line carries one request at a time: drives on one take turns.
+Reads are grouped for the wire, writes of neighbours go together, each write to an EEPROM is counted. A line carries one request at a
+time: drives on one line take turns.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from drivers.raw_parameters import (
     Steps,
     Tell,
     WireTime,
-    deaf,
+    no_observer,
 )
 
 T = TypeVar("T")
-_SPARE_WRITES = 2  # of a register's wear budget: what is written may have to be put back
+_SPARE_WRITES = 2  # of a register's wear budget: a value written may have to be put back
 
 
 class ModbusLine(Line):
-    """A Modbus line, serial or TCP: one request at a time, so work is done one drive after the other, that of the next in a pause."""
+    """A Modbus line, serial or TCP: one request at a time, so drives are served one after the other, the next one during a pause."""
 
     def __init__(self, link: ModbusLink) -> None:
         self.link = link
@@ -78,7 +78,7 @@ class ModbusLine(Line):
 
 
 class ModbusRawParameters(RawParameters):
-    """One unit, by its register map."""
+    """The parameters of one unit, by its register map."""
 
     def __init__(
         self, name: str, line: ModbusLine, unit: int, drive_map: DriveMap, *, wear: WearLedger | None = None
@@ -97,7 +97,7 @@ class ModbusRawParameters(RawParameters):
             if each.readable
         }
 
-    # -- what there is -------------------------------------------------------------------------------------------------
+    # -- description -----------------------------------------------------------------------------------------------------
     @property
     def entries(self) -> Mapping[str, RawParameter]:
         return self._entries
@@ -153,7 +153,7 @@ class ModbusRawParameters(RawParameters):
         return None
 
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
-        """By the groups in which it would be done; characters count as the bits that they are on the line."""
+        """By the groups in which it would be done; characters count as their bits on the line."""
         endpoint = self.line.link.endpoint
         serial = isinstance(endpoint, RtuEndpoint)
         cost = WireCost.rtu(endpoint.baud, 0.0) if isinstance(endpoint, RtuEndpoint) else WireCost.tcp(0.0)
@@ -172,7 +172,7 @@ class ModbusRawParameters(RawParameters):
         return self.access.plan(tuple(names)).requests if names else ()
 
     def identify(self) -> Steps[DriveIdentity]:
-        """The map's name, and the texts that the drive shows and nobody can write."""
+        """The map's name, and the texts that the drive shows and that cannot be written."""
         yield from ()
         plates = [
             each.name
@@ -190,7 +190,7 @@ class ModbusRawParameters(RawParameters):
                 return rule.state
         return DriveState.UNKNOWN
 
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         yield from ()
         found: dict[str, Access] = {}
         for request in self._plan(addresses):
@@ -202,7 +202,7 @@ class ModbusRawParameters(RawParameters):
             if not inside:
                 continue
             accesses = self._read_group(inside)
-            if len(inside) > 1 and isinstance(accesses[0].error, AbortError):  # which of them is it?
+            if len(inside) > 1 and isinstance(accesses[0].error, AbortError):  # find the one that is refused
                 accesses = [self._read_group([address])[0] for address in inside]
             found |= {access.address: access for access in accesses}
             tell(len(inside))
@@ -226,8 +226,8 @@ class ModbusRawParameters(RawParameters):
         seconds = self._since_s(start_ns)
         return [Access(name, seconds, _bytes(words[name])) for name in names]
 
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
-        """Neighbours in one request; where that is refused, one by one, to know which of them it was."""
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
+        """Neighbours in one request; where that is refused, one by one, to find the one that is refused."""
         yield from ()
         accesses: list[Access] = []
         places = [self.map.registers[address].place for address, _ in items]
@@ -261,7 +261,7 @@ class ModbusRawParameters(RawParameters):
     def _since_s(self, start_ns: int) -> float:
         return (self.clock.now_ns() - start_ns) * 1e-9
 
-    # -- kept without power ------------------------------------------------------------------------------------------------
+    # -- storing and restoring ---------------------------------------------------------------------------------------------
     def objection_to_store(self) -> Steps[str | None]:
         yield from ()
         return None if self.map.store is not None else "its register map has no command to store parameters"

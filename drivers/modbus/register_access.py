@@ -1,6 +1,6 @@
 """A drive's registers by name, over a link: grouped reads, grouped writes, masked writes.
 
-Between the link, which knows units and addresses, and the drive, which knows states and motion. Values here are raw.
+Stands between the link, which knows units and addresses, and the drive, which knows states and motion. Values here are raw.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class RegisterAccess:
         self.unit = unit
         self.registers = registers
         self._plans: dict[tuple[str, ...], ReadPlan] = {}
-        self._seen: dict[str, int] = {}  # what a register held last, of those that commands go to
+        self._seen: dict[str, int] = {}  # last values of registers that commands are written to
 
     def plan(self, names: Sequence[str]) -> ReadPlan:
-        """The requests that read these registers, and the predicted wire time."""
+        """The requests that read these registers, and the predicted wire time, s."""
         key = tuple(names)
         if key not in self._plans:
             self._plans[key] = plan_reads(
@@ -40,7 +40,7 @@ class RegisterAccess:
         return self._plans[key]
 
     def read(self, names: Sequence[str], *, urgent: bool = False, repeats: int | None = None) -> dict[str, Raw]:
-        """Raw values by name, in as few requests as the wire is best served with. urgent and repeats: see `ModbusLink.read`."""
+        """Raw values by name, in as few requests as the wire allows. urgent and repeats, and errors: see `ModbusLink.read`."""
         words = self.words(names, urgent=urgent, repeats=repeats)
         return {name: decode(each, self.registers[name].layout) for name, each in words.items()}
 
@@ -63,20 +63,22 @@ class RegisterAccess:
         return words
 
     def integers(self, names: Iterable[str], *, urgent: bool = False) -> dict[str, int]:
-        """Raw values of whole-number registers."""
+        """Raw values of whole-number registers. Raises InputError for another type, and as `read`."""
         raw = self.read(tuple(dict.fromkeys(names)), urgent=urgent)
         return {name: whole(value, name) for name, value in raw.items()}
 
     def of_conditions(self, conditions: Sequence[Condition]) -> dict[str, int]:
-        """Raw values of all registers that conditions speak of."""
+        """Raw values of all registers named in conditions."""
         return self.integers(condition.register for condition in conditions)
 
     def write(self, values: Mapping[str, Raw]) -> None:
-        """Write raw values in the order given, neighbours together in one request; each is certain when this returns."""
+        """Write raw values in the order given, neighbours together in one request; certain when this returns.
+
+        Raises CapabilityError for a read-only register, InputError, and as `ModbusLink.write`."""
         self.write_words({name: encode(value, self.registers[name].layout) for name, value in values.items()})
 
     def write_words(self, values: Mapping[str, tuple[int, ...]]) -> None:
-        """The same for the words themselves."""
+        """As `write`, for the words themselves."""
         names = list(values)
         places = [self._writable(name).place for name in names]
         for group in group_writes(places, max_registers=self.registers.max_write):
@@ -112,9 +114,9 @@ class RegisterAccess:
         )
 
     def post(self, writes: Sequence[Write]) -> None:
-        """Put the writes of a stop on the wire without waiting, see `ModbusLink.post`.
+        """Send the writes of a stop without waiting, see `ModbusLink.post`.
 
-        Of a register of which only some bits are written, the others are as `note` or the last command left them.
+        In a register of which only some bits are written, the others are those of `note` or of the last command.
         """
         self.link.post(self.unit, [self._request(write) for write in writes])
 
@@ -127,7 +129,7 @@ class RegisterAccess:
         return Request.write(register.table, register.span.start, words, single=self.registers.single_writes)
 
     def note(self, writes: Sequence[Write]) -> None:
-        """Read what `post` has to know of the registers that these writes go to."""
+        """Read the registers whose other bits `post` needs for these writes."""
         names = [write.register for write in writes if write.mask is not None]
         if names:
             self._seen.update(self.integers(names))
@@ -153,7 +155,7 @@ class RegisterAccess:
 
 
 def whole(value: Raw, name: str) -> int:
-    """The raw value as the whole number that it is."""
+    """The raw value as a whole number. Raises InputError for another type."""
     if not isinstance(value, int):
         raise InputError(f"register {name} holds {value!r}, expected a whole number")
     return value

@@ -1,10 +1,10 @@
 """The register map of one drive model: a TOML file, read once, checked, frozen.
 
-    [map]                    name, description, how addresses are written (address_base), what the model bears in one request
+    [map]                    name, description, how addresses are written (address_base), what the model allows in one request
     [registers.NAME]         one value: address, table, type, scale, unit, orders, access, limits, memory
     [drive] and below        which of them make it a servo drive (`drivers.modbus.drive_map`)
 
-Addresses are written the way the drive's manual writes them, and `address_base` says which way that is; inside, everything is the
+Addresses are written as in the drive's manual, and `address_base` states how that is; inside, every address is the
 0-based PDU address. `drivers/modbus/maps` holds two complete examples; scale and offset mean value = raw · scale + offset.
 Conditions and writes of the [drive] part are raw, before scale.
 """
@@ -46,7 +46,7 @@ class Access(Enum):
 
 
 class Memory(Enum):
-    """Where a written value goes; an EEPROM cell bears some 100 000 writes in its life."""
+    """The memory of a written value; an EEPROM cell bears about 100 000 writes."""
 
     RAM = "ram"
     EEPROM = "eeprom"
@@ -59,7 +59,7 @@ _MODICON_TABLES = {0: Table.COIL, 1: Table.DISCRETE, 3: Table.INPUT, 4: Table.HO
 class Register:
     """One value of the drive. `span.start` is the 0-based PDU address; minimum and maximum are in `unit`, None is unlimited.
 
-    self_clearing: the drive takes the value back when it has acted on it, so reading it back proves nothing.
+    self_clearing: the drive clears the value when it has acted on it, so reading it back proves nothing.
     """
 
     name: str
@@ -92,7 +92,7 @@ class Register:
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """What it may be, in its unit: the file's limits within those of its type."""
+        """Allowed range in its unit: the file's limits within those of its type."""
         if not self.layout.type.is_integer:
             return self.minimum, self.maximum
         low, high = sorted(raw * self.scale + self.offset for raw in self.layout.type.bounds)
@@ -102,7 +102,7 @@ class Register:
         )
 
     def value_of(self, raw: Raw) -> Value:
-        """Raw -> engineering units."""
+        """Raw value -> engineering units, raw · scale + offset."""
         if isinstance(raw, str) or (self.scale == 1.0 and self.offset == 0.0):
             return raw
         return raw * self.scale + self.offset
@@ -159,7 +159,7 @@ class RegisterMap:
     response_s: float = 0.003
 
     def __getitem__(self, name: str) -> Register:
-        """Raises InputError for a name the map does not have."""
+        """The register of a name. Raises InputError for a name that the map does not have."""
         if name not in self.registers:
             raise InputError(f"has no register {name!r}", path=self.path)
         return self.registers[name]
@@ -256,7 +256,7 @@ class _Row:
 
 
 def parse_registers(document: Document) -> RegisterMap:
-    """[map] and [registers] of an open document."""
+    """[map] and [registers] of an open document. Raises InputError naming file, line and key."""
     head = document.load(_Head, "map")
     registers: dict[str, Register] = {}
     for name, row in document.load(dict[str, _Row], "registers").items():
@@ -317,7 +317,7 @@ def _register(name: str, row: _Row, head: _Head) -> Register:
 
 
 def _address(row: _Row, base: AddressBase) -> tuple[Table, int]:
-    """The table and the 0-based PDU address of what the manual calls `address`."""
+    """The table and the 0-based PDU address of the manual's `address`. Raises SchemaError."""
     written, table = row.address, row.table
     if base in (AddressBase.PDU0, AddressBase.ONE):
         if table is None:
@@ -338,7 +338,7 @@ def _address(row: _Row, base: AddressBase) -> tuple[Table, int]:
 
 
 def _refuse_overlaps(document: Document, registers: Mapping[str, Register]) -> None:
-    """Two names on one address are nearly always a slip of the pen."""
+    """Raise InputError for two names on one address, which is nearly always a typing error."""
     furthest: dict[Table, Register] = {}
     for register in sorted(registers.values(), key=lambda each: each.span):
         before = furthest.get(register.table)

@@ -1,6 +1,6 @@
-"""Who is on a Modbus line: each unit is asked for one register. Nothing is ever written.
+"""Scan of a Modbus line: each unit is asked for one register. Nothing is written.
 
-Any answer counts, a refusal too: a unit that has no such register is there nevertheless. With a register map a drive's state and
+Any answer counts, a refusal included: a unit without that register is there nevertheless. With a register map a drive's state and
 position are read as well.
 """
 
@@ -18,14 +18,14 @@ from drivers.modbus.plan import Span, Table
 from drivers.modbus.register_access import RegisterAccess
 
 POLICY = LinkPolicy(read_retries=0, quiet_s=0.02)
-"""Of a link to scan with: a silent unit is asked once."""
+"""Policy of a link for scanning: a silent unit is asked once."""
 
-_GATEWAY = (10, 11)  # exceptions of a gateway, which speaks for a unit that does not
+_GATEWAY = (10, 11)  # exceptions that a gateway answers for a unit that does not
 
 
 @dataclass(frozen=True)
 class FoundUnit:
-    """One unit that answered. refusal: how it refused the register that was asked for, "" when it did not.
+    """One unit that answered. refusal: its refusal of the register, "" when it gave it.
 
     With a register map: state, raw position, fault code; problem: why these could not be read.
     """
@@ -45,9 +45,9 @@ def scan(
     *,
     progress: Callable[[int], None] = lambda _done: None,
 ) -> list[FoundUnit]:
-    """Ask each unit for holding register 0; reads only. The link is open, and best made with `POLICY`.
+    """Ask each unit for holding register 0; reads only. The link must be open; make it with `POLICY`.
 
-    Raises LinkLostError when the connection is lost and cannot be had again.
+    Raises LinkLostError when the connection is lost and cannot be opened again.
     """
     found: list[FoundUnit] = []
     for done, unit in enumerate(units, start=1):
@@ -59,7 +59,7 @@ def scan(
 
 
 def _ask(link: ModbusLink, unit: int) -> str | None:
-    """None: nobody there; else how it refused, "" when it gave the register."""
+    """None: no unit there; else its refusal, "" when it gave the register."""
     try:
         link.read(unit, Table.HOLDING, Span(0, 1), urgent=True)
     except AbortError as error:
@@ -69,14 +69,14 @@ def _ask(link: ModbusLink, unit: int) -> str | None:
     except NoAnswerError:
         return None
     except LinkLostError:
-        link.close()  # some servers hang up on a unit they do not have; raises when they do not take us back
+        link.close()  # some servers disconnect after a request to a missing unit; open raises where they refuse the next connection
         link.open()
         return None
     return ""
 
 
 def _drive(link: ModbusLink, unit: int, refusal: str, drive_map: DriveMap) -> FoundUnit:
-    """A unit read by a register map, as far as that goes."""
+    """A unit read by a register map, as far as it answers."""
     access = RegisterAccess(link, unit, drive_map.registers)
     names = [rule.condition.register for rule in drive_map.states]
     names += [name for name in (drive_map.position, drive_map.fault_code) if name is not None]

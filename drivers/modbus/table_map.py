@@ -1,11 +1,11 @@
-"""Where a Modbus drive's own correction table stands among its registers.
+"""The registers of a Modbus drive's own correction table.
 
     [drive.correction_table]     name, points, nodes, interpolation, outside, directions, sign
                                  position, plus, minus: the register of the first value; the others follow it without a gap
-                                 count, origin, step, backlash, applied: registers, as far as the drive has them
+                                 count, origin, step, backlash, applied: registers, where the drive has them
     [drive.correction_table.enable]   register, on, off
 
-Units, scales, types, orders, limits and memory are those of the registers named; one that stands first is that of all its column.
+Units, scales, types, orders, limits and memory are those of the registers named; those of the first register hold for its column.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from drivers.toml_types import Limits, SchemaError
 
 @dataclass(frozen=True)
 class TableBlocks:
-    """columns: the first register of each; scalars: count, origin, step, backlash and applied, by what they are."""
+    """columns: the first register of each; scalars: count, origin, step, backlash and applied, by name."""
 
     description: TableDescription
     columns: Mapping[str, Register]
@@ -34,13 +34,13 @@ class TableBlocks:
     off: int
 
     def names(self) -> frozenset[str]:
-        """Every register of the table; none of them is a parameter of its own."""
+        """Names of all registers of the table; none of them is a parameter."""
         found = [*self.columns.values(), *self.scalars.values(), self.enable]
         return frozenset(register.name for register in found)
 
 
 def quantity_of(register: Register) -> Quantity:
-    """What a register's raw numbers stand for, and how far they go."""
+    """Unit, scale and range of a register's raw numbers."""
     low, high = register.layout.type.bounds
     if register.minimum is not None:
         low = max(low, math.ceil(register.minimum / register.scale - 1e-9))
@@ -82,7 +82,7 @@ class TableSection(TableHead):
 
 
 def table_blocks(section: TableSection, document: Document) -> TableBlocks:
-    """Hold the registers of a table against each other and against those beside them."""
+    """Check the registers of a table against each other and against neighbouring ones. Raises SchemaError."""
     named = section.named(section, "the name of a register")
     for key, register in named.items():
         if key != "applied":

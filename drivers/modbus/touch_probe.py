@@ -1,5 +1,4 @@
-"""Touch probe of a Modbus drive, by what its register map says of its probe inputs. What counts as a new latch is decided in
-`drivers.touch_probe`."""
+"""Touch probe of a Modbus drive, by the probe inputs of its register map. `drivers.touch_probe` decides which latch is new."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from drivers.touch_probe import Edge, LatchReading, TouchProbe
 
 
 class ModbusTouchProbe(TouchProbe):
-    """The probe inputs of one open drive. load_mm(raw, register name): a latched position in the load frame."""
+    """The probe inputs of one open drive. load_mm(raw, register name): a latched position, load mm."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The time that a drive's way out may take: one budget for its stop, its power and its settings, whatever is dead.
+"""WayOut: the time limit for shutting down a drive: one budget for its stop, its power and its settings, whichever step fails.
 
 Without it the time-outs of the steps add up, as each step knows only its own.
 """
@@ -16,25 +16,25 @@ from drivers.errors import BridgeError
 from drivers.shared_time import SharedTime
 
 _LEAST_S = 6.0
-"""Of the 10 s from a fault to the end. The rest is for noticing it (three requests of 1 s on TCP) and what stands beside the drive."""
+"""Part of the 10 s from a fault to the end, s. The rest is for noticing it (three requests of 1 s on TCP) and for other devices."""
 _MACHINE_S = 10.0
-"""So long after its begin a way out that failed is over, s: whoever stops or disables then does so anew, as after a repair."""
+"""Time after its begin after which a failed shutdown is over, s: a later stop or disabling begins another, as after a repair."""
 _LEAST_REPLY_S = 0.1
-"""What a request is waited for once nothing is left, s: any drive that is alive answers within it (most take 1 to 20 ms)."""
+"""Time-out of a request once nothing is left, s: any drive that works answers within it (most take 1 to 20 ms)."""
 POWER_OFF_S = 1.0
-"""Of the budget, kept from the wait for standstill, s: to write that power goes, and see it go."""
+"""Part of the budget that the wait for standstill leaves, s: to take the power off, and see it confirmed."""
 
 
 class WayOut:
-    """Of one drive: begun by its first stop, `disable` or `close`, shared by those that follow.
+    """Time limit of one drive: begun by its first stop, `disable` or `close`, shared by those that follow.
 
     A halt and a quick stop may each have to brake from the axis's highest velocity by its acceleration: where both need longer than
-    `_LEAST_S` leaves them, the budget is longer. What counts is the time in the steps, and all time once one has failed, by the clock;
-    or what was spent on requests that nobody answered, if that is more, as it passes in real time only. From any thread; waits are
+    `_LEAST_S` leaves them, the budget is longer. Counted is the time in the steps, and all time once one has failed, by the clock;
+    or the time spent on requests without an answer, if that is more, as it passes in real time only. For any thread; waits are
     limited for the thread that is in a step.
 
-    Axes that leave together share one such time (`share`). Where dead ones have used it up, each of the others still has `least_s`, in
-    which an axis brakes and answers.
+    Axes that shut down together share one such time (`share`). Where axes without an answer have used it up, each of the others still
+    has `least_s`, in which an axis brakes and answers.
     """
 
     def __init__(self, clock: Clock, limits: DriveLimits) -> None:
@@ -44,17 +44,17 @@ class WayOut:
         self._shared: SharedTime | None = None
         self._thread = threading.local()
         self._begun_ns: int | None = None
-        self._counted_ns = 0  # up to here time was counted
+        self._counted_ns = 0  # time up to here is counted
         self._used_s = self._unanswered_s = 0.0
         self._failed = False
 
     def over(self) -> None:
-        """A new connection, or an axis that is enabled anew: the next stop begins another."""
+        """For a new connection, or an axis that is enabled again: the next stop begins another limit."""
         self._begun_ns, self._used_s, self._unanswered_s, self._failed = None, 0.0, 0.0, False
         self._shared = None
 
     def share(self, time: SharedTime) -> None:
-        """Begins here, with others; one that is under way and shared already goes on."""
+        """Begin here, together with others; one in progress that is shared already continues."""
         if self._inside or (self._recent and self._shared is not None):
             return
         if not self._recent:
@@ -64,7 +64,7 @@ class WayOut:
 
     @contextmanager
     def step(self, *, last: bool) -> Iterator[None]:
-        """Around each step. last: it ends a way out in which nothing has failed, as the axis is then seen to be without power."""
+        """Context of each step. last: it ends a shutdown in which nothing has failed, as the axis is then seen without power."""
         if self._inside:
             yield
             return
@@ -102,7 +102,7 @@ class WayOut:
         return self._used_s + running * (self._clock.now_ns() - self._counted_ns) / NS_PER_S
 
     def left_s(self) -> float:
-        """Of the budget."""
+        """Rest of the budget, s."""
         spent_s = max(self._spent_s(), self._unanswered_s)
         left_s = self.budget_s - spent_s
         if self._shared is not None:
@@ -110,7 +110,7 @@ class WayOut:
         return max(0.0, left_s)
 
     def within_s(self, own_s: float, *, leave_s: float = 0.0) -> float:
-        """How long to wait for something that has own_s by itself. leave_s: kept for what comes after it."""
+        """Time to wait for something that has own_s by itself, s. leave_s: kept for what comes after it."""
         return min(own_s, max(0.0, self.left_s() - leave_s)) if self._inside else own_s
 
     # -- requests ----------------------------------------------------------------------------------------------------
@@ -118,15 +118,15 @@ class WayOut:
         return self._inside or (self._failed and self._recent)
 
     def repeats(self, own: int, *, silent: bool) -> int:
-        """How often a request may be repeated. silent: the unit has left one unanswered, repeats and all, and nothing since."""
+        """Number of repeats of a request. silent: the unit has left one unanswered, with repeats, and answered nothing since."""
         return 0 if self._limits_requests() and (silent or self.left_s() <= 0.0) else own
 
     def reply_s(self) -> float:
-        """How long to wait for a reply at most."""
+        """Longest wait for a reply, s."""
         return max(_LEAST_REPLY_S, self.left_s()) if self._limits_requests() else math.inf
 
     def unanswered(self, waited_s: float) -> None:
-        """So much real time went to a request that was not answered."""
+        """A request was not answered for this much real time, s."""
         if self._limits_requests():
             self._unanswered_s += waited_s
             if self._shared is not None:

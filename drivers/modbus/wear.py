@@ -1,8 +1,8 @@
-"""Counts writes to a drive's EEPROM, and refuses the one that exceeds the register's budget.
+"""Ledger of the writes to a drive's EEPROM; it refuses the one that exceeds the register's budget.
 
-An EEPROM cell bears some 100 000 writes; a script that writes a parameter in a loop uses that up in an afternoon. The ledger counts
-attempts, not successes, and may live in a file, because wear outlasts the process. Ledgers of several drives may share the file, in
-several threads or processes: each counts on from what the file says.
+An EEPROM cell bears some 100 000 writes; a script that writes a parameter in a loop reaches that in an afternoon. The ledger counts
+attempts, not successes, and may be kept in a file, because wear outlasts the process. Ledgers of several drives may share the file, in
+several threads or processes: each continues from the counts in the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from drivers.errors import InputError, StateError
 
 
 class WearLedger:
-    """Writes so far, by drive and register. path: where they are kept; None keeps them for this process only."""
+    """Writes so far, by drive and register. path: file of the counts; None keeps them for this process only."""
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
@@ -52,7 +52,7 @@ class WearLedger:
 
 @contextmanager
 def _alone_in(directory: Path) -> Iterator[None]:
-    """Against other ledgers; each opens the directory itself, so that it holds between threads too."""
+    """Lock against other ledgers; each opens the directory itself, so that it holds between threads too."""
     handle = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -72,7 +72,7 @@ def _read(path: Path) -> dict[str, int]:
 
 
 def _write(path: Path, counts: dict[str, int]) -> None:
-    """Replace the file in one step, so that a power cut leaves the old counts or the new ones."""
+    """Replace the file in one step, so that after a power cut it holds the old counts or the new ones."""
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as stream:

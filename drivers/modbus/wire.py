@@ -1,10 +1,10 @@
-"""One Modbus request and its reply, through pymodbus, with every way of failing turned into one typed error.
+"""One Modbus request and its reply, through pymodbus; every failure becomes one typed error.
 
-Nothing here repeats, waits or remembers: that is `drivers.modbus.link`. What pymodbus leaves open is closed here: it reports
+Repeats, waits and state are in `drivers.modbus.link`. This module covers what pymodbus leaves open: it reports
 failures as exceptions *or* as replies for which isError() holds; it does not compare function code, count or echo of a reply with the
 request; it names the unit differently from release to release. Its clients are not used, only its requests, replies and framers: they
-block where nobody can interrupt them, repeat requests by themselves (a repeated start bit is a second move) and let traffic extend
-their time-outs. A reply cut short on TCP leaves its tail in the stream; the connection is then given up.
+block without a way to interrupt them, repeat requests by themselves (a repeated start bit is a second move) and let traffic extend
+their time-outs. A reply cut short on TCP leaves its rest in the stream; the connection is then closed.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Request:
 
     @classmethod
     def write(cls, table: Table, start: int, values: tuple[int, ...], *, single: bool = True) -> Request:
-        """single: one value goes with function 5 or 6 rather than 15 or 16."""
+        """A write request. single: one value goes with function 5 or 6 rather than 15 or 16. Raises InputError."""
         if not table.is_writable:
             raise InputError(f"table {table.value} cannot be written")
         if single and len(values) == 1:
@@ -114,7 +114,7 @@ class Request:
 
     @property
     def echo(self) -> tuple[object, ...]:
-        """All of its reply that can be known beforehand: two requests of one echo cannot be told apart by their replies."""
+        """All of its reply that is known beforehand: two requests of one echo cannot be told apart by their replies."""
         if self.function in (Function.WRITE_COIL, Function.WRITE_REGISTER):
             return self.function, self.address, self.values
         if self.function.is_write:
@@ -134,7 +134,7 @@ class Request:
 
 @dataclass(frozen=True)
 class TcpEndpoint:
-    """A Modbus TCP server; timeout_s holds for connecting and for each reply."""
+    """A Modbus TCP server; timeout_s: for connecting and for each reply, s."""
 
     host: str
     port: int = 502
@@ -221,50 +221,50 @@ class Wire(Protocol):
     @property
     def connected(self) -> bool: ...
     def connect(self, within_s: float = math.inf) -> None:
-        """within_s: if that is less than the time-out. Raises LinkLostError."""
+        """Connect. within_s: used instead of the time-out if it is less, s. Raises LinkLostError."""
 
     def disconnect(self) -> None: ...
     def discard(self, silence_s: float) -> None:
-        """Throw away what still comes in, until nothing has come for silence_s of real time. TCP has no need of it."""
+        """Discard what still comes in, until nothing has come for silence_s of real time. Does nothing on TCP."""
 
     def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
-        """The values read, () for a write. within_s: for the reply, if that is less than the time-out.
+        """The values read, () for a write. within_s: used instead of the time-out for the reply if it is less, s.
 
-        Raises NoAnswerError, LinkLostError (the connection is then gone), AbortError (the device refused) and ProtocolError (a
-        reply that is none to this request). Whatever else ends it (the operator's stop), its reply may still come.
+        Raises NoAnswerError, LinkLostError (the connection is then lost), AbortError (the device refused) and ProtocolError (a
+        reply that does not belong to this request). After any other exception (the operator's stop) its reply may still come.
         """
 
     def post(self, unit: int, requests: Sequence[Request]) -> None:
-        """Send without waiting for replies, beside an exchange that is under way; from any thread and from a signal handler."""
+        """Send without waiting for replies, during an exchange too; from any thread and from a signal handler."""
 
 
 _MOST_BYTES = 8192
-"""Bytes within which a reply has to come, after 30 of the longest frames with other numbers. More is noise, not listened to."""
+"""Bytes within which a reply has to come: 30 of the longest frames with other numbers before it. More is noise and not read."""
 
-# what pymodbus raises of bytes that are no frame, besides what it means to raise
+# errors of pymodbus for bytes that are no frame, besides the intended ones
 _NO_FRAME: tuple[type[Exception], ...] = (ModbusException, IndexError, ValueError, KeyError, TypeError, struct.error)
 
 
 class _Requests(ModbusClientMixin[ModbusPDU]):
-    """pymodbus's requests, made and not sent."""
+    """pymodbus's requests, built and not sent."""
 
     def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
-        """Instead of sending it."""
+        """Return the request instead of sending it."""
         del no_response_expected
         return request
 
 
 class PymodbusWire:
-    """`Wire` by pymodbus's framers over a port of our own. check: `Clock.check_interrupt`, called at least every `IO_SLICE_S`.
+    """`Wire` with pymodbus's framers over a port of this package. check: `Clock.check_interrupt`, called at least every `IO_SLICE_S`.
 
-    An exchange takes the endpoint's time-out and `_MOST_BYTES` at most, whatever comes in meanwhile; on a serial line a reply that
+    An exchange takes at most the endpoint's time-out and `_MOST_BYTES`, whatever comes in meanwhile; on a serial line a reply that
     has begun by then may take the time of the longest frame more.
     """
 
     def __init__(self, endpoint: Endpoint, check: Check = lambda: None) -> None:
         self.endpoint = endpoint
         logger = logging.getLogger("pymodbus")
-        if not logger.handlers:  # its complaints come back as errors; without a handler they would also go to stderr
+        if not logger.handlers:  # its messages come back as errors; without a handler they would also go to stderr
             logger.addHandler(logging.NullHandler())
         self._port: Port
         self._framer: FramerBase
@@ -285,10 +285,10 @@ class PymodbusWire:
                 check=check,
             )
             self._framer = FramerRTU(DecodePDU(False))
-            self._numbers = self._post_numbers = itertools.cycle((0,))  # RTU numbers nothing
+            self._numbers = self._post_numbers = itertools.cycle((0,))  # RTU has no numbers
         self._requests = _Requests()  # type: ignore[no-untyped-call]
         self._unit_keyword = unit_keyword(self._requests.read_holding_registers)
-        self._rest = b""  # of what came in: on TCP the beginning of a frame
+        self._rest = b""  # bytes received and not decoded yet: on TCP the beginning of a frame
 
     @property
     def connected(self) -> bool:
@@ -307,7 +307,7 @@ class PymodbusWire:
         self._port.close()
 
     def discard(self, silence_s: float) -> None:
-        with contextlib.suppress(OSError):  # a port that is gone is left to the next request
+        with contextlib.suppress(OSError):  # the next request reports a lost port
             self._port.discard(silence_s)
 
     def post(self, unit: int, requests: Sequence[Request]) -> None:
@@ -327,7 +327,7 @@ class PymodbusWire:
         return _checked(what, request, reply)
 
     def _reply(self, unit: int, request: Request, what: str, timeout_s: float) -> Any:
-        """The first frame from this unit (on TCP: with this number) that comes in time."""
+        """The first frame from this unit (on TCP: with this number) that comes in time. Raises NoAnswerError, ProtocolError."""
         number, port = next(self._numbers), self._port
         if isinstance(self.endpoint, RtuEndpoint):
             self._rest = b""
@@ -347,7 +347,7 @@ class PymodbusWire:
         raise NoAnswerError(f"{what}: {received} bytes of a damaged or foreign reply, no answer to this request")
 
     def _found(self, unit: int, number: int, what: str) -> Any:
-        """The reply among what has come in so far; frames of others before it are left out."""
+        """The reply among the bytes received so far; frames of other units before it are left out."""
         while True:
             try:
                 used, reply = self._framer.handleFrame(self._rest, unit, number)
@@ -359,7 +359,8 @@ class PymodbusWire:
                 return reply
 
     def _drop_broken_stream(self) -> None:
-        """On TCP the rest of a broken reply would be taken for the head of the next; on RTU silence ends a frame."""
+        """Close a TCP connection after a broken reply, whose rest would be taken for the head of the next; on RTU silence ends a
+        frame."""
         if isinstance(self.endpoint, TcpEndpoint):
             self.disconnect()
 
@@ -378,7 +379,7 @@ class PymodbusWire:
 
 
 def unit_keyword(method: Callable[..., object]) -> str:
-    """What this release of pymodbus calls the unit id: device_id, before that slave, before that unit."""
+    """The keyword of the unit id in this release of pymodbus: device_id, earlier slave, earlier unit. Raises CapabilityError."""
     parameters = inspect.signature(method).parameters
     for name in ("device_id", "slave", "unit"):
         if name in parameters:
@@ -395,7 +396,7 @@ def _refusal(what: str, request: Request, reply: Any) -> AbortError | NoAnswerEr
 
 
 def _checked(what: str, request: Request, reply: Any) -> tuple[int, ...]:
-    """The reply's values, once everything in it that mirrors the request has been compared."""
+    """The reply's values, once everything in it that repeats the request has been compared. Raises ProtocolError."""
     if reply.function_code != request.function:
         raise ProtocolError(f"{what}: reply to function {reply.function_code}")
     if request.function.is_write:

@@ -18,7 +18,7 @@ from drivers.errors import (
     RemoteError,
     TransportError,
 )
-from drivers.raw_parameters import Access, Pause, RawParameters, Steps, Tell, deaf
+from drivers.raw_parameters import Access, Pause, RawParameters, Steps, Tell, no_observer
 from hil.parameters.order import in_order, uncrossed
 
 SETTLE_S = 0.5  # a drive may take this long to show what it has taken
@@ -44,7 +44,7 @@ class DriveJob:
     """Work on one drive. tell: of each access that is through."""
 
     drive: RawParameters
-    tell: Tell = deaf
+    tell: Tell = no_observer
     settle_s: float = SETTLE_S
     latencies: Latencies = field(default_factory=Latencies)
 

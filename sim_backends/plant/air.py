@@ -1,7 +1,7 @@
 """The true refractive index of air, by Ciddor's equation.
 
-P. E. Ciddor, Applied Optics 35 (1996) 1566, 450 ppm CO₂, with the vapour pressure of the CIPM-81/91 density formula. On purpose
-another equation, from other sources, than the one instruments are compensated with.
+P. E. Ciddor, Applied Optics 35 (1996) 1566, 450 ppm CO₂, with the vapour pressure of the CIPM-81/91 density formula. Deliberately
+another equation, from other sources, than the one by which instruments are compensated.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _M_AIR = 0.0289635 + 1.2011e-8 * 50.0
 
 
 def refractive_index(air_c: float, pressure_hpa: float, humidity_percent: float, wavelength_nm: float) -> float:
-    """Phase index at °C, hPa, % relative humidity and a vacuum wavelength in nm."""
+    """Phase index from °C, hPa, % relative humidity and a vacuum wavelength in nm."""
     s = (1000.0 / wavelength_nm) ** 2
     t, p = air_c, pressure_hpa * 100.0
     kelvin = t + 273.15

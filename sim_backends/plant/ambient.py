@@ -1,6 +1,6 @@
-"""The workshop: air temperature, pressure and humidity that wander, each as a slow wave plus a bounded random walk.
+"""The workshop's air: temperature, pressure and humidity, each a slow wave plus a bounded random walk.
 
-Advanced in fixed ticks by its owner, so that it depends on the seed and the time alone and not on who reads it when.
+Advanced in fixed ticks by its owner, so that it depends only on the seed and the time, not on when it is read.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AmbientParameters:
-    """Means, and by how much they wander (standard deviation of the walk over long times, peak of the wave)."""
+    """Means (°C, hPa, %), and their variation (standard deviation of the walk over long times, peak of the wave)."""
 
     air_c: float = 20.0
     air_wave_k: float = 0.0
@@ -26,7 +26,7 @@ class AmbientParameters:
 
 
 class Ambient:
-    """Present values, singly and as `air` (°C, hPa, %), which is a new tuple whenever something changed; `tick` moves them on."""
+    """Present values, singly and as `air` (°C, hPa, %), which is a new tuple whenever a value changed; `tick` advances them."""
 
     def __init__(self, parameters: AmbientParameters, seed: int) -> None:
         self.parameters = parameters
@@ -40,7 +40,7 @@ class Ambient:
         self._show()
 
     def tick(self, dt_s: float) -> None:
-        """Bring the air dt_s on."""
+        """Advance the air by dt_s seconds."""
         p = self.parameters
         self._time_s += dt_s
         if p.air_walk_k or p.pressure_walk_hpa or p.humidity_walk_percent:

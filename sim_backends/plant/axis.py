@@ -1,7 +1,7 @@
 """The feed axis: motor revolutions in, the table's true position out.
 
-Fixed here, once: what acts on what and in which order. Reversal effects act on the motor's motion, errors of the screw on the nut's
-place, expansion and guideway on the table. Errors are actual − commanded; nothing here knows counts, protocols or corrections.
+Defines the order of the effects: reversal effects act on the motor's motion, errors of the screw on the nut's position, expansion and
+guideway on the table. Errors are actual − commanded. No counts, protocols or corrections appear here.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from sim_backends.plant.sensors import Sensors
 from sim_backends.plant.thermal import Thermal
 
 UM_PER_MM = 1000.0
-TICK_S = 0.5  # heat, air and sensors move on in these
+TICK_S = 0.5  # interval at which heat, air and sensors are advanced, s
 
 
 class FeedAxis:
-    """One axis's truth and its state.
+    """The true state of one axis.
 
     `step` is exact for motions that do not reverse within it. `load_kg` and `other_axis_mm` are inputs that may be set at any time.
     """
@@ -46,7 +46,7 @@ class FeedAxis:
         self._sense(TICK_S)
 
     def reconfigure(self, parameters: PlantParameters) -> None:
-        """Exchange the parameters while it runs; whatever has a state (temperatures, wind-up) keeps it."""
+        """Change the parameters while it runs; states (temperatures, wind-up) are kept."""
         self.parameters = parameters
         self._lead_mm = parameters.screw.lead_mm
         self.thermal.configure(parameters.thermal)
@@ -65,7 +65,7 @@ class FeedAxis:
 
     # -- time --------------------------------------------------------------------------------------------------------
     def step(self, motor_rev: float, dt_s: float) -> None:
-        """The motor went to `motor_rev` (revolutions) within dt_s > 0 seconds, without a reversal on the way."""
+        """Turn the motor to `motor_rev` (revolutions) within dt_s > 0 seconds, without a reversal in between."""
         motor_mm = motor_rev * self._lead_mm
         moved = motor_mm - self._motor_mm
         if moved != 0.0:
@@ -106,7 +106,7 @@ class FeedAxis:
 
     @property
     def position_mm(self) -> float:
-        """Where the table truly is, mm from the nominal zero."""
+        """True position of the table, mm from the nominal zero."""
         p = self.parameters
         nut_mm = self.reversal.state.nut_mm
         if self.wind_up is not None:
@@ -128,7 +128,7 @@ class FeedAxis:
 
     @property
     def error_um(self) -> float:
-        """True position − position the motor stands for, µm."""
+        """True position − position by the motor, µm."""
         return (self.position_mm - self._motor_mm) * UM_PER_MM
 
     @property
@@ -143,10 +143,10 @@ class FeedAxis:
     # -- angles, for a level or an autocollimator on the table ---------------------------------------------------------
     @property
     def pitch_urad(self) -> float:
-        """The table's pitch as a level reads it."""
+        """The table's pitch as a level measures it, µrad."""
         return self.parameters.guideway.pitch_urad.value(self._motor_mm) + self.sensors.readings.angle_noise_urad[0]
 
     @property
     def yaw_urad(self) -> float:
-        """The table's yaw as an autocollimator reads it."""
+        """The table's yaw as an autocollimator measures it, µrad."""
         return self.parameters.guideway.yaw_urad.value(self._motor_mm) + self.sensors.readings.angle_noise_urad[1]

@@ -1,10 +1,10 @@
-"""Between motor and table: two springs, the screw's own friction, and a table that sticks, breaks away and slides.
+"""The drive train between motor and table: two springs, the screw's own friction, and a table that sticks, breaks away and slides.
 
 The motor's shaft turns the screw through the coupling (first spring), the screw pushes the table through nut and bearings (second
-spring, stiffer the more it is loaded, with a clearance if there is one). Each of the two bodies rubs by the LuGre law (Canudas de Wit
+spring, stiffer under load, with a clearance if there is one). Friction of both bodies follows the LuGre law (Canudas de Wit
 et al., IEEE Trans. Autom. Control 40 (1995) 419): bristles that bend before anything slides, a Stribeck curve, viscous damping. The
-table's static excess is a bond that sliding breaks and rest heals, so that a break-away is a matter of history and not of speed alone.
-Masses are left out: the bodies are overdamped, as a feed axis is at the speeds where its friction matters.
+The table's static excess is a bond that sliding breaks and rest restores, so that a break-away depends on history and not on speed
+alone. Masses are neglected: the bodies are overdamped, as in a feed axis at the speeds where its friction matters.
 
 Units within: µm of nominal travel, N at the table, s.
 """
@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 SUBSTEP_S, SUBSTEP_UM = 0.00025, 0.1
-"""A substep lasts no shorter than the first, and the motor moves no further in it than the second, if the first allows."""
+"""Shortest substep, s, and largest motion of the motor in one, µm, where the first allows it."""
 LONGEST_S = 0.005
 _MOST_SUBSTEPS = 400
 _AT_REST_UM_S = 1e-3
@@ -26,7 +26,7 @@ class Guide:
     """Friction of the table on its guideway.
 
     sliding_n: at low speed and broken bonds, per_kg_n more for each kg of load; static_excess: how much more it takes to break away
-    after a long rest, relative; bond_um: slip over which a bond falls to 1/e; heal_s: rest over which it comes back by as much;
+    after a long rest, relative; bond_um: slip over which a bond falls to 1/e; heal_s: rest over which it recovers by as much;
     stribeck_mm_s: speed at which the excess is gone whatever the bond; bristle_n_per_um: stiffness before sliding.
     """
 
@@ -42,8 +42,8 @@ class Guide:
 
 @dataclass(frozen=True)
 class DriveTrain:
-    """The two springs and what rubs. hardening_per_um: relative growth of the second spring's stiffness per µm of its deflection;
-    rated_n: force at the table that the motor's rated torque stands for; weight_n: what pulls the table of a vertical axis down."""
+    """The two springs and the frictions. hardening_per_um: relative growth of the second spring's stiffness per µm of its deflection;
+    rated_n: force at the table at the motor's rated torque, N; weight_n: weight that acts along a vertical axis, N."""
 
     coupling_n_per_um: float = 120.0
     nut_n_per_um: float = 39.51
@@ -58,7 +58,7 @@ class DriveTrain:
 
 
 class WindUp:
-    """A drive train with its state: where screw and table are, and how far the bristles of both are bent."""
+    """A drive train with its state: positions of screw and table, and deflection of the bristles of both."""
 
     def __init__(self, train: DriveTrain, motor_mm: float) -> None:
         self.train = train
@@ -70,17 +70,17 @@ class WindUp:
 
     @property
     def lag_um(self) -> float:
-        """How far the table is behind the motor, with the sign of the motion it came by."""
+        """Lag of the table behind the motor, µm, with the sign of the motion before."""
         return self.motor_um - self.table_um
 
     @property
     def torque_permille(self) -> float:
-        """What the first spring holds the motor with, 0.1 % of rated."""
+        """Torque of the first spring on the motor, 0.1 % of rated."""
         train = self.train
         return 1000.0 * train.coupling_n_per_um * (self.motor_um - self._screw_um) / train.rated_n
 
     def step(self, motor_mm: float, dt_s: float, load_kg: float) -> None:
-        """The motor goes to `motor_mm` evenly within dt_s."""
+        """Move the motor to `motor_mm` at constant velocity within dt_s seconds."""
         start_um, end_um = self.motor_um, motor_mm * 1000.0
         if end_um == start_um and self._settled:
             self._bond = 1.0 - (1.0 - self._bond) * math.exp(-dt_s / self.train.guide.heal_s)
@@ -95,7 +95,7 @@ class WindUp:
         self._settled = end_um == start_um and (fastest < _AT_REST_UM_S or count == _MOST_SUBSTEPS)
 
     def _nut(self) -> tuple[float, float]:
-        """Force of the second spring and its stiffness there."""
+        """Force of the second spring, N, and its present stiffness, N/µm."""
         train = self.train
         stretch = self._screw_um - self.table_um
         size = abs(stretch) - 0.5 * train.gap_um
@@ -106,7 +106,7 @@ class WindUp:
         return math.copysign(force, stretch), stiffness
 
     def _move_screw(self, h_s: float) -> float:
-        """One substep of the screw; its speed, µm/s. Linearly implicit, so that stiff bristles do not ask for shorter steps."""
+        """One substep of h_s seconds of the screw; its speed, µm/s. Linearly implicit, so that stiff bristles allow longer steps."""
         train = self.train
         force, stiffness = self._nut()
         bristle = train.screw_bristle_n_per_um
@@ -140,9 +140,9 @@ class WindUp:
 
 
 def _substeps(travel_um: float, dt_s: float) -> tuple[int, float]:
-    """How many, and how long: fine enough for the motion, and none longer than what the bodies' own settling bears.
+    """(number, length in s) of the substeps: short enough for the motion and for the settling of the bodies.
 
-    At rest a long time is cut short: after `_MOST_SUBSTEPS` nothing moves any more.
+    At rest a long time is cut short: after `_MOST_SUBSTEPS` no motion is left.
     """
     least = math.ceil(dt_s / LONGEST_S)
     most = math.ceil(dt_s / SUBSTEP_S)
@@ -153,13 +153,13 @@ def _substeps(travel_um: float, dt_s: float) -> tuple[int, float]:
 
 
 def _bending(share: float, net: float) -> float:
-    """How much of a motion under a net force bends the bristles further: 1 straight, 0 when they are bent as far as they go."""
+    """Share of a motion under a net force that bends the bristles further: 1 straight, 0 at their largest deflection."""
     along = share if net > 0.0 else -share
     return min(2.0, max(0.0, 1.0 - along))
 
 
 def _bent(bristle_um: float, moved_um: float, most_um: float) -> float:
-    """The bristles after a motion: exact for a constant speed within it."""
+    """Deflection of the bristles after a motion, µm: exact for a constant speed within it."""
     if moved_um == 0.0:
         return bristle_um
     end = math.copysign(most_um, moved_um)

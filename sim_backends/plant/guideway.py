@@ -1,6 +1,6 @@
-"""Guideway, load and set-up: everything that moves the measured point without turning the screw.
+"""Guideway, load and set-up: errors of the measured point that do not come from the screw.
 
-Small frozen terms, each a pure function of what the machine is doing; all of them zero unless asked for.
+Small frozen terms, each a pure function of the machine's state; all of them zero unless requested.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ class Guideway:
     arm_y_mm: float = 0.0
 
     def error_um(self, x_mm: float) -> float:
+        """Abbe error at x, µm."""
         error = 0.0
         if self.arm_z_mm:
             error += math.tan(self.pitch_urad.value(x_mm) * 1e-6) * self.arm_z_mm
@@ -34,7 +35,7 @@ class Guideway:
 
 @dataclass(frozen=True)
 class LoadDeflection:
-    """The table sits back under load, less than in proportion; the more, the further it is from the bearing.
+    """Deflection of the table under load, less than proportional; it grows with the distance from the bearing.
 
     compliance_um_per_100kg at small loads; saturation_kg where half of the proportional deflection is lost;
     growth: relative increase of the deflection over the length; windup_per_100kg: relative increase of the reversal's half widths.
@@ -47,6 +48,7 @@ class LoadDeflection:
     windup_per_100kg: float = 0.0
 
     def error_um(self, x_mm: float, load_kg: float) -> float:
+        """Deflection at x under this load, µm."""
         if self.compliance_um_per_100kg == 0.0:
             return 0.0
         soft = load_kg / (1.0 + abs(load_kg) / self.saturation_kg)
@@ -55,7 +57,7 @@ class LoadDeflection:
 
 @dataclass(frozen=True)
 class CrossAxis:
-    """Another axis's position bends the structure: proportional, with a bow, and stronger towards the far end.
+    """Bending of the structure by another axis's position: proportional, with a bow, and stronger towards the far end.
 
     um_per_mm of the other axis at x = 0; bow: relative, quadratic over reach_mm; growth over length_mm of this axis.
     """
@@ -67,6 +69,7 @@ class CrossAxis:
     length_mm: float = 500.0
 
     def error_um(self, x_mm: float, other_mm: float) -> float:
+        """Error at x with the other axis at other_mm, µm."""
         if self.um_per_mm == 0.0:
             return 0.0
         s = other_mm / self.reach_mm
@@ -75,12 +78,13 @@ class CrossAxis:
 
 @dataclass(frozen=True)
 class VelocityLag:
-    """The table trails the motor while it moves: nearly proportional to the velocity, a little less at speed."""
+    """Lag of the table behind the moving motor: nearly proportional to the velocity, a little less at high speed."""
 
     um_per_mm_s: float = 0.0
     bend_mm_s: float = 400.0
 
     def error_um(self, velocity_mm_s: float) -> float:
+        """Lag at this velocity, µm."""
         if self.um_per_mm_s == 0.0:
             return 0.0
         return -self.um_per_mm_s * velocity_mm_s / math.sqrt(1.0 + (velocity_mm_s / self.bend_mm_s) ** 2)
@@ -88,7 +92,7 @@ class VelocityLag:
 
 @dataclass(frozen=True)
 class MountSlip:
-    """The reflector's (or nut's) mount slips once: most of it at one moment, the rest as it settles."""
+    """One slip of the reflector's (or nut's) mount: most of it at one moment, the rest as it settles."""
 
     amount_um: float = 0.0
     at_s: float = math.inf
@@ -96,6 +100,7 @@ class MountSlip:
     settle_s: float = 25.0
 
     def error_um(self, time_s: float) -> float:
+        """Displacement at this time, µm."""
         since = time_s - self.at_s
         if self.amount_um == 0.0 or since < 0.0:
             return 0.0

@@ -1,8 +1,8 @@
-"""What a reversal does: clearance and wind-up, lost motion that builds up over distance, and the torque that shows both.
+"""Reversal effects: clearance and wind-up, lost motion that builds up over distance, and the torque that shows both.
 
 Rate-independent operators of the play and stop kind. Each step is exact as long as the motor moves one way within it, however
-far, so the result does not depend on how finely a simulation cuts the motion. The lost motion is a stack of stop elements (Iwan's
-parallel-series model, 1966), which is piecewise linear: neither a tanh nor an exponential, whatever is fitted to it.
+far, so the result does not depend on the length of the steps. The lost motion is a stack of stop elements (Iwan's
+parallel-series model, 1966), which is piecewise linear: neither a tanh nor an exponential, unlike the models fitted to it.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ class Backlash:
     """Clearance plus wind-up against friction.
 
     amount_um: distance between the two sides at the middle of the travel; slope/curve: relative change of it at the end of the
-    travel against the middle, linear and quadratic; gap_fraction: how much of it is clearance without force (the rest is a spring);
-    stribeck: how much further than when sliding it winds up before the table breaks away, relative; it springs back over
+    travel against the middle, linear and quadratic; gap_fraction: share of it that is clearance without force (the rest is a spring);
+    stribeck: additional wind-up before the table breaks away, relative to that when sliding; it is lost over
     breakaway_mm of travel (where one half of it is gone).
     """
 
@@ -31,7 +31,7 @@ class Backlash:
     breakaway_mm: float = 0.02
 
     def half_width_mm(self, x_mm: float) -> float:
-        """Half of the distance between the two sides at a place, mm."""
+        """Half of the distance between the two sides at x, mm."""
         if self.slope == 0.0 and self.curve == 0.0:
             return self.amount_um * 0.0005
         s = (x_mm - self.middle_mm) / self.half_travel_mm
@@ -62,7 +62,7 @@ class LostMotion:
 
 @dataclass(slots=True)
 class ReversalState:
-    """Where the elements are. `nut_mm` is the nut by play alone; `stops_mm` the deflection of each stop element."""
+    """Positions of the elements. `nut_mm` is the nut by play alone; `stops_mm` the deflection of each stop element."""
 
     motor_mm: float = 0.0
     nut_mm: float = 0.0
@@ -78,7 +78,7 @@ class Reversal:
         self.configure(backlash, lost_motion)
 
     def configure(self, backlash: Backlash, lost_motion: LostMotion) -> None:
-        """Exchange the parameters; the nut stays where it is until it is pushed, new stop elements start relaxed."""
+        """Change the parameters; the nut stays until it is pushed, new stop elements start relaxed."""
         self.backlash = backlash
         self.lost_motion = lost_motion
         if len(self.state.stops_mm) != len(lost_motion.elements):
@@ -88,7 +88,7 @@ class Reversal:
         self._constant_half_mm = None if backlash.slope or backlash.curve else backlash.half_width_mm(0.0)
 
     def step(self, motor_mm: float) -> None:
-        """Move the motor to a place, without a reversal on the way."""
+        """Move the motor to a position, mm, without a reversal in between."""
         state = self.state
         moved = motor_mm - state.motor_mm
         if moved == 0.0:
@@ -106,7 +106,7 @@ class Reversal:
             state.nut_mm = motor_mm + half
         slid = abs(state.nut_mm - before)
         if was_ahead * (motor_mm - before) <= 0.0:
-            state.slid_mm = 0.0  # the old wind-up is released: the table will have to break away anew
+            state.slid_mm = 0.0  # the old wind-up is released: the table has to break away again
         state.slid_mm += slid
         stops = state.stops_mm
         for i, (limit, _) in enumerate(self._stops):
@@ -115,12 +115,12 @@ class Reversal:
 
     @property
     def loss_um(self) -> float:
-        """How far the table lags the nut by the built-up lost motion, µm, positive when it lags a + motion."""
+        """Lag of the table behind the nut by the built-up lost motion, µm, positive after a + motion."""
         return sum(k * s for (_, k), s in zip(self._stops, self.state.stops_mm, strict=True))
 
     @property
     def overshoot_um(self) -> float:
-        """What the table lags more than when sliding, shortly before and after it breaks away, µm (Stribeck)."""
+        """Additional lag of the table before and after it breaks away, compared with sliding, µm (Stribeck)."""
         backlash = self.backlash
         if backlash.stribeck == 0.0:
             return 0.0
@@ -130,7 +130,7 @@ class Reversal:
 
     @property
     def wind_up_ratio(self) -> float:
-        """Force of the wound-up drive train against the table's friction: ±1 when the table slides, between when it sticks."""
+        """Force of the wound-up drive train relative to the table's friction: ±1 when the table slides, between when it sticks."""
         state = self.state
         ahead = state.motor_mm - state.nut_mm
         half = self.backlash.half_width_mm(state.motor_mm)
@@ -146,6 +146,6 @@ class Reversal:
         return total / weight if weight > 1e-12 else 0.0
 
     def breakaway(self, over_mm: float) -> float:
-        """1 while the table is about to break away, falling with the travel since; `over_mm` is where it is one half."""
+        """1 just before the table breaks away, decreasing with the travel since; `over_mm`: travel at which it is one half."""
         r = self.state.slid_mm / over_mm
         return 1.0 / (1.0 + r * r)

@@ -1,6 +1,6 @@
-"""One frozen description of a feed axis's truth, and a few realistic ones.
+"""PlantParameters: one frozen description of a feed axis's true errors, and a few realistic ones.
 
-Every term is zero unless asked for; what is asked for is drawn from the seed, so that two machines of one seed are one machine.
+Every term is zero unless requested; random terms are drawn from the seed, so that two machines of one seed are equal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim_backends.plant.thermal import ThermalParameters
 
 @dataclass(frozen=True)
 class Friction:
-    """Torque at the motor that moving the table takes, in 0.1 % of rated: Coulomb part, excess of the break-away over it as a
+    """Torque at the motor for moving the table, in 0.1 % of rated: Coulomb part, excess of the break-away over it as a
     fraction, and the travel over which that excess has fallen to one half."""
 
     table_permille: float = 60.0
@@ -28,7 +28,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class SensorParameters:
-    """Noise of what the machine measures about itself: K, % of load, µrad (standard deviations), and the lag of the screw's
+    """Noise of the machine's own sensors: K, % of load, µrad (standard deviations), and the lag of the screw's
     thermometer, which sits on the nut, in s."""
 
     temperature_k: float = 0.015
@@ -41,10 +41,10 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """The truth about one feed axis; lengths mm, errors µm (see the parts).
+    """The true properties of one feed axis; lengths mm, errors µm (see the parts).
 
-    drive_train: springs and friction between motor and table, which come on top of `backlash`, `lost_motion` and `friction` (the
-    same seen from far away, and quicker to simulate); None: a rigid one.
+    drive_train: springs and friction between motor and table, in addition to `backlash`, `lost_motion` and `friction` (which
+    describe the same more coarsely, and are quicker to simulate); None: a rigid one.
     """
 
     seed: int = 1
@@ -70,7 +70,7 @@ def ideal_axis(length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParamete
 
 
 def geometric_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
-    """Pitch and backlash only, at constant temperature: what a bidirectional table corrects completely."""
+    """Pitch error and backlash only, at constant temperature: what a bidirectional table corrects completely."""
     rng = random.Random(seed)
     return PlantParameters(
         seed=seed,
@@ -81,7 +81,7 @@ def geometric_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -
 
 
 def typical_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
-    """A machining centre's axis as it stands in a workshop: pitch, cyclic error, backlash that varies, lost motion, some heat."""
+    """A machining centre's axis in a workshop: pitch, cyclic error, backlash that varies, lost motion, some heat."""
     rng = random.Random(seed)
     return PlantParameters(
         seed=seed,
@@ -106,7 +106,7 @@ def typical_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> 
 
 
 def worn_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
-    """An axis with some 53 µm of lost motion, all of it wind-up of a soft drive train against the friction of a plain guideway."""
+    """An axis with about 53 µm of lost motion, all of it wind-up of a soft drive train against the friction of a plain guideway."""
     rng = random.Random(seed)
     return PlantParameters(
         seed=seed,

@@ -1,7 +1,7 @@
-"""The ball screw: how far the nut is from where the angle of the screw says, apart from any reversal or temperature.
+"""The ball screw: deviation of the nut from the position by the screw's angle, without reversal and temperature.
 
 A smooth pitch error over the length, and the cyclic error of the lead (bearing run-out, misaligned coupling), whose amplitude
-breathes along the screw as it does on real ones.
+varies along the screw as on real ones.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class CyclicError:
     """Periodic error of the screw's rotation.
 
     amplitude_um: of the strongest harmonic; second_um: of twice its frequency; period_mm: travel per cycle;
-    modulation: 0…1, how much the amplitude breathes over `breath_mm` of travel; phases in rad.
+    modulation: 0…1, relative variation of the amplitude over `breath_mm` of travel; phases in rad.
     """
 
     amplitude_um: float = 0.0
@@ -41,13 +41,14 @@ class CyclicError:
 
 @dataclass(frozen=True)
 class LocalWear:
-    """A worn zone: the balls sit deeper in it. Flat-bottomed with shoulders, deeper where it was run most; µm, mm."""
+    """A worn zone, flat-bottomed with shoulders, deeper where it was used most; µm, mm."""
 
     depth_um: float = 0.0
     centre_mm: float = 0.0
     half_width_mm: float = 20.0
 
     def value_um(self, x_mm: float) -> float:
+        """Depth at x, µm."""
         r = abs(x_mm - self.centre_mm) / self.half_width_mm
         return -self.depth_um / (1.0 + r**6) if r < 3.0 else 0.0
 
@@ -62,7 +63,7 @@ class Screw:
     wear: LocalWear = field(default_factory=LocalWear)
 
     def error_um(self, motor_mm: float, nut_mm: float) -> float:
-        """Deviation of the nut, µm, at an angle of the screw (as nominal travel) and a place of the nut along it."""
+        """Deviation of the nut, µm, at an angle of the screw (as nominal travel, mm) and a position of the nut along it, mm."""
         error = self.pitch_um.value(nut_mm)
         if self.cyclic.amplitude_um or self.cyclic.second_um:
             error += self.cyclic.value_um(motor_mm)
@@ -80,7 +81,7 @@ def typical_screw(
     lead_error_um_per_m: float = 18.0,
     cyclic_um: float = 1.2,
 ) -> Screw:
-    """A ground screw of class IT3 to IT5, not compensated."""
+    """A ground screw of class IT3 to IT5, not compensated; lengths in mm, amplitudes in µm."""
     rng = random.Random(seed)
     return Screw(
         lead_mm,

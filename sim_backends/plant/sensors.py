@@ -1,4 +1,4 @@
-"""What the machine can tell about itself: thermometers by place, air, load cell, level, each with its own noise and lag.
+"""The machine's own sensors: thermometers by place, air, load cell, level, each with its own noise and lag.
 
 Noise is drawn once per tick, so a reading does not depend on how often it is read.
 """
@@ -14,7 +14,7 @@ from sim_backends.plant.parameters import SensorParameters
 
 @dataclass(slots=True)
 class SensorReadings:
-    """The latest readings; `temps_c` by place."""
+    """The latest readings; `temps_c` by place, °C."""
 
     temps_c: dict[str, float]
     air_c: float
@@ -25,7 +25,7 @@ class SensorReadings:
 
 
 class Sensors:
-    """Readings that follow the truth."""
+    """Readings of the true values, with noise and lag."""
 
     def __init__(self, parameters: SensorParameters, seed: int, screw_c: float) -> None:
         self.parameters = parameters
@@ -40,7 +40,7 @@ class Sensors:
         air: tuple[float, float, float],
         load_kg: float,
     ) -> None:
-        """Take new readings of the truth: temperatures by place, air (°C, hPa, %), load."""
+        """Take new readings after dt_s seconds: temperatures by place (°C), air (°C, hPa, %), load (kg)."""
         p, gauss = self.parameters, self._rng.gauss
         self._nut_c += (temps_c["screw"] - self._nut_c) * -math.expm1(-dt_s / p.temperature_lag_s)
         readings = self.readings

@@ -1,7 +1,7 @@
-"""Smooth random curves along an axis, as a machine has them: sums of a few incommensurate waves, seeded.
+"""Smooth random curves along an axis: sums of a few incommensurate waves, seeded.
 
-For curves that depend on the position only (pitch error, guideway angles). Deliberately neither polynomials nor splines, so that
-nothing that is fitted elsewhere can reproduce them by being the same formula.
+For errors that depend on the position only (pitch error, guideway angles). Deliberately neither polynomials nor splines, so that
+no fitted model reproduces them by being the same formula.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import cached_property
 
 @dataclass(frozen=True)
 class SmoothShape:
-    """value(x) = slope·x + Σ a·sin(k·x + φ) − its value at 0; x in mm, value in whatever unit the amplitudes are in."""
+    """value(x) = slope·x + Σ a·sin(k·x + φ) − its value at 0; x in mm, value in the unit of the amplitudes."""
 
     slope_per_mm: float = 0.0
     waves: tuple[tuple[float, float, float], ...] = ()  # (amplitude, wave number in rad/mm, phase in rad)
@@ -23,7 +23,7 @@ class SmoothShape:
     def random(
         cls, seed: int, peak: float, length_mm: float, *, slope_per_mm: float = 0.0, waves: int = 5, finest: float = 2.5
     ) -> SmoothShape:
-        """A shape whose waves alone deviate by `peak` at most within 0…length; `finest` waves per length at most."""
+        """A shape whose waves alone deviate by at most `peak` within 0…length; at most `finest` waves per length."""
         if peak == 0.0:
             return cls(slope_per_mm)
         rng = random.Random(seed)

@@ -1,7 +1,7 @@
-"""Any effect of the catalogue, switched on in a running axis: what a model lacks, for tests of the closed loop.
+"""Every effect of the catalogue, switched on in a running axis, for tests of the closed loop with an incomplete model.
 
-One function per effect id of the record format's diagnosis; each says what its size means. Sizes are µm at the stated condition and
-come on top of what the axis already has. States stay: heat starts from where it is, a slip happens now.
+One function per effect id of the record format's diagnosis; each states the meaning of its size. Sizes are µm at the stated
+condition and are added to the axis's present errors. States are kept: heat starts from its present value, a slip happens now.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def switch_on(axis: FeedAxis, effect: str, size_um: float) -> None:
 
 
 def _cyclic(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Amplitude of the lead's first harmonic; a second one of 0.3 of it, both breathing by a quarter along the screw."""
+    """Size: amplitude of the lead's first harmonic; a second one of 0.3 of it, both varying by a quarter along the screw."""
     p = axis.parameters
     old = p.screw.cyclic
     cyclic = CyclicError(old.amplitude_um + size_um, p.screw.lead_mm, old.second_um + 0.3 * size_um, 0.9, 2.3, 0.25)
@@ -41,7 +41,7 @@ def _cyclic(axis: FeedAxis, size_um: float) -> PlantParameters:
 
 
 def _pitch_shape(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Peak of a smooth shape over the length."""
+    """Size: peak of a smooth shape over the length."""
     p = axis.parameters
     old, new = p.screw.pitch_um, SmoothShape.random(p.seed + 101, size_um, p.length_mm)
     shape = SmoothShape(old.slope_per_mm, old.waves + new.waves)
@@ -49,19 +49,19 @@ def _pitch_shape(axis: FeedAxis, size_um: float) -> PlantParameters:
 
 
 def _local_wear(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Depth of a zone around 0.62 of the length, 8 % of it wide."""
+    """Size: depth of a zone around 0.62 of the length, 8 % of it wide."""
     p = axis.parameters
     return replace(p, screw=replace(p.screw, wear=LocalWear(size_um, 0.62 * p.length_mm, 0.04 * p.length_mm)))
 
 
 def _backlash(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Added to the distance between the two sides."""
+    """Size: added to the distance between the two sides."""
     p = axis.parameters
     return replace(p, backlash=replace(p.backlash, amount_um=p.backlash.amount_um + size_um))
 
 
 def _backlash_position(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """How much more of it there is at the far end than in the middle (and less at the near end)."""
+    """Size: difference between the far end and the middle (and between the middle and the near end)."""
     p = axis.parameters
     amount = max(p.backlash.amount_um, size_um)
     middle = p.length_mm / 2.0
@@ -72,14 +72,14 @@ def _backlash_position(axis: FeedAxis, size_um: float) -> PlantParameters:
 
 
 def _lost_motion(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Lag built up in all after a reversal, half of it within about 2 mm."""
+    """Size: total lag after a reversal, half of it within about 2 mm."""
     p = axis.parameters
     more = LostMotion.spread(p.seed + 102, size_um, 2.0)
     return replace(p, lost_motion=LostMotion(p.lost_motion.elements + more.elements))
 
 
 def _thermal_expansion(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Growth at the end of the travel when the screw has warmed by 3 K from now on; it warms by its own work."""
+    """Size: growth at the end of the travel when the screw has warmed by 3 K from now on; it warms by its own work."""
     p = axis.parameters
     state, thermal = axis.thermal.state, p.thermal
     now_c = (1.0 - thermal.base_share) * state.screw_c + thermal.base_share * state.base_c
@@ -99,7 +99,7 @@ def _thermal_expansion(axis: FeedAxis, size_um: float) -> PlantParameters:
 
 
 def _thermal_drift(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """What the offset between table and instrument grows by in the end, as the head warms up from now on."""
+    """Size: final change of the offset between table and instrument, as the head warms up from now on."""
     p = axis.parameters
     rise = axis.thermal.state.head_rise_k + 3.0
     thermal = replace(p.thermal, head_rise_k=rise, head_drift_um_per_k=size_um / 3.0, head_lag_s=300.0)
@@ -107,31 +107,31 @@ def _thermal_drift(axis: FeedAxis, size_um: float) -> PlantParameters:
 
 
 def _velocity_lag(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Trailing at 100 mm/s, less than in proportion above."""
+    """Size: lag at 100 mm/s, less than in proportion above."""
     return replace(axis.parameters, velocity_lag=VelocityLag(size_um / SPEED_MM_S))
 
 
 def _load_deflection(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Sitting back per 100 kg at the near end."""
+    """Size: deflection per 100 kg at the near end."""
     p = axis.parameters
     return replace(p, load=LoadDeflection(size_um, length_mm=p.length_mm))
 
 
 def _abbe(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Peak over the length, from a pitch angle of 20 µrad at most; the table's level shows it."""
+    """Size: peak over the length, from a pitch angle of 20 µrad at most; the table's level shows it."""
     p = axis.parameters
     tilt = SmoothShape.random(p.seed + 103, TILT_URAD, p.length_mm)
     return replace(p, guideway=Guideway(pitch_urad=tilt, arm_z_mm=size_um / TILT_URAD * 1000.0))
 
 
 def _cross_axis(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """Bending with the other axis 400 mm out, at the near end and without the bow."""
+    """Size: bending with the other axis 400 mm out, at the near end and without the bow."""
     p = axis.parameters
     return replace(p, cross_axis=CrossAxis(size_um / CROSS_TRAVEL_MM, length_mm=p.length_mm))
 
 
 def _datum_step(axis: FeedAxis, size_um: float) -> PlantParameters:
-    """The mount slips now."""
+    """Size: slip of the mount, now."""
     return replace(axis.parameters, slip=MountSlip(size_um, at_s=axis.time_s))
 
 

@@ -1,4 +1,4 @@
-"""Heat: the screw warms with the work of moving, passes it on to the machine's base, and both lose it to the air.
+"""Heat: the work of moving warms the screw, which warms the machine's base; both lose heat to the air.
 
 Two lumps, T1 the screw and T2 the base, in closed form for any step with constant heating; two more lags make the head (spindle
 side) follow late. Temperatures in °C, times in s.
@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ThermalParameters:
-    """Of the machine's heat.
+    """Thermal properties of the machine.
 
-    heating_k_per_mm: rise of the screw per mm of travel, if nothing were lost
+    heating_k_per_mm: rise of the screw per mm of travel, without losses
     screw_to_air_s, screw_to_base_s, base_to_screw_s, base_to_air_s: time constants of the four ways (1/rate)
     expansion_ppm_per_k: of the screw; fixed_bearing_mm: the place that does not move
-    base_share: how much of the screw's expansion follows the base instead (nut, bearing brackets)
-    head_drift_um_per_k: offset between table and instrument per K of the head's rise; head_rise_k: what the head warms up by after
+    base_share: share of the screw's expansion that follows the base instead (nut, bearing brackets)
+    head_drift_um_per_k: offset between table and instrument per K of the head's rise; head_rise_k: rise of the head after
     switch-on, by two lags of head_lag_s in series
     start_screw_rise_k: rise of the screw at the beginning over the air, for a machine that was already at work
     """
@@ -47,14 +47,14 @@ class ThermalState:
 
 
 class Thermal:
-    """The lumps with their state; step() is exact for constant heating and air temperature."""
+    """The lumps with their state; `step` is exact for constant heating and air temperature."""
 
     def __init__(self, parameters: ThermalParameters, air_c: float) -> None:
         self.state = ThermalState(air_c + parameters.start_screw_rise_k, air_c)
         self.configure(parameters)
 
     def configure(self, parameters: ThermalParameters) -> None:
-        """Exchange the parameters; temperatures stay."""
+        """Change the parameters; temperatures are kept."""
         self.parameters = p = parameters
         a11 = -1.0 / p.screw_to_air_s - 1.0 / p.screw_to_base_s
         a12 = 1.0 / p.screw_to_base_s
@@ -69,7 +69,7 @@ class Thermal:
         self._cached = (1.0, 0.0, 0.0, 1.0, 1.0)
 
     def step(self, moved_mm: float, dt_s: float, air_c: float) -> None:
-        """Bring the temperatures dt_s on, in which the screw worked over `moved_mm` of travel (≥ 0) evenly."""
+        """Advance the temperatures by dt_s seconds, in which the screw moved `moved_mm` of travel (≥ 0) evenly."""
         state, p = self.state, self.parameters
         if dt_s != self._cached_dt_s:
             self._cached = self._transition(dt_s)
@@ -77,7 +77,7 @@ class Thermal:
         e11, e12, e21, e22, head = self._cached
         _, _, a21, a22 = self._a
         power = moved_mm * p.heating_k_per_mm / dt_s
-        # rises over the air at which nothing changes any more: A·r + (power, 0) = 0
+        # equilibrium rises over the air: A·r + (power, 0) = 0
         rest1 = -a22 * power / self._determinant
         rest2 = a21 * power / self._determinant
         r1 = state.screw_c - air_c - rest1
@@ -101,7 +101,7 @@ class Thermal:
         return f * a11 + g, f * a12, f * a21, f * a22 + g, math.exp(-dt_s / self.parameters.head_lag_s)
 
     def expansion_mm(self, x_mm: float) -> float:
-        """How far a place x of the table is carried by the screw's expansion, mm."""
+        """Displacement of a position x of the table by the screw's expansion, mm."""
         p = self.parameters
         if p.expansion_ppm_per_k == 0.0:
             return 0.0

@@ -1,7 +1,7 @@
-"""A probe's ball against a block's face or inside a bore, as vectors: what the machine's contact really depends on.
+"""A probe's ball and a block's face or a bore, as vectors: the geometry on which the contact depends.
 
-Frames: machine mm (x, y across the spindle axis, z along it), and the spindle's own, which coincides with the machine's at 0°. Worked
-out as the distance between a sphere and a solid; nothing here knows how a run-out is computed from contacts.
+Frames: machine mm (x, y across the spindle axis, z along it), and the spindle's own, which coincides with the machine's at 0°.
+Computed as the distance between a sphere and a solid, independent of the formula by which a run-out is computed from contacts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Vector = tuple[float, float, float]
 class Stylus:
     """The probe as it sits in the spindle.
 
-    offset_mm: the ball's centre in the spindle's frame; pretravel_mm: how far the ball is pushed before the signal comes;
+    offset_mm: the ball's centre in the spindle's frame; pretravel_mm: overtravel of the ball until the signal comes;
     noise_mm: standard deviation of that from touch to touch
     """
 
@@ -27,7 +27,7 @@ class Stylus:
     noise_mm: float = 0.0
 
     def ball_mm(self, spindle_mm: Vector, spindle_rad: float) -> Vector:
-        """Where the ball's centre is for a place and an angle of the spindle, counter-clockwise seen along its axis."""
+        """The ball's centre for a position and an angle of the spindle, counter-clockwise seen along its axis; mm."""
         reach = math.hypot(*self.offset_mm)
         bearing = math.atan2(self.offset_mm[1], self.offset_mm[0]) + spindle_rad
         x, y, z = spindle_mm
@@ -35,7 +35,7 @@ class Stylus:
 
 
 class Solid(Protocol):
-    """Something to touch."""
+    """A body that can be touched."""
 
     def clearance_mm(self, point_mm: Vector) -> float:
         """Distance of a point from the surface, negative inside the material; inf where the solid does not reach."""
@@ -43,7 +43,7 @@ class Solid(Protocol):
 
 @dataclass(frozen=True)
 class Face:
-    """A plane face of a block, through a point, met by moving in the direction `facing` (+1 or -1) of x.
+    """A plane face of a block, through a point, approached in the direction `facing` (+1 or -1) of x.
 
     tilt_z_rad turns the face about z (its normal leans towards y), tilt_y_rad about y (the normal leans towards z); the block reaches
     half_width_mm to both sides of the point along y, and depth_mm behind the face.

@@ -1,7 +1,7 @@
-"""Kinds of misbehaving CANopen node and of a second master, as data: what begins at the moment of the fault, and what may come of it.
+"""Kinds of misbehaving CANopen node and of a second master, as data: the function that begins each, and the errors that may follow.
 
-A verb that meets one ends by one of the errors named, or, where `passes`, gets over it with nothing wrong. `legit_s` is what a sound
-drive may take for the same thing, and is not held against the bridge: homing over the whole travel takes its time.
+A verb that meets one ends by one of the errors named, or, where `passes`, completes with correct results. `legit_s`: the time that
+a sound drive may take for the same action, which does not count as late: homing over the whole travel takes its time.
 """
 
 from __future__ import annotations
@@ -320,7 +320,7 @@ def _(peer: CanPeer) -> None:
     peer.every(0.003, lambda: peer.speak(SYNC, b""))
 
 
-# -- what the drive says of itself -------------------------------------------------------------------------------------------
+# -- values that the drive shows -------------------------------------------------------------------------------------------
 def _frozen(peer: CanPeer, *indices: int) -> None:
     for index in indices:
         kept: list[int] = []
@@ -409,7 +409,7 @@ def _(peer: CanPeer) -> None:
     peer.shows(0x6041, lambda status: status & ~0x0400)
 
 
-# -- what the drive does -----------------------------------------------------------------------------------------------------
+# -- behaviour of the drive --------------------------------------------------------------------------------------------------
 @kinds("safe torque off", *STATE, *MOTION, coasts=True)
 def _(peer: CanPeer) -> None:
     peer.defect(Defect.SAFE_TORQUE_OFF)

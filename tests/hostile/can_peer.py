@@ -1,7 +1,7 @@
-"""A man in the middle between a simulated CANopen drive and its bus: it drops, alters, doubles, delays and injects frames.
+"""CanPeer: sits between a simulated CANopen drive and its bus and drops, alters, doubles, delays and injects frames.
 
-`HostileBus` stands in for `drives_in_turn` of the wiring, on a simulated wire with a bit rate, so that waiting costs simulated time.
-What a kind of misbehaviour does is data: rules for frames either way, things done again and again, changes to the drive's firmware.
+`HostileBus` replaces `drives_in_turn` of the wiring, on a simulated wire with a bit rate, so that waiting costs simulated time.
+A kind of misbehaviour is data: rules for frames in both directions, repeated actions, changes to the drive's firmware.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ NMT, SYNC, EMCY, TPDO1, TPDO2, RPDO1, RPDO4, SDO_ANSWER, SDO_REQUEST, HEARTBEAT 
 TPDOS, RPDOS = (0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500)
 
 Frames = list[tuple[float, int, bytes]]
-"""What goes on in place of a frame: delay in s, identifier, data."""
+"""Frames sent instead of one: delay in s, identifier, data."""
 Rule = Callable[[int, bytes], Frames | None]
-"""rule(identifier, data): None for a frame that it leaves alone."""
+"""rule(identifier, data): the replacement, None for a frame that it does not change."""
 
 
 class CanPeer(Peer):
-    """One drive behind its man in the middle."""
+    """One drive with its interceptor."""
 
     def __init__(self, bus: HostileBus, servo: SimulatedServo, node_id: int, **settings: Any) -> None:
         wire = bus.wire
@@ -53,17 +53,18 @@ class CanPeer(Peer):
     def arm(self, at_ns: int, begin: Callable[[Any], None], seed: int) -> None:
         self._armed, self.random = (at_ns, begin), Random(seed)
 
-    # -- what a kind is made of ----------------------------------------------------------------------------------------
+    # -- parts of a kind -------------------------------------------------------------------------------------------------
     def answers(self, rule: Callable[[bytes], Frames], *functions: int) -> None:
-        """Frames of these function codes on their way from the drive; delay, identifier and data of what is sent instead."""
+        """A rule for frames of these function codes from the drive; it returns delay, identifier and data of the frames sent
+        instead."""
         self._from_rules.append(lambda cob, data: rule(data) if cob - self.node_id in functions else None)
 
     def requests(self, rule: Callable[[bytes], Frames | None], *functions: int) -> None:
-        """The same on their way to the drive; None lets the frame through."""
+        """A rule for frames to the drive; None leaves the frame unchanged."""
         self._to_rules.append(lambda cob, data: rule(data) if cob - self.node_id in functions else None)
 
     def serve_sdo(self, server: Callable[[bytes], list[bytes] | None]) -> None:
-        """Answer SDO requests in the drive's place, where `server` does not return None."""
+        """Answer SDO requests instead of the drive, where `server` does not return None."""
 
         def rule(data: bytes) -> Frames | None:
             answers = server(data)
@@ -77,7 +78,7 @@ class CanPeer(Peer):
         self.requests(rule, SDO_REQUEST)
 
     def shows(self, index: int, change: Callable[[int], int]) -> None:
-        """Let an object be shown otherwise than it is, in every TPDO and SDO answer that carries it."""
+        """Change the value of an object in every TPDO and SDO answer that carries it."""
 
         def rule(cob: int, data: bytes) -> Frames | None:
             spot = self._place(cob, data, index)
@@ -94,32 +95,32 @@ class CanPeer(Peer):
         self._from_rules.append(rule)
 
     def every(self, period_s: float, act: Callable[[], None]) -> None:
-        """Do this from now on, once in each period."""
+        """Call this from now on, once in each period (s)."""
         self._every.append([self.clock.now_ns(), round(period_s * 1e9), act])
 
     def after(self, delay_s: float, act: Callable[[], None]) -> None:
-        """Do this once."""
+        """Call this once, after delay_s seconds."""
         self._order += 1
         heapq.heappush(self._delayed, (self.clock.now_ns() + round(delay_s * 1e9), self._order, act))
 
     def defect(self, defect: Defect) -> None:
-        """A defect that the simulated firmware knows itself."""
+        """Enable a defect of the simulated firmware."""
         self.strike()
         self.slave.profile.defects.add(defect)
 
     def speak(self, cob_id: int, data: bytes) -> None:
-        """Somebody else on the bus sends a frame; master and drive hear it."""
+        """Another node on the bus sends a frame; master and drive receive it."""
         self.strike()
         self.foreign.send(cob_id, data)
 
     def own(self, function: int, data: bytes) -> None:
-        """A frame as if from the drive."""
+        """Send a frame as if from the drive."""
         self.strike()
         self.node.send(function + self.node_id, data)
 
     # -- frames and time -----------------------------------------------------------------------------------------------
     def _place(self, cob: int, data: bytes, index: int) -> tuple[int, int, bool] | None:
-        """Where an object stands in a frame of the drive: offset, size, whether it is signed."""
+        """Position of an object in a frame of the drive: offset, size, whether it is signed."""
         signed = index in (0x6064, 0x606C, 0x6077, 0x60F4)
         function = cob - self.node_id
         if (
@@ -182,7 +183,7 @@ class CanPeer(Peer):
 
 
 class HostileBus:
-    """What `drives_in_turn` yields, with a man in the middle before each drive; the first one misbehaves."""
+    """The interface of `drives_in_turn`, with an interceptor before each drive; the first one misbehaves."""
 
     def __init__(self, clock: SimClock, on_peer: Callable[[CanPeer], None] | None) -> None:
         self.wire = SimWire(clock, 1_000_000)
@@ -202,7 +203,7 @@ class HostileBus:
 
 
 def stand_in(on_peer: Callable[[CanPeer], None] | None) -> Callable[..., Any]:
-    """In place of `drives_in_turn`; on_peer hears of each drive's man in the middle."""
+    """Replacement of `drives_in_turn`; on_peer is called with each drive's interceptor."""
 
     @contextmanager
     def drives(clock: SimClock, _channel: str) -> Iterator[HostileBus]:

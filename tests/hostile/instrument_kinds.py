@@ -1,4 +1,4 @@
-"""Kinds of misbehaving instrument: a man in the middle between the simulated laser and its terminal, who rewrites lines of bytes.
+"""Kinds of misbehaving instrument: an interceptor between the simulated laser and its terminal rewrites lines of bytes.
 
 A line is `REF MEAS disp vel phase seq lsCode lsData`; disp counts half wavelengths, some 316 nm.
 """
@@ -20,7 +20,7 @@ Lines = list[bytes]
 
 
 class InstrumentPeer(Peer):
-    """Before one bench's terminal."""
+    """The interceptor of one bench's terminal."""
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench.clock, bench.servo)
@@ -57,7 +57,7 @@ INSTRUMENT_KINDS = kinds = Kinds()
 
 
 def _displacement(peer: InstrumentPeer, change: Callable[[int], float]) -> None:
-    """Let the counted displacement be another; the phase within a count and everything else stay."""
+    """Change the counted displacement; the phase within a count and all other fields stay."""
 
     def rewrite(numbers: list[int]) -> None:
         numbers[2] = round(change(numbers[2]))
@@ -87,7 +87,7 @@ def _(peer: InstrumentPeer) -> None:
     peer.rewrite = freeze
 
 
-# What steps once, before the datum is taken, shifts a zero that nobody has yet: rows are right, and are looked at.
+# A single step before the datum is taken only shifts a zero that is not set yet: the rows are correct, and are checked.
 @kinds("jumps by 1.58 m", *WRONG, passes=True)
 def _(peer: InstrumentPeer) -> None:
     _displacement(peer, lambda counts: counts + 5_000_000)

@@ -1,6 +1,6 @@
-"""One verb against one misbehaving peer, judged by the plant's truth: how it ended and when, where the axis was, what was kept.
+"""One verb with one misbehaving peer, judged by the plant's true state: end and its time, positions of the axis, rows kept.
 
-Runs in simulated time. What no simulated time can end (a loop that waits for nothing) is ended by a real timer, and is a hang.
+Runs in simulated time. A run in which simulated time does not pass (a loop without a wait) is ended by a real timer, and is a hang.
 """
 
 from __future__ import annotations
@@ -34,34 +34,34 @@ from sim_backends.bench import Bench
 from sim_backends.probe_bench import ProbeBench
 
 WITHIN_S = 10.0
-"""From the fault to the end, simulated."""
+"""Longest simulated time from the fault to the end, s."""
 GIVEN_UP_S = 60.0
-"""So long after the fault simulated time is ended, and the run is a hang; in a run without a fault after so long without its end."""
+"""Simulated time after the fault, or from the begin of a run without a fault, after which a run is a hang, s."""
 WALL_S = 60.0
-"""Real time after which a run that makes no simulated time pass is a hang."""
+"""Real time after which a run in which simulated time does not pass is a hang, s."""
 HOMING_MM = 5.0
-"""Below the travel that is not held against anybody: homing goes to the limit switch, 3 mm outside, and on as it brakes from 50 mm/s
-at 1000 mm/s² (1.25 mm) and from what a servo needs to notice the switch."""
+"""Allowed distance below the travel, mm: homing goes to the limit switch, 3 mm outside, and beyond it as it brakes from 50 mm/s
+at 1000 mm/s² (1.25 mm) and by the time that a servo needs to notice the switch."""
 REACH_MM = 1.0
-"""Above it, where nothing has any business: what a watched axis may overshoot by (`hil.machine.place.OUTSIDE_MM`)."""
+"""Allowed distance above the travel, mm, which no order reaches: overshoot of a supervised axis (`hil.machine.place.OUTSIDE_MM`)."""
 COAST_MM = 50.0**2 / (2 * 80.0)
-"""Of a drive that goes without power by itself, instead of `HOMING_MM`: from the 50 mm/s of its homing, at 80 mm/s²; the end stop,
-8 mm outside, comes first. Nobody can stop it."""
+"""The same for a drive that loses its power by itself, instead of `HOMING_MM`: from the 50 mm/s of its homing, at 80 mm/s²; the end
+stop, 8 mm outside, comes first. No command can stop it."""
 NOTICED_MM = 1.0
-"""A fault after which the axis moves no further than this may go unnoticed."""
+"""A fault after which the axis moves no further than this may go unnoticed, mm."""
 STILL_MM_S = 0.01
 ANSWERED_S = 0.5
-"""Waiting for a Modbus reply takes real time and no simulated one: the axis gets this much of it for its stop."""
+"""Simulated time of the axis for its stop, s: waiting for a Modbus reply takes real time and no simulated time."""
 COASTED_S = 3.0
-"""A drive that goes without power by itself coasts: 100 mm/s at 80 mm/s²."""
+"""Time in which a drive that loses its power by itself coasts, s: 100 mm/s at 80 mm/s²."""
 GUARDED_S = 4.0
-"""A drive that nobody reaches has this long to notice (its guard time is 1 s) and to come to rest."""
+"""Time in which a drive without a connection notices (its guard time is 1 s) and comes to rest, s."""
 ROW_MM = 0.02
-"""A row's place may be so far from the plant's truth; the machines' own errors are not in it, heat and noise are."""
+"""Largest difference between a row's position and the true one; the machines' own errors are excluded, heat and noise included."""
 DATUM_MM = 0.15
 """The same between the frame of all rows and that of the machine: errors of the machine at the reference position."""
 BENCH_SILENCE_S = 0.3
-"""Of the simulated Modbus drive, in real time, in place of the patience that the bench has for busy hosts."""
+"""Time-out of the simulated Modbus drive, in real time, s; the bench's own is longer, for busy hosts."""
 
 WIRES: Mapping[str, tuple[Mapping[str, Kind], tuple[str, ...], tuple[str, ...]]] = {
     "canopen": (CAN_KINDS, tuple(VERBS), ("canopen",)),
@@ -69,7 +69,7 @@ WIRES: Mapping[str, tuple[Mapping[str, Kind], tuple[str, ...], tuple[str, ...]]]
     "drive": (SERVO_KINDS, tuple(VERBS), ("canopen", "virtual", "modbus-tcp")),
     "instrument": (INSTRUMENT_KINDS, WITH_INSTRUMENT, ("virtual", "canopen")),
 }
-"""Kinds, verbs that can meet them, and faces of the drive, which the seeds take in turn."""
+"""Kinds, verbs that can meet them, and faces of the drive, which the seeds use in turn."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Case:
 
 @dataclass
 class Outcome:
-    """complaints: what was wrong, empty for a good end; ended: name of the error, or what else came of it."""
+    """complaints: deviations, empty for a correct run; ended: name of the error, or the other end."""
 
     case: Case
     ended: str = ""
@@ -100,24 +100,24 @@ class Outcome:
 
 
 class HangError(BaseException):
-    """Raised into a run that does not end."""
+    """Raised in a run that does not end."""
 
 
 class Truth:
-    """What the plant of one bench went through. Attached after everything that moves it."""
+    """True motion of the plant of one bench. Attached after everything that moves it."""
 
     def __init__(self, bench: Bench | ProbeBench) -> None:
         self.bench, self.clock = bench, bench.clock
         self.low_mm = self.high_mm = 0.0
-        self.ends: Callable[[], int | None] = lambda: None  # when simulated time is over, ns
+        self.ends: Callable[[], int | None] = lambda: None  # end of simulated time, ns
         self.limits_mm = TRAVEL_MM if isinstance(bench, Bench) else (-2.0, 200.0)
         self._fresh = True
-        self.way_mm = 0.0  # of all axes
+        self.way_mm = 0.0  # travel of all axes
         self._last: list[float] = []
         self.clock.attach(self._look, bearable=lambda _now_ns: 60_000_000_000)
 
     def places(self) -> list[tuple[float, float]]:
-        """Place in mm and velocity in mm/s of each axis's shaft, in the frame of the machine."""
+        """Position in mm and velocity in mm/s of each axis's shaft, in the frame of the machine."""
         if isinstance(self.bench, Bench):
             servo, lead = self.bench.servo, self.bench.parameters.plant.screw.lead_mm
             return [(servo.motor_rev * lead, servo.velocity_actual_counts_s * lead / servo.parameters.counts_per_rev)]
@@ -149,7 +149,7 @@ class Truth:
 
 
 class Rows:
-    """Every row that a journal takes, with where the table of the machine truly was."""
+    """Every row that a journal stores, with the true position of the table."""
 
     def __init__(self) -> None:
         self.off_mm: list[float] = []
@@ -176,13 +176,13 @@ class Rows:
 
 
 class Press(Waiting):
-    """The operator's stop, pressed once at a simulated moment."""
+    """The operator's stop, pressed once at a simulated time."""
 
     def __init__(self, at_ns: int) -> None:
         self._at_ns: int | None = at_ns
 
     def over(self) -> None:
-        """What comes now is no longer the run's."""
+        """Ignore everything after the end of the run."""
         self._at_ns = None
 
     def real(self, duration_s: float) -> None:
@@ -196,7 +196,7 @@ class Press(Waiting):
 
 @contextmanager
 def ended_after(wall_s: float) -> Iterator[None]:
-    """A real timer that raises HangError, again and again, as one may be swallowed."""
+    """A real timer that raises HangError repeatedly, as one may be suppressed."""
 
     def ring(_number: int, _frame: object) -> None:
         raise HangError(f"no end within {wall_s:g} s of real time")
@@ -212,7 +212,7 @@ def ended_after(wall_s: float) -> Iterator[None]:
 
 @cache
 def undisturbed_s(face: str, verb: str) -> float:
-    """How long a verb takes with nothing wrong, simulated."""
+    """Simulated duration of a verb without a fault, s."""
     truths: list[Truth] = []
     with TemporaryDirectory() as directory:
         place = Place(Path(directory), face, on_bench=lambda bench: truths.append(Truth(bench)))
@@ -222,7 +222,7 @@ def undisturbed_s(face: str, verb: str) -> float:
 
 
 def moment_s(case: Case) -> float:
-    """Seeds are spread over the verb's duration."""
+    """Time of the fault, s; seeds are spread over the verb's duration."""
     if WIRES[case.wire][0][case.kind].at_start:
         return 0.001
     random = Random(str(case))
@@ -268,7 +268,7 @@ def run(case: Case) -> Outcome:
         try:
             with ended_after(WALL_S):
                 VERBS[case.verb](place)
-        except BaseException as raised:  # noqa: BLE001 - it is what is judged
+        except BaseException as raised:  # noqa: BLE001 - it is the result to judge
             error = raised
         wall_s = time.monotonic() - began_s
         if waiting is not None:
@@ -350,7 +350,7 @@ def _what_the_plant_shows(kind: Kind, truths: list[Truth], peer: Peer | None, en
 
 
 def cases(seeds: int = 10, wires: Sequence[str] | None = None) -> list[Case]:
-    """All of them."""
+    """All cases."""
     return [
         Case(wire, kind, verb, seed)
         for wire in (wires or WIRES)
@@ -361,7 +361,7 @@ def cases(seeds: int = 10, wires: Sequence[str] | None = None) -> list[Case]:
 
 
 def sample(verbs_each: int, among: Sequence[str]) -> list[Case]:
-    """Every kind with so many of these verbs, which the kinds take in turn, as they do the seeds."""
+    """Every kind with so many of these verbs, which the kinds use in turn, as they do the seeds."""
     found = []
     for wire, (kinds, met_by, _) in WIRES.items():
         verbs = [verb for verb in among if verb in met_by]

@@ -1,8 +1,8 @@
-"""A verb broken off at one moment - killed, Ctrl-C, the supply of machine and host gone - and resumed on the same machine.
+"""A verb interrupted at one moment (killed, Ctrl-C, supply of machine and host lost) and resumed on the same machine.
 
-The simulated machine lives on between the two lives: bench, clock, drive and wire are the same. A kill leaves the files as they were
-on disk at its moment, the last line torn at times, and no frame leaves the master any more: the drive is alone with its guard time.
-Judged by the plant: no motion outside the limits, every row of both lives in one frame.
+The simulated machine continues between the two processes: bench, clock, drive and wire are the same. A kill leaves the files as they
+were on disk at its moment, sometimes with an incomplete last line, and no further frame leaves the master: the drive has only its
+guard time. Judged by the plant: no motion outside the limits, every row of both processes in one frame.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ HOMING = {
     "17": "method = 17\nhome_position_mm = -5.0",
     "none": "",
 }
-"""[drive.homing] such that a homed axis counts from the machine's own zero: the limit switch is at -5 mm, an index pulse at 0.
-37 takes the place where the axis stands, which is 0 in the first life; "none" trusts the drive's counter."""
+"""[drive.homing] by which a homed axis counts from the machine's own zero: the limit switch is at -5 mm, an index pulse at 0.
+37 takes the present position, which is 0 in the first process; "none" relies on the drive's counter."""
 KEEPS_ZERO = ("1", "17")
-"""Methods that find the same zero wherever the axis stands: with them a resume has to go on."""
+"""Methods that find the same zero from any position: with them a resume has to succeed."""
 REST_S = 6.0
-"""For the drive to notice that nobody is there, and to come to rest."""
+"""Time for the drive to notice the lost master, and to come to rest, s."""
 
 
 class KilledError(BaseException):
-    """Nothing of the process is left. Raised at the moment of the kill; what runs after it changes nothing that is kept."""
+    """The process was killed. Raised at that moment; code that runs after it changes no file."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Break:
 
 @dataclass
 class Broken:
-    """complaints: empty for a good end. ended: of the second life."""
+    """complaints: empty for a correct run. ended: end of the second process."""
 
     case: Break
     ended: str = ""
@@ -72,7 +72,7 @@ class Broken:
 
 
 class Machine:
-    """What stays between two lives of the process."""
+    """The parts that continue between two processes."""
 
     def __init__(self) -> None:
         self.bench: Bench | None = None
@@ -105,7 +105,7 @@ class Machine:
         return self.bus.master()
 
     def lose_master(self, clock: SimClock) -> None:
-        """No frame leaves the process any more."""
+        """No further frame leaves the process."""
         if self.bus is not None:
             for port in self.bus.ports:
                 port.schedule_bus_off(clock.now_ns() * 1e-9, 1e9)
@@ -115,7 +115,7 @@ class Machine:
             slave.lose_power(bench.clock.now_ns())
 
     def power_back(self, bench: Bench) -> None:
-        """The drive's counter begins at 0 where the axis stands; the laser has a supply of its own, and has counted on."""
+        """The drive's counter starts at 0 at the present position; the laser has its own supply, and has counted on."""
         servo = bench.servo
         servo._frame, servo.homed = servo._actual, False
         for slave in self._slaves.values():
@@ -131,7 +131,7 @@ class Machine:
 
 
 class _Kept:
-    """A bench that is entered and left and stays."""
+    """A bench that remains when its context is left."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -140,25 +140,25 @@ class _Kept:
         return self._bench
 
     def __exit__(self, *_exc: object) -> None:
-        """The machine is not the process's to take down."""
+        """The machine does not end with the process."""
 
 
 def _place(directory: Path, case: Break, *, resume: bool) -> Place:
     homing = HOMING[case.method]
     place = Place(directory, "canopen", resume=resume)
     place.homing = f"\n[drive.homing]\n{homing}\n" if homing else ""
-    place.home, place.corrected = bool(homing), False  # tables are bound to a zero, which not every method has
+    place.home, place.corrected = bool(homing), False  # tables are bound to a zero, which not every method finds
     return place
 
 
 def _start_counts(case: Break) -> float:
-    """Where the axis stands at first: at its zero where the zero is where it stands."""
+    """First position of the axis, counts: its zero for methods that take the present position as zero."""
     return 1e5 * Random(case.seed).uniform(0.0, 100.0) if case.method in KEEPS_ZERO else 0.0
 
 
 @cache
 def whole_s(verb: str, method: str) -> float:
-    """How long a verb takes that nobody breaks off, simulated."""
+    """Simulated duration of a verb that is not interrupted, s."""
     machine = Machine()
     with TemporaryDirectory() as directory, machine.wired():
         VERBS[verb](_place(Path(directory), Break(verb, method, KILL, 1.0, 0), resume=False))
@@ -167,7 +167,7 @@ def whole_s(verb: str, method: str) -> float:
 
 
 def run(case: Break) -> Broken:
-    """Both lives; never raises."""
+    """Both processes; never raises."""
     random = Random(str(case))
     at_ns = max(1, round(case.share * whole_s(case.verb, case.method) * 1e9))
     machine, rows, found = Machine(), Rows(), Broken(case)
@@ -176,7 +176,7 @@ def run(case: Break) -> Broken:
         directory, kept = Path(folder) / "axis", Path(folder) / "as it was"
 
         def breaks(bench: Bench) -> None:
-            if over:  # the first life ended before its moment: it took a shorter way
+            if over:  # the first process ended before that moment
                 return
             if case.way == CTRL_C:
                 raise KeyboardInterrupt
@@ -219,13 +219,13 @@ def _live(life: Callable[[], None]) -> BaseException | None:
     try:
         with ended_after(WALL_S):
             life()
-    except BaseException as error:  # noqa: BLE001 - it is what is judged
+    except BaseException as error:  # noqa: BLE001 - it is the result to judge
         return error
     return None
 
 
 def _snapshot(directory: Path, kept: Path, random: Random) -> None:
-    """The files as a kill leaves them; now and then the row that was being written is torn."""
+    """The files as a kill leaves them; sometimes with the row being written incomplete."""
     shutil.copytree(directory, kept)
     growing = sorted(kept.glob("*-campaign/*/*.csv"), key=lambda path: path.stat().st_mtime_ns)
     if growing and random.random() < 0.3:
@@ -248,13 +248,13 @@ def _judged(case: Break, error: BaseException | None, truth: Truth, rows: Rows, 
     spread_mm = max(rows.off_mm) - min(rows.off_mm)
     shifted = (
         before > 0 or case.method in KEEPS_ZERO
-    )  # without a row before, a zero of the second life is as good as one of the first
+    )  # without an earlier row, a zero of the second process is as good as one of the first
     if spread_mm > ROW_MM or (shifted and max(map(abs, rows.off_mm)) > DATUM_MM):
         yield f"rows in another frame: {spread_mm:.4f} mm apart, {len(rows.off_mm) - before} of them after the break"
 
 
 def breaks(moments: int, verbs: tuple[str, ...] = BROKEN_OFF, methods: tuple[str, ...] = tuple(HOMING)) -> list[Break]:
-    """So many random moments of each verb with each method; the ways take turns."""
+    """So many random moments of each verb with each method; the kinds of interruption take turns."""
     random = Random(f"{moments}")
     return [
         Break(verb, method, WAYS[number % len(WAYS)], random.random(), number)

@@ -33,11 +33,11 @@ WIRE = (NoAnswerError, LinkLostError, ProtocolError)
 MOTION = (SafetyError, ProtocolError, DriveFaultError, StateError, MeasurementLostError)
 WRITES = (5, 6, 15, 16)
 Bytes = list[tuple[float, bytes]]
-"""What is sent in place of a frame: each part after a delay in s of real time."""
+"""Bytes sent instead of a frame: each part after a delay in s of real time."""
 
 
 class ModbusPeer(Peer):
-    """The proxy. reply(request, reply): what the master gets; request(request): what it gets without the drive being asked."""
+    """The proxy. reply(request, reply): bytes for the master; request(request): bytes for it without asking the drive."""
 
     def __init__(self, upstream: int, clock: SimClock) -> None:
         super().__init__(clock)
@@ -110,7 +110,7 @@ def _exactly(connection: socket.socket, count: int) -> bytes:
 
 
 def stand_in(on_peer: Callable[[ModbusPeer], None]) -> Callable[..., Any]:
-    """In place of `tcp_server`: the server behind a proxy, whose port is the one that is told."""
+    """Replacement of `tcp_server`: the server behind a proxy, whose port is returned."""
 
     @contextmanager
     def served(faces: Any, clock: SimClock, **settings: Any) -> Iterator[tuple[Any, int]]:

@@ -1,4 +1,4 @@
-"""What every misbehaving peer has in common, and a kind of misbehaviour as data."""
+"""Base of every misbehaving peer, and a kind of misbehaviour as data."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ from sim_backends.servo import SimulatedServo
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of misbehaviour. begin: what happens at its moment, to a peer of the wire that it is for; errors: by one of which a verb
-    that meets it ends.
+    """A kind of misbehaviour. begin: called at its time with the peer of its wire; errors: a verb that meets it ends by one of them.
 
-    passes: the bridge may get over it, with nothing wrong. stop_after_s: the operator presses the stop so long after the moment.
-    unreachable: no frame gets to the drive any more, which has to stop by itself. coasts: it is the drive that goes without power, in
-    whatever motion it is. at_start: begins with the verb, as it is about homing. disobeys_mm: the drive moves as nobody told it; its
-    way until it is stopped, beyond the limits, that is not held against the bridge.
+    passes: the verb may also complete with correct results. stop_after_s: the operator presses the stop so long after it, s.
+    unreachable: no frame reaches the drive any more, which has to stop by itself. coasts: the drive loses its power in
+    motion. at_start: begins with the verb, as it concerns homing. disobeys_mm: the drive moves without an order; travel beyond the
+    limits, until it is stopped, that is allowed.
     """
 
     name: str
@@ -34,7 +33,7 @@ class Kind:
 
 
 class Kinds(dict[str, Kind]):
-    """Kinds by name. `@kinds("name", Error, …)` keeps the decorated function as what begins."""
+    """Kinds by name. `@kinds("name", Error, …)` registers the decorated function as its begin."""
 
     def __call__(
         self, name: str, *errors: type[BaseException], **more: Any
@@ -47,14 +46,14 @@ class Kinds(dict[str, Kind]):
 
 
 class Peer:
-    """struck_ns: when the misbehaviour first reached a frame, the drive or a reading; None before."""
+    """struck_ns: time at which the misbehaviour first affected a frame, the drive or a reading; None before."""
 
     def __init__(self, clock: SimClock, servo: SimulatedServo | None = None) -> None:
         self.clock = clock
         self._servo = servo
         self.random = Random(0)
         self.struck_ns: int | None = None
-        self.way_mm = 0.0  # that the axis had gone by then
+        self.way_mm = 0.0  # travel of the axis up to then
         self.on_strike: Callable[[], None] = lambda: None
 
     @property
@@ -63,18 +62,18 @@ class Peer:
         return self._servo
 
     def arm(self, at_ns: int, begin: Callable[[Any], None], seed: int) -> None:
-        """Begin to misbehave at a moment."""
+        """Begin to misbehave at this time, ns."""
         self.random = Random(seed)
         when_due(self.clock, at_ns, lambda: begin(self))
 
     def strike(self) -> None:
-        """The misbehaviour has an effect now."""
+        """Record that the misbehaviour has an effect now."""
         if self.struck_ns is None:
             self.struck_ns = self.clock.now_ns()
             self.on_strike()
 
     def instead(self, order: str, act: Callable[..., None]) -> None:
-        """What the servo does when it is given this order from now on."""
+        """Replace the servo's reaction to this order from now on."""
 
         def struck(*arguments: Any) -> None:
             self.strike()
@@ -84,7 +83,7 @@ class Peer:
 
 
 def when_due(clock: SimClock, at_ns: int, act: Callable[[], None]) -> None:
-    """Do this once, when simulated time has come to a moment."""
+    """Call this once, when simulated time has reached at_ns."""
     done: list[int] = []
 
     def look(now_ns: int, _dt_s: float) -> None:

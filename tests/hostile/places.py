@@ -1,6 +1,6 @@
-"""Every verb that moves an axis, on a bench as small as it can be: what the hostile suite, the stop table and the kills run on.
+"""Every verb that moves an axis, on the smallest possible bench: used by the hostile suite, the stop table and the kills.
 
-A verb is a function of a `Place`; it connects, does its work and leaves, as the command of that name does, and raises what it raises.
+A verb is a function of a `Place`; it connects, works and disconnects, as the command of that name does, and raises what it raises.
 """
 
 from __future__ import annotations
@@ -95,14 +95,14 @@ BACKLASH = {"canopen": 'parameter = "2201h"\nacceleration = "2202h"\nparameter_u
 
 
 class NotGoodError(BridgeError):
-    """A verb ended without an error and said that not all is well."""
+    """A verb ended without an error and reported a bad result."""
 
 
 @dataclass
 class Place:
-    """Where a verb runs. resume: take up what was broken off; homing: lines of [drive]; parameters: of the benches.
+    """The set-up of a verb. resume: continue an interrupted one; homing: lines of [drive]; parameters: of the benches.
 
-    on_bench hears of each bench, and on_can of each drive's man in the middle, before anything moves.
+    on_bench is called with each bench, and on_can with each drive's interceptor, before anything moves.
     """
 
     directory: Path
@@ -111,7 +111,7 @@ class Place:
     resume: bool = False
     homing: str = ""
     home: bool = True
-    corrected: bool = True  # what verify verifies
+    corrected: bool = True  # whether verify measures with correction
     guard_s: float | None = 1.0
     parameters: Callable[[AxisConfig], BenchParameters] | None = None
     on_bench: Callable[[Any], None] = lambda _bench: None
@@ -119,7 +119,7 @@ class Place:
     _axes: dict[str, AxisConfig] = field(default_factory=dict)
 
     def axis(self, name: str = "X", *, machine: str = "geometric", table: str = "", runs: int = 1) -> AxisConfig:
-        """Write an axis file, and the builder's keys, and read it."""
+        """Write an axis file and the builder's keys, and read it."""
         if name in self._axes:
             return self._axes[name]
         path = self.directory / f"{name}.toml"
@@ -147,7 +147,7 @@ class Place:
 
     @contextmanager
     def wired(self) -> Iterator[None]:
-        """The product's wiring, with a man in the middle on its buses."""
+        """The product's wiring, with an interceptor on its buses."""
 
         place = self
 

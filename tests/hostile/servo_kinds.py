@@ -1,4 +1,4 @@
-"""Kinds of drive that does as nobody told it, whatever wire it is on."""
+"""Kinds of drive that moves without an order or ignores one, for every wire."""
 
 from __future__ import annotations
 

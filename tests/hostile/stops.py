@@ -1,7 +1,7 @@
 """Time from the operator's stop to the stop on the wire, in simulated time: one verb, stopped once, at one moment.
 
-On CANopen the stop is the first frame, by SDO or RPDO, whose controlword takes the motion or the power away; on Modbus it is what the
-drive's servo is told, and the requests that were sent before it count, as replies take real time.
+On CANopen the stop is the first frame, by SDO or RPDO, whose controlword takes the motion or the power away; on Modbus it is the order
+to the drive's servo, and the requests sent before it are counted, as replies take real time.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from hil.app.desk.stop import Pacing, Stop
 from sim_backends.bench import Bench
 
 BOUND_S = 0.020
-"""From the stop to its frame on CAN."""
+"""Longest time from the stop to its frame on CAN, s."""
 BOUND_REQUESTS = 1
-"""On Modbus: the one under way."""
+"""Largest number of requests before it on Modbus: the one in progress."""
 DEAD_BEFORE_S = 0.05
-"""SDO falls silent so long before the stop: an answer is being waited for by then."""
+"""Time before the stop at which SDO stops answering, s: an answer is awaited by then."""
 NEVER_S = 60.0
 
 
@@ -40,7 +40,7 @@ def stops(controlword: int) -> bool:
 
 
 def controlword_of(cob_id: int, data: bytes, node_id: int) -> int | None:
-    """The controlword that a frame carries to a node, if it does; in every RPDO of ours it comes first."""
+    """The controlword that a frame carries to a node, None without one; in every RPDO of this project it comes first."""
     function = cob_id - node_id
     if function == SDO_REQUEST and len(data) == 8 and data[0] >> 5 == 1 and data[1:3] == b"\x40\x60":
         return int.from_bytes(data[4:6], "little")
@@ -49,7 +49,8 @@ def controlword_of(cob_id: int, data: bytes, node_id: int) -> int | None:
 
 @dataclass(frozen=True)
 class Stopped:
-    """under_power: there was something to stop. latency_s, NEVER_S where no stop came; requests: of Modbus, sent before the stop."""
+    """under_power: whether there was something to stop. latency_s, NEVER_S without a stop; requests: of Modbus, sent before the
+    stop."""
 
     under_power: bool
     latency_s: float
@@ -57,7 +58,7 @@ class Stopped:
 
 
 class _Watch:
-    """Presses at a moment, and notes when the stop comes to the wire."""
+    """Presses the stop at a time, and records when it comes to the wire."""
 
     def __init__(self, stop: Stop, at_ns: int) -> None:
         self._stop, self._at_ns = stop, at_ns
@@ -139,7 +140,7 @@ def stopped_at(face: str, verb: str, share: float, *, sdo_dead: bool = False) ->
         try:
             with ended_after(WALL_S):
                 VERBS[verb](place)
-        except (Exception, KeyboardInterrupt, HangError):  # noqa: BLE001 - how it ended is the hostile suite's to judge
+        except (Exception, KeyboardInterrupt, HangError):  # noqa: BLE001 - the hostile suite judges the end
             pass
     if watch.pressed_ns is None or not watch.under_power:
         return Stopped(False, 0.0, 0)

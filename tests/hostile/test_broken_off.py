@@ -1,4 +1,4 @@
-"""A sample of runs broken off and resumed; all of them by `python tests/study/broken_off.py`."""
+"""A sample of interrupted and resumed runs; all of them by `python tests/study/broken_off.py`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_whatever_verb_was_broken_off(case: Break) -> None:
 
 
 def test_where_the_zero_is_gone_a_resume_is_refused() -> None:
-    """The counter begins anew where the axis stands, and nothing homes it: rows measured there would be another axis's."""
+    """The counter starts at the present position, and nothing homes it: rows measured there would belong to another zero."""
     found = run(Break("verify", "none", POWER, 0.8, 1))
     assert found.ended != "done", found
     assert found.complaints == [], found

@@ -6,7 +6,10 @@ import pytest
 
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import NoAnswerError
-from drivers.modbus.connect import modbus_drive, modbus_link
+from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.wire import parse_endpoint
 from drivers.scaling import AxisScaling
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
@@ -34,10 +37,10 @@ def test_one_drive_falls_silent_and_the_other_finishes_its_move() -> None:
         clock.attach(servo.advance, bearable=servo.bearable)
     faces = {1: Cia402Registers(servos[1]), 2: VendorRegisters(servos[2], counts_per_rev=COUNTS)}
     with rtu_slave(faces, clock) as (server, path):
-        link = modbus_link(f"{path}?parity=N&timeout_s={TIMEOUT_S}", clock, baud=115_200)
+        link = ModbusLink(parse_endpoint(f"{path}?parity=N&timeout_s={TIMEOUT_S}", baud=115_200), clock)
         maps = {1: "cia402_over_modbus", 2: "vendor_style"}
         mute, other = (
-            modbus_drive(name, SCALING, LIMITS, clock, link=link, unit=unit, register_map=maps[unit])
+            ModbusDrive(name, SCALING, LIMITS, clock, link=link, unit=unit, drive_map=load_drive_map(maps[unit]))
             for unit, name in ((1, "mute"), (2, "other"))
         )
         with mute, other:
@@ -70,9 +73,9 @@ def test_the_line_is_let_go_by_the_last_drive() -> None:
     clock.attach(servo.advance, bearable=servo.bearable)
     faces = {unit: VendorRegisters(servo, counts_per_rev=COUNTS) for unit in (1, 2)}
     with rtu_slave(faces, clock) as (_, path):
-        link = modbus_link(f"{path}?parity=N", clock, baud=115_200)
+        link = ModbusLink(parse_endpoint(f"{path}?parity=N", baud=115_200), clock)
         first, second = (
-            modbus_drive("X", SCALING, LIMITS, clock, link=link, unit=unit, register_map="vendor_style")
+            ModbusDrive("X", SCALING, LIMITS, clock, link=link, unit=unit, drive_map=load_drive_map("vendor_style"))
             for unit in (1, 2)
         )
         with first:

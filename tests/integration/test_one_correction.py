@@ -21,7 +21,7 @@ from hil.drive_table.change import changing, held_table
 from hil.machine.replay import recorded
 from hil.machine.session import AxisSession
 from hil.machine.wiring import connected
-from sim_backends.virtual_table import VirtualCorrectionTable
+from sim_backends.virtual_faces import VirtualCorrectionTable
 
 WORDS = "drive X corrects this axis itself, its .* is switched on"
 LIMITS = DriveLimits(-2.0, 502.0, 200.0, 1000.0)

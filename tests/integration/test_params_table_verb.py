@@ -18,7 +18,7 @@ from hil.app.terminal.main import main
 from hil.axis.axis_file import AxisConfig
 from hil.drive_table.change import Snapshot, remembered_zero, zero_note
 from hil.records.zero import Zero, read_zero, write_zero
-from sim_backends.virtual_table import VirtualCorrectionTable
+from sim_backends.virtual_faces import VirtualCorrectionTable
 
 OLD = RawTable((5, 6), (7, 8), (), 100, 200)
 

@@ -1,7 +1,7 @@
 """Verbs killed, interrupted and left without power at random moments, then resumed: `python tests/study/broken_off.py`.
 
-Four verbs, four ways to home, 200 moments each, which the three ways to break off take in turn. Prints each run that was not right,
-and what became of the second lives.
+Four verbs, four homing methods, 200 moments each, which the three kinds of interruption use in turn. Prints each run that was not
+correct, and the ends of the second processes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
 from hostile.kills import BROKEN_OFF, HOMING, WAYS, breaks, run

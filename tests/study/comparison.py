@@ -1,7 +1,7 @@
-"""Our diagnosis beside the usual ways to choose among columns, on the same machines with the same candidate columns.
+"""The diagnosis compared with the usual ways to choose among columns, on the same machines with the same candidate columns.
 
-Run by hand for the table (`python tests/study/comparison.py --machines 100 --report FILE.md`), in a small form by the slow suite.
-The report is written anew after every machine, so that an interrupted run has one too.
+Run by hand for the table (`python tests/study/comparison.py --machines 100 --report FILE.md`), with few machines by the slow suite.
+The report is rewritten after every machine, so that an interrupted run has one too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KINDS = ("strong", "weak", "clean", "pair")
 
 @dataclass(frozen=True)
 class Answer:
-    """What one method says of one machine.
+    """Result of one method on one machine.
 
     names: effects found, the largest first; something: a finding, or 'unexplained'
     fresh: RMS left of a fresh campaign over that of its noise; seconds: of processor time
@@ -47,7 +47,7 @@ class Answer:
 
 
 def mixed_cases(machines: int, seed: int) -> list[Case]:
-    """About as many machines as asked for, the kinds in turn, each spread over its effects or noises."""
+    """About as many machines as requested, the kinds in turn, each spread over its effects or noises."""
     found = list(cases(-(-machines // len(KINDS)), seed))
     kinds = [[case for case in found if case.kind == kind] for kind in KINDS]
     return [case for case in chain(*zip_longest(*kinds)) if case is not None][:machines]
@@ -73,7 +73,7 @@ def ask(case: Case) -> list[Answer]:
 
 
 def ask_all(todo: Iterable[Case], workers: int) -> Iterator[list[Answer]]:
-    """The answers machine by machine, in no order."""
+    """The answers machine by machine, in no particular order."""
     if workers <= 1:
         yield from map(ask, todo)
         return
@@ -89,7 +89,7 @@ def _share(answers: list[Answer], kinds: tuple[str, ...], true: Callable[[Answer
 
 
 def _false(answer: Answer) -> bool:
-    """Something is said that is not so: an effect that is not there, or, of a clean machine, anything."""
+    """Whether a wrong statement was made: an effect that is not there, or, for a clean machine, any finding."""
     return not set(answer.names) <= set(answer.case.effects) or (answer.something and not answer.case.effects)
 
 

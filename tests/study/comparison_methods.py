@@ -1,8 +1,8 @@
-"""The usual ways to choose among candidate columns, given the very columns that our diagnosis searches.
+"""The usual ways to choose among candidate columns, given the same columns as the diagnosis.
 
 Forward selection by BIC, the lasso with whole runs left out (scikit-learn), and sequentially thresholded least squares (pysindy's
 STLSQ, where it is installed). A smoothing spline per direction, the declared table, is taken out of errors and candidates first; every
-column then has unit size. Written apart from `hil.diagnosis`, which lends the candidate columns and nothing else.
+column then has unit size. Written apart from `hil.diagnosis`, of which only the candidate columns are used.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ except ImportError:
 Array = np.ndarray
 
 MOST_TERMS = 5
-"""Forward selection stops here, as ours does."""
+"""Largest number of candidates of forward selection, as in the diagnosis."""
 LASSO_ALPHAS = np.geomspace(1.0, 0.05, 20)
-"""Over the one at which the first column enters."""
+"""Penalties of the lasso, relative to the one at which the first column enters."""
 THRESHOLDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-"""Of STLSQ, over the standard deviation of the errors."""
+"""Thresholds of STLSQ, relative to the standard deviation of the errors."""
 STIFFNESSES = np.geomspace(1e-4, 1e2, 13)
-"""Of the table; tried by generalised cross-validation."""
+"""Stiffnesses of the table's spline, tried by generalised cross-validation."""
 ALL_OF_IT = slice(None)
 FOLDS = 4
-"""Every run is left out once, two of the eight at a time."""
+"""Number of folds: every run is left out once, two of the eight at a time."""
 RIDGE = 0.05
 """STLSQ's own, its default."""
 
@@ -71,7 +71,7 @@ class Data:
 
 
 class Table:
-    """A smoothing spline per direction, f(x) + d·g(x), as stiff as generalised cross-validation asks for."""
+    """A smoothing spline per direction, f(x) + d·g(x), with the stiffness of generalised cross-validation."""
 
     def __init__(self, target_mm: Array, direction: Array, y: Array) -> None:
         per_pass = len(y) / max(1, np.count_nonzero(np.diff(direction)) + 1)
@@ -99,7 +99,7 @@ class Table:
 
 
 class Beside:
-    """Errors and columns of some rows beside the table: what is left of them, the columns of unit size."""
+    """Errors and columns of some rows after the table is taken out: the residuals, the columns of unit size."""
 
     def __init__(self, data: Data, rows: Array) -> None:
         self.table = Table(data.target_mm[rows], data.direction[rows], data.error_um[rows])
@@ -130,7 +130,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class Verdict:
-    """names: the effects found, the largest first; fresh_um: RMS of what is left of a campaign not seen, machine effects corrected."""
+    """names: the effects found, the largest first; fresh_um: RMS left of a new campaign, machine effects corrected, µm."""
 
     names: tuple[str, ...]
     fresh_um: float
@@ -227,7 +227,7 @@ def available() -> dict[str, Callable[[Data], Array]]:
 
 
 def judge(data: Data, coefficients: Array, fresh: Records) -> Verdict:
-    """What a choice of coefficients says, and what it leaves of fresh records when the effects of the machine are corrected."""
+    """The effects of a choice of coefficients, and the RMS left of fresh records when the effects of the machine are corrected."""
     beside = Beside(data, np.ones(len(data.error_um), dtype=bool))
     names = [choice.effect.id for choice in data.choices]
     sizes: dict[str, Array] = {}

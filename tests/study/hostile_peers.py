@@ -1,6 +1,6 @@
 """Every kind of misbehaving peer x every verb that moves x seeds: `python tests/study/hostile_peers.py --all`.
 
-Prints each case that did not end well, and a table of the kinds: how many runs met them, how those ended, the latest end.
+Prints each case that did not end correctly, and a table of the kinds: number of runs that met them, their ends, the latest end.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
 from hostile.judge import WIRES, Case, Outcome, cases, run

@@ -1,4 +1,4 @@
-"""Mutation test of the modules whose numbers and decisions count: which one-line faults do the matching tests notice?
+"""Mutation test of the modules with numbers and decisions: which one-line faults do the matching tests detect?
 
 `python tests/study/mutants.py` runs all rooms of `ROOMS`, `python tests/study/mutants.py effects figures` these. It prints a table
 (module, mutants, killed, survivors by group) and every survivor. `--json FILE` keeps the outcomes; with it a later run tries only
@@ -45,7 +45,7 @@ UNIT = "tests/unit/hil"
 
 @dataclass(frozen=True)
 class Room:
-    """Modules by pattern, and the tests that are to notice a fault in them."""
+    """Modules by pattern, and the tests that have to detect a fault in them."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
@@ -136,12 +136,12 @@ PAIRS = (
 NAMES = dict(PAIRS) | {after: before for before, after in PAIRS}
 TEXTS = {"NFC": "NFKC", "big": "little", "little": "big"}
 TIMED_OUT = "timed out"
-"""Counts as noticed, and is tried again by a later run: the host may have been busy."""
+"""An outcome that counts as detected, and is tried again by a later run: the host may have been busy."""
 PARTS = (ast.operator, ast.cmpop, ast.boolop, str)
-"""What has no text of its own: the whole expression is shown."""
+"""Nodes without a text of their own: the whole expression is shown."""
 MULTIPLIES = (ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow, ast.LShift, ast.RShift)
 NO_DECISION = {"strict", "frozen", "slots", "kw_only", "repr", "compare"}
-"""Keywords that guard against a programmer's slip and decide nothing on good code."""
+"""Keywords that guard against a programmer's slip and decide nothing in correct code."""
 
 
 @dataclass

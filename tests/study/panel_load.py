@@ -1,8 +1,8 @@
-"""What the screen costs with many axes: `python tests/study/panel_load.py [AXES [MINUTES]]` (default 8 axes, 2 minutes).
+"""Load of the screen with many axes: `python tests/study/panel_load.py [AXES [MINUTES]]` (default 8 axes, 2 minutes).
 
 Every axis is a simulated drive with a laser in a process of its own (`hil sim modbus`), read over Modbus TCP and a terminal, so that
-the server's own share of a processor and its memory can be told from the simulation's. A headless Chromium shows them all. The axes
-stand still, which costs a look as much as moving does. Prints a line every ten seconds, and at the end what was measured.
+the server's own share of a processor and its memory are separate from the simulation's. A headless Chromium shows them all. The axes
+are at rest, which costs as much as motion. Prints a line every ten seconds, and the measured figures at the end.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
 from support import panel
@@ -31,7 +31,7 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True)
 class Use:
-    """Of a process up to a moment."""
+    """Processor time and memory of a process at a moment."""
 
     at_s: float
     cpu_s: float
@@ -45,7 +45,7 @@ class Use:
         return cls(time.monotonic(), (int(fields[11]) + int(fields[12])) / _TICKS, resident_mb)
 
     def share_since(self, before: Use) -> float:
-        """Of one processor."""
+        """Share of one processor since an earlier moment."""
         return (self.cpu_s - before.cpu_s) / (self.at_s - before.at_s)
 
 
@@ -115,7 +115,7 @@ def _watch(server: int, machines: list[int], seconds: float, person: panel.Perso
 
 
 def _shown(person: panel.Person) -> int:
-    """How many plots in the browser have got points since this was asked last."""
+    """Number of plots in the browser that have got points since the last call."""
     script = """
         const ends = [...hilPlots.values()].flatMap((plot) => [...plot.values()]).map((points) => points.at(-1)[0]);
         const before = window.hilEnds ?? [];
@@ -126,7 +126,7 @@ def _shown(person: panel.Person) -> int:
 
 
 def _rates_hz(person: panel.Person) -> list[float]:
-    """Of the points that each plot in the browser shows, by their own times."""
+    """Rates of the points that each plot in the browser shows, Hz, by their own times."""
     script = """
         const curves = [...hilPlots.values()].flatMap((plot) => [...plot.values()]);
         return curves.map((points) => (points.length - 1) / (points.at(-1)[0] - points[0][0]));

@@ -1,6 +1,6 @@
 """A download of 40 parameters with each kind of fault at every frame: `python tests/study/params_every_frame.py [EVERY]`.
 
-Prints a table; EVERY thins it out (default 1: every frame). The slow tests run it thinned out.
+Prints a table; EVERY takes each n-th frame only (default 1: every frame). The slow tests run it with some frames.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
 from support.parameter_faults import KINDS, Run, cases, one_run
@@ -21,7 +21,7 @@ from support.parameter_rigs import maker_eds
 
 @dataclass
 class Tally:
-    """What became of the runs of one kind. broken: those that did not end entirely old or entirely new, as was said."""
+    """Results of the runs of one kind. broken: those that did not end entirely old or entirely new, as reported."""
 
     kind: str
     runs: int = 0
@@ -41,7 +41,7 @@ class Tally:
 
 
 def study(kind: str, folder: Path, every: int = 1, first: int = 0) -> Tally:
-    """All runs of a kind, or every so many from the `first` on; what is cut off is finished both ways, in two runs."""
+    """All runs of a kind, or each n-th from the `first` on; an interrupted download is finished both ways, in two runs."""
     eds = maker_eds(folder, 40)
     clean = one_run(eds, folder / "clean")
     if not clean.whole:

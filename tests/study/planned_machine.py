@@ -1,8 +1,8 @@
-"""Machines that are measured as somebody plans it, run after run: the truth behind the choice of the next measurement.
+"""Machines measured by a given plan, run after run: the true errors for judging the choice of the next measurement.
 
 Numbers only, nothing imported from the project. Unlike `truth_machines`, which draws its own campaign, a machine here is given rows to
-measure: where, from which side, after which travel, at which feed and load, after how long a warm-up. Temperatures and air go their
-own way meanwhile, and are written down only where a sensor was asked for. What went before stays as it was: a longer plan
+measure: position, direction, travel before, feed, load, warm-up. Temperatures and air vary
+meanwhile, and are recorded only where a sensor was requested. Earlier rows never change: a longer plan
 that begins with the same rows begins with the same readings.
 """
 
@@ -18,7 +18,7 @@ Columns = dict[str, Array]
 AGAINST = ("backlash", "backlash_position", "lost_motion", "velocity_lag", "load_deflection")
 ALONG = ("pitch_shape", "cyclic", "local_wear", "cosine", "abbe", "cross_axis")
 IN_TIME = ("thermal_drift", "thermal_expansion", "dead_path", "air_index", "beam_drift", "datum_step")
-"""Effects that a standard test without sensors confuses with each other, by what they look like there."""
+"""Effects that a standard test without sensors confuses with each other, by their similarity there."""
 USUAL_LOAD_KG, USUAL_CROSS_MM = 60.0, 120.0
 
 
@@ -26,7 +26,7 @@ USUAL_LOAD_KG, USUAL_CROSS_MM = 60.0, 120.0
 class PlannedMachine:
     """strength: RMS of the hidden effect over the first `rows` rows, over the noise standard deviation.
 
-    feed_mm_s: at which positions are captured; 0 at rest. noise: another number, the same machine with other noise
+    feed_mm_s: at which positions are captured; 0 at rest. noise: another number gives the same machine with other noise
     """
 
     seed: int
@@ -42,10 +42,10 @@ class PlannedMachine:
         return float(np.random.default_rng([self.seed, 9]).uniform(0.2, 1.0))
 
     def measure(self, plan: Columns, rows: int) -> Columns:
-        """Readings and sensors of planned rows, all of them from the machine's first on.
+        """Readings (µm) and sensors of planned rows, all of them from the machine's first on.
 
         plan: run, direction, target_mm, time_s, since_reversal_mm, stroke_mm; optionally velocity_mm_s, load_kg, pos_y_mm, setup, and
-        strokes_s (seconds of fast strokes just before the row); NaN where it is as usual.
+        strokes_s (seconds of fast strokes just before the row); NaN for the default.
         """
         c = self._surroundings(plan)
         hidden = np.zeros(len(c["run"]))
@@ -58,7 +58,7 @@ class PlannedMachine:
         return c
 
     def table_um(self, c: Columns) -> Array:
-        """What was there when the table was made."""
+        """Errors at the time when the table was made, µm."""
         own = np.random.default_rng([self.seed, 1])
         u = self._u(c)
         f = sum(own.normal() * 6.0 / k**1.5 * np.sin(1.6 * k * u + own.uniform(0, 6.28)) for k in range(1, 5))
@@ -113,13 +113,13 @@ class PlannedMachine:
         return size * waves / 1.6
 
     def _shape(self, c: Columns) -> Array:
-        """The hidden effect, unscaled: never the form that is fitted."""
+        """The hidden effect, unscaled; its form always differs from the fitted one."""
         own = np.random.default_rng([self.seed, 4])
         family = self._against if self.effect in AGAINST else self._along if self.effect in ALONG else self._in_time
         return family(c, own)
 
     def _against(self, c: Columns, own: np.random.Generator) -> Array:
-        """What differs with the direction."""
+        """Effects that differ with the direction."""
         u, d, half = self._u(c), c["direction"], (self.high_mm - self.low_mm) / 2
         if self.effect == "backlash":
             shape = np.ones(len(d))
@@ -136,7 +136,7 @@ class PlannedMachine:
         return d * shape
 
     def _along(self, c: Columns, own: np.random.Generator) -> Array:
-        """What differs along the travel."""
+        """Effects that differ along the travel."""
         u, half = self._u(c), (self.high_mm - self.low_mm) / 2
         if self.effect == "pitch_shape":
             bow = own.uniform(0.4, 1.0) * np.cos(own.uniform(2, 4) * u)
@@ -159,7 +159,7 @@ class PlannedMachine:
         return shape
 
     def _in_time(self, c: Columns, own: np.random.Generator) -> Array:
-        """What comes and goes."""
+        """Effects that vary in time."""
         t, x = c["time_s"], c["target_mm"]
         if self.effect == "thermal_drift":
             shape = _lagged(t, c["temp_screw_c"], own.uniform(20, 60))

@@ -1,4 +1,4 @@
-"""From the operator's stop to the stop on the wire, worst of 200 moments: `python tests/study/stop_latency.py`.
+"""Time from the operator's stop to the stop on the wire, worst of 200 moments: `python tests/study/stop_latency.py`.
 
 Simulated time: every verb that moves, on CANopen with SDO alive and dead, on Modbus TCP. Wall time: real threads, two busy processes,
 a python-can virtual bus, a loopback port, a pseudo-terminal. `--write` puts both tables into hil/docs/stopping.md.
@@ -23,7 +23,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-if __name__ == "__main__":  # the folder of a script stands first in the path, and hides this package
+if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
 from hostile.places import VERBS
@@ -54,9 +54,9 @@ SIMULATED = (("canopen", False), ("canopen", True), ("modbus-tcp", False))
 LIMITS = DriveLimits(-300.0, 300.0, 200.0, 2000.0)
 NODE = 5
 SEEN_S = 1.0
-"""For a stop to come to a drive, before it is confirmed."""
+"""Longest time for a stop to reach a drive, before it is confirmed, s."""
 READY_S = 20.0
-"""For a drive to be had again after the stop before."""
+"""Longest time until a drive is available again after the stop before, s."""
 
 
 # -- simulated time --------------------------------------------------------------------------------------------------------
@@ -72,7 +72,7 @@ def simulated_row(face: str, sdo_dead: bool, verb: str, moments: int, pool: Proc
 
 
 class CountedWire(PymodbusWire):
-    """Notes when each request began and ended, and when posted stops left, s."""
+    """Records when each request began and ended, and when posted stops were sent, s."""
 
     def __init__(self, endpoint: Endpoint, check: Check) -> None:
         super().__init__(endpoint, check)
@@ -104,7 +104,7 @@ class CountedWire(PymodbusWire):
             self.requests.append((began_s, time.monotonic()))
 
     def before_stop(self, pressed_s: float) -> tuple[float, int]:
-        """Of the first stop after this moment: how long until it left, and the requests that were under way or begun meanwhile."""
+        """Of the first stop after this time: delay until it was sent, and the requests in progress or begun meanwhile."""
         left_s = min(when for when in self.left if when >= pressed_s)
         return left_s - pressed_s, sum(began < left_s and ended > pressed_s for began, ended in self.requests)
 
@@ -112,9 +112,9 @@ class CountedWire(PymodbusWire):
 # -- wall time ---------------------------------------------------------------------------------------------------------------
 @dataclass
 class Rig:
-    """One drive over a real wire in real threads. dead(True): answers are lost from now on; seen: when stops came to the wire, s.
+    """One drive over a real wire in real threads. dead(True): answers are lost from now on; seen: times of stops on the wire, s.
 
-    On Modbus `seen` is when the drive was told.
+    On Modbus `seen` holds the times of orders to the servo.
     """
 
     drive: ServoDrive
@@ -236,11 +236,11 @@ WIRES: dict[str, Callable[[], Any]] = {
 
 
 def _make_ready(rig: Rig) -> None:
-    """Enabled, whatever the stop before has left behind."""
+    """Enabled, whatever state the stop before has left."""
     rig.dead(False)
     rig.stop.rearm()
     with suppress(StoppedByOperator):
-        rig.stop.check()  # a press that nobody heard
+        rig.stop.check()  # clears a press that no wait has seen
     rig.stop.rearm()
     deadline_s = time.monotonic() + READY_S
     while True:
@@ -251,7 +251,7 @@ def _make_ready(rig: Rig) -> None:
             rig.drive.disable()
             rig.drive.enable()
             return
-        except BridgeError:  # a silent unit is left alone for a while
+        except BridgeError:  # a silent unit is in back-off for a while
             if time.monotonic() > deadline_s:
                 raise
             time.sleep(0.05)
@@ -259,7 +259,7 @@ def _make_ready(rig: Rig) -> None:
 
 @dataclass(frozen=True)
 class Latency:
-    """Until the stop left and until it was seen at the drive (on CAN the same), s; requests of Modbus that it waited for."""
+    """Until the stop was sent and until it was seen at the drive (on CAN the same), s; requests of Modbus that it waited for."""
 
     left_s: float
     seen_s: float
@@ -267,7 +267,7 @@ class Latency:
 
 
 def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random: Random) -> Latency | None:
-    """None where the work ended by itself before it."""
+    """None where the work ended by itself before the stop."""
     _make_ready(rig)
     pressed: list[float] = []
 
@@ -293,7 +293,7 @@ def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random
     for order in (
         lambda: None,
         rig.drive.quick_stop,
-    ):  # one that was destroyed on its way is sent again when it is confirmed
+    ):  # a stop destroyed on its way is sent again when it is confirmed
         deadline_s = time.monotonic() + SEEN_S
         with suppress(BridgeError):
             order()

@@ -1,8 +1,8 @@
-"""The proof figures of the diagnosis on machines drawn at random: right names, false findings, honesty, held-out worth, coverage.
+"""Figures of the diagnosis on random machines: right names, false findings, honesty, held-out worth, coverage.
 
-`python tests/study/study.py --machines 520 --report FILE.md` (or .html) runs the whole study and writes the figures beside what is
-wanted of them. With `--json FILE` every outcome is appended as it comes, and a study that was cut short is continued from there.
-In a small form it runs in the fast suite, larger in the slow one.
+`python tests/study/study.py --machines 520 --report FILE.md` (or .html) runs the whole study and writes the figures beside their
+required bounds. With `--json FILE` every outcome is appended as it comes, and an interrupted study is continued from there.
+The fast suite runs it with few machines, the slow one with more.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the diagnosis of a case said; residual figures are over the true noise standard deviation.
+    """Result of the diagnosis of a case; residual figures are relative to the true noise standard deviation.
 
     rivals: effects named beside the findings
-    inside: per effect whose true main parameter is known and that was found, whether its 95 % interval holds it
+    inside: for each effect found whose true main parameter is known, whether its 95 % interval holds it
     """
 
     case: Case
@@ -89,7 +89,7 @@ def cases(per_kind: int, seed: int = 1) -> Iterator[Case]:
 
 
 def in_turn(todo: Iterable[Case]) -> list[Case]:
-    """The kinds in turn, so that a study cut short says as much of each."""
+    """The kinds in turn, so that an interrupted study has as many of each."""
     by_kind: dict[str, list[Case]] = {}
     for case in todo:
         by_kind.setdefault(case.kind, []).append(case)
@@ -141,7 +141,7 @@ def _inside(machine: Machine, plan: Plan, diagnosis: Diagnosis) -> tuple[bool, .
 
 
 def run_all(todo: Iterable[Case], workers: int, json_lines: Path | None = None) -> list[Outcome]:
-    """Every case; with a file, those that are in it already are taken from there and the others appended to it."""
+    """Every case; with a file, those that are in it already are read from there and the others appended to it."""
     todo = list(todo)
     done = read(json_lines) if json_lines is not None and json_lines.exists() else []
     known = {outcome.case for outcome in done}
@@ -168,7 +168,7 @@ def _outcomes(todo: Sequence[Case], workers: int) -> Iterator[Outcome]:
 
 
 def read(json_lines: Path) -> list[Outcome]:
-    """The outcomes of a file of them, one a line."""
+    """The outcomes of a file, one a line."""
     out = []
     for line in json_lines.read_text(encoding="utf-8").splitlines():
         raw = {name: tuple(v) if isinstance(v, list) else v for name, v in json.loads(line).items()}
@@ -214,7 +214,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, float]:
         figures["pair: only both"] = _share(set(o.case.effects) == set(o.names) and not o.unexplained for o in pairs)
     appeared = [o for o in outcomes if o.case.kind == "appeared"]
     if appeared:
-        # a misaligned beam and a lead error are the same in any records: there, being named beside the lead error is right
+        # a misaligned beam and a lead error are equal in any records: there, naming it beside the lead error is right
         figures["appeared: right first"] = _share(
             o.names[:1] == o.case.effects or (o.case.effects[0] == "cosine" and "cosine" in o.rivals) for o in appeared
         )

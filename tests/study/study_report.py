@@ -1,4 +1,4 @@
-"""The report of the study: each figure beside what is wanted of it, and what became of every effect."""
+"""The report of the study: each figure beside its required bounds, and the answers for every effect."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Table = tuple[str, tuple[str, ...], list[tuple[str, ...]]]
 
 
 def report(figures: Mapping[str, float], rows: Sequence[Row], how: str, as_html: bool) -> str:
-    """The text of the report, Markdown or a page that stands alone."""
+    """The text of the report, Markdown or a single HTML page."""
     title = "Diagnosis on machines drawn at random"
     counts = Counter(row[0] for row in rows)
     about = f"python tests/study/study.py {how}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items())

@@ -1,4 +1,4 @@
-"""Machines that err for a known reason, to judge the diagnosis: written apart, numbers only, nothing imported from the project.
+"""Machines with known errors, to judge the diagnosis: written separately, numbers only, nothing imported from the project.
 
 The forms are not the fitted ones: temperatures act through a lag and saturate, cyclic errors swell along the travel and carry a
 harmonic, lost motion fades as a rational or stretched curve with a Stribeck hump, steps settle, beams wander as 1/f noise.
@@ -30,9 +30,9 @@ DYNAMIC = (
     "air_index",
     "beam_drift",
 )
-"""Effects that show beside a table fitted to the same records (local wear and cyclic at scattered targets)."""
+"""Effects that remain beside a table fitted to the same records (local wear and cyclic at scattered targets)."""
 STATIC = ("backlash", "backlash_position", "pitch_shape", "cosine", "local_wear", "cyclic")
-"""Functions of position and direction: they show against a table that was measured before they appeared."""
+"""Functions of position and direction: they remain beside a table that was measured before they appeared."""
 OUTSIDE = (
     "humidity_times_position",
     "coolant",
@@ -60,7 +60,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine. strength: RMS of each hidden effect, as far as a table cannot hold it, over the noise standard deviation."""
+    """One machine. strength: RMS of each hidden effect, without the part that a table can hold, over the noise standard deviation."""
 
     seed: int
     effects: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ class Machine:
         return c, parts | {"clean": clean, "noise": noise, "sigma": np.array(sigma)}
 
     def parameters(self, plan: Plan | None = None) -> dict[str, tuple[str, float]]:
-        """By effect, its main parameter and the true value, for those whose shape is, in that parameter, the textbook one."""
+        """By effect, its main parameter and the true value, for effects whose shape in that parameter is the fitted one."""
         columns, shapes = self._draw(0, plan or Plan())[::2]
         sigma = float(np.random.default_rng([self.seed, 5]).uniform(0.2, 1.2))
         true: dict[str, tuple[str, float]] = {}

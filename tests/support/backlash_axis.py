@@ -1,4 +1,4 @@
-"""An axis file for measuring backlash by torque on the bench, for every face its drive can have, and the machine behind it."""
+"""Axis files for measuring backlash by torque on the bench, for every face of its drive, and the bench behind them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PARAMETERS = {
     "modbus-rtu": "",
     "modbus-tcp": 'parameter = "backlash"\nacceleration = "backlash_quick"\nparameter_um = 0.01\n',
 }
-"""What the axis file says of the drive's parameters; a count of the bench is 10 nm."""
+"""The drive's parameters as the axis file names them; a count of the bench is 10 nm."""
 FACES = {
     "virtual": 'face = "virtual"\n',
     "canopen": 'face = "canopen"\n',
@@ -58,7 +58,7 @@ class BenchBehind:
 
 
 def look_behind(monkeypatch: pytest.MonkeyPatch) -> BenchBehind:
-    """Catch the benches that are built from now on."""
+    """Record the benches that are built from now on."""
     seen = BenchBehind()
 
     class SeenBench(Bench):

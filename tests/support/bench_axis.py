@@ -1,4 +1,4 @@
-"""An axis file for the bench, small enough for a test, with the builder's keys beside it."""
+"""An axis file for the bench, with a short travel and few sections, and the builder's keys beside it."""
 
 from __future__ import annotations
 

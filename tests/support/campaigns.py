@@ -32,8 +32,8 @@ def campaign(
 ) -> Records:
     """Records of `runs` runs up and down over `targets` targets, scattered by this share of their spacing about fixed ones.
 
-    error_um: of the columns made so far (run, direction, target_mm, time_s and the sensors); noise_um: standard deviation, or the
-    noise of every row
+    error_um: function of the columns made so far (run, direction, target_mm, time_s and the sensors), µm; noise_um: standard
+    deviation, or noise of every row
     """
     rng = np.random.default_rng(seed)
     step = travel_mm / targets

@@ -1,4 +1,4 @@
-"""can-utils' candump as a witness of what was really on a CAN interface."""
+"""can-utils' candump as an independent record of the frames on a CAN interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A machine in one process and its commissioning in others, as on a shop floor: what tests of real processes share."""
+"""A machine in one process and its commissioning in others, as in a workshop: helpers for tests of real processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.correction.sealed import Cost, new_key, save_private_key, save_public_k
 from hil.records.rows import Records, read_csv
 
 PATIENCE_S = 600.0 if os.environ.get("HIL_VCAN") == "guest" else 90.0
-"""For whatever another process has to do before a test can go on, on a busy host; in the guest Python starts slowly."""
+"""Longest wait for another process on a busy host, s; in the guest Python starts slowly."""
 
 PATIENT = {
     "canopen": "sdo_timeout_s = 5.0\nsample_timeout_s = 5.0\nheartbeat_s = 2.0\nguard_s = 6.0",
@@ -36,7 +36,8 @@ reading_s = 0.2
 
 
 def prepare(path: Path, *, targets: str = "[2.0, 17.0, 32.0]", velocity: float = 20.0, drive: str = "") -> None:
-    """Turn the axis file that `hil sim` wrote into a quick and patient one, with the builder's keys beside it."""
+    """Turn the axis file that `hil sim` wrote into one with short measurements and long time-outs, with the builder's keys beside
+    it."""
     text = path.read_text(encoding="utf-8")
     text = text[: text.index("[measurement]")] + MEASUREMENT.format(targets=targets, velocity=velocity)
     backend = re.search(r'backend = "(\w+)"', text)
@@ -52,7 +53,7 @@ def prepare(path: Path, *, targets: str = "[2.0, 17.0, 32.0]", velocity: float =
 
 
 def rows_of(path: Path, name: str = "measure") -> int:
-    """Whole rows of a pass so far, of the last campaign of an axis file; 0 while there is none."""
+    """Number of complete rows of a pass, of the last campaign of an axis file; 0 while there is none."""
     found = sorted(path.parent.glob(f"X-campaign/calibrate-*/{name}.csv"))
     if not found:
         return 0
@@ -66,7 +67,7 @@ def kept(path: Path, name: str = "measure") -> Records:
 
 
 def wait_for(condition: Callable[[], bool], what: str, *, unless_ended: subprocess.Popen[str] | None = None) -> None:
-    """Wait for something in another process; fails after PATIENCE_S, or when a process that should run has ended."""
+    """Wait for another process; fails after PATIENCE_S seconds, or when a process that should run has ended."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if unless_ended is not None and unless_ended.poll() is not None:
@@ -97,13 +98,13 @@ class Job:
         self.process.communicate()
 
     def ended(self) -> tuple[int, str]:
-        """Exit status and what it said on stderr, once it has ended by itself."""
+        """Exit status and text on stderr, once it has ended by itself."""
         _, errors = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, errors
 
 
 def look(place: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """What `hil scan` sees of the machine's drive: state and position, in counts or raw."""
+    """State and position of the machine's drive as `hil scan` reports them, in counts or raw."""
     if place["backend"] == "modbus":
         where = ["--tcp", place["url"], "--units", str(place["unit"]), "--map", place["register_map"]]
     else:

@@ -1,4 +1,4 @@
-"""A corpus of malformed files: `expected.toml` beside them says, for each, the line that is blamed and the words of the refusal."""
+"""Checks of a corpus of malformed files: `expected.toml` beside them names, for each, the line and the words of the error."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from drivers.errors import InputError
 
 
 def expectations(corpus: Path) -> dict[str, dict[str, Any]]:
-    """By file name."""
+    """The expectations by file name."""
     return tomllib.loads((corpus / "expected.toml").read_text(encoding="utf-8"))
 
 
 def check_complete(corpus: Path, expected: dict[str, dict[str, Any]]) -> None:
-    """Every file is expected, every expectation has its file."""
+    """Every file has an expectation, and every expectation its file."""
     assert {path.name for path in corpus.iterdir()} == {"expected.toml", *expected}
     assert len(expected) >= 30
 
 
 def check_refused(load: Callable[[Path], object], path: Path, expected: dict[str, Any], longest: int) -> None:
-    """One line that names the place, shorter than `longest` behind it, with every word that is expected."""
+    """The error is one line that names the place, shorter than `longest` after it, with every word that is expected."""
     with pytest.raises(InputError) as caught:
         load(path)
     message, line = str(caught.value), expected["line"]

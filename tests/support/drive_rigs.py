@@ -1,4 +1,4 @@
-"""One simulated servo behind every face a drive can have: what the contract suite runs on.
+"""One simulated servo behind every face of a drive: the rigs of the contract suite.
 
 A backend is a function that builds a `Rig` around the same simulated servo. A new wire is added to BACKENDS and nowhere else.
 """

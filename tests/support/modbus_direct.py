@@ -1,4 +1,4 @@
-"""A Modbus wire without a line: requests as PDUs straight into the registers of a simulated drive."""
+"""A Modbus wire without a line: requests are handled as PDUs by the registers of a simulated drive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim_backends.modbus_registers import Face, answer
 
 
 class DirectWire:
-    """Requests as PDUs straight into the face, packed and unpacked here by hand."""
+    """Requests as PDUs to the face, packed and unpacked here by separate code."""
 
     def __init__(self, face: Face) -> None:
         self.face, self.connected = face, True

@@ -1,4 +1,4 @@
-"""A Modbus drive with 40 parameters, its register map, and a line in simulated time on which anything can go wrong at any request."""
+"""A Modbus drive with 40 parameters, its register map, and a line in simulated time with a fault at any chosen request."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def write_map(folder: Path) -> Path:
 
 
 def forty(seed: int) -> ParameterSet:
-    """Values for all of them."""
+    """Values for all 40 parameters."""
     values = [1 + (seed * 7919 + number * 104_729) % 30_000 for number in range(COUNT)]
     return ParameterSet(
         "forty", None, tuple(SetEntry(f"p{number}", value, value) for number, value in enumerate(values))
@@ -112,7 +112,7 @@ OLD, NEW = forty(1), forty(2)
 
 
 class FortyFace:
-    """The drive: RAM and flash, a command to store. a store counts in `stores`."""
+    """The drive: RAM and flash, and a command to store; `stores` counts its uses."""
 
     max_read, max_write, single_writes = 32, 16, True
 
@@ -149,7 +149,7 @@ class FortyFace:
 
 @dataclass
 class Fault:
-    """What happens at the n-th exchange (0: never); `for_s` how long a line or a supply is gone."""
+    """A fault at the n-th exchange (0: never); `for_s`: duration of the loss of a line or a supply, s."""
 
     kind: str = ""
     at: int = 0
@@ -157,7 +157,7 @@ class Fault:
 
 
 class FaultyLine:
-    """A serial line in simulated time: 11 bits a character, what the drive takes to answer, and one fault."""
+    """A serial line in simulated time: 11 bits a character, the drive's processing time, and one fault."""
 
     connected = True
 
@@ -176,7 +176,7 @@ class FaultyLine:
         self.exchanges += 1
         struck = self.fault.kind if self.exchanges == self.fault.at else ""
         if struck == "process killed":
-            self.fault.at = self.exchanges + 1  # a dead process stays dead
+            self.fault.at = self.exchanges + 1  # a killed process sends nothing more
             raise KilledError
         if struck in ("cable pulled", "power cut"):
             self._gone_until_ns = self.clock.now_ns() + round(1e9 * self.fault.for_s)
@@ -201,7 +201,7 @@ class FaultyLine:
         raise NoAnswerError("nobody answers")
 
     def _take(self, request: int, reply: int) -> None:
-        """Unit, PDU and check each way, 3.5 characters of silence before the reply (1.75 ms above 19200 baud)."""
+        """The time of unit, PDU and check each way, 3.5 characters of silence before the reply (1.75 ms above 19200 baud)."""
         seconds = (request + reply + 6) * 11 / BAUD + 0.00175
         self.busy_s += seconds
         self.clock.sleep_s(seconds + self.turnaround_s)

@@ -79,7 +79,7 @@ class NodePeer:
         return message
 
     def ask(self, do: str, **arguments: Any) -> Message:
-        """Have it do something and wait for the answer. Raises PeerError when it refuses or cannot."""
+        """Send a command and wait for the answer. Raises PeerError when the peer refuses or cannot."""
         number = self.post(do, **arguments)
         end = time.monotonic() + LIMIT_S
         while True:
@@ -89,7 +89,7 @@ class NodePeer:
             self.events.append(message)
 
     def post(self, do: str, **arguments: Any) -> int:
-        """Have it do something without waiting; the answer's number for `answer`."""
+        """Send a command without waiting; the answer's number for `answer`."""
         if self._process.stdin is None:
             raise PeerError("the peer has no stdin", None)
         self._number += 1
@@ -103,7 +103,7 @@ class NodePeer:
         return message
 
     def wait_event(self, wanted: Callable[[Message], bool], limit_s: float = LIMIT_S) -> Message:
-        """The first event that fits, of those not yet taken. Raises PeerError when none comes."""
+        """The first matching event of those not yet taken. Raises PeerError when none comes within limit_s seconds."""
         end = time.monotonic() + limit_s
         seen = 0
         while True:

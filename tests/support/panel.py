@@ -1,4 +1,4 @@
-"""`hil panel` as a process, and a headless Chromium that looks at it."""
+"""`hil panel` as a process, and a headless Chromium that shows it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def served(*arguments: str | Path) -> Iterator[tuple[str, subprocess.Popen[str]]
 
 
 class Person:
-    """Somebody at a browser of his own; elements by their names."""
+    """A user with a browser; elements are found by their names."""
 
     def __init__(self, driver: webdriver.Chrome) -> None:
         self.driver = driver
@@ -54,7 +54,7 @@ class Person:
         return self.driver.find_element(By.CSS_SELECTOR, f'[data-name="{name}"]')
 
     def reads(self, name: str) -> str:
-        """The text of an element that is there; "" for one that is hidden."""
+        """The text of an element; "" for one that is hidden."""
         return self.finds(name).text
 
     def clicks(self, name: str) -> None:
@@ -78,7 +78,7 @@ class Person:
         self.waits(lambda: self.reads(name) == text, f"{name} says {text!r}")
 
     def waits_for_a_figure(self, name: str) -> float:
-        """Of an element that shows one, once it does."""
+        """The number that an element shows, once it shows one."""
         found: list[float] = []
 
         def reads() -> bool:
@@ -97,7 +97,7 @@ class Person:
         self.clicks("role.yes")
 
     def is_refused(self, word: str) -> None:
-        """Waits for a note with this word in it, and closes it."""
+        """Wait for a note with this word in it, and close it."""
         self.waits(lambda: word in self._note().text, "the refusal is shown")
         self._note().find_element(By.CSS_SELECTOR, "button").click()
         self.waits(lambda: not self.driver.find_elements(By.CSS_SELECTOR, ".q-notification"), "the note is closed")
@@ -106,12 +106,12 @@ class Person:
         return self.driver.find_element(By.CSS_SELECTOR, ".q-notification")
 
     def names(self) -> set[str]:
-        """Of every element that is on the page, hidden ones too."""
+        """Names of every element on the page, hidden ones included."""
         script = "return [...document.querySelectorAll('[data-name]')].map((one) => one.dataset.name)"
         return set(self.driver.execute_script(script))
 
     def drawn(self, chart: str) -> dict[str, int]:
-        """How many points each curve of a chart has."""
+        """Number of points of each curve of a chart."""
         number = int(str(self.finds(chart).get_attribute("id")).removeprefix("c"))
         script = (
             "return Object.fromEntries(getElement(arguments[0]).chart.getOption().series"
@@ -128,7 +128,7 @@ class Person:
         return [row for row in self.driver.execute_script(script, self.finds(name)) if any(row)]
 
     def agrees(self) -> list[str]:
-        """To the one question that is asked; its lines."""
+        """Answer yes to the one question that is shown; its lines."""
         self.waits(lambda: self.finds("question.yes").is_displayed(), "a question is asked")
         lines = [one.text for one in self.driver.find_elements(By.CSS_SELECTOR, '[data-name="question.line"]')]
         self.clicks("question.yes")

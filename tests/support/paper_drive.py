@@ -1,4 +1,4 @@
-"""A drive on paper: its parameters in a dictionary, with every access, start and refusal laid down by the test."""
+"""A drive without a wire or physics: its parameters in a dictionary, with every access, start and refusal set by the test."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drivers.raw_parameters import (
     T,
     Tell,
     WireTime,
-    deaf,
+    no_observer,
 )
 from sim_backends.clock import SimClock
 
@@ -27,7 +27,7 @@ IDENTITY = DriveIdentity("canopen", {"vendor_id": 0x1A}, {"firmware": "2"}, {"se
 
 
 class OneByOne(Line):
-    """A line that carries out one work after the other. A pause takes its time, any other step costs nothing."""
+    """A line that carries out one job after the other. A pause takes its time, any other step none."""
 
     def __init__(self, clock: SimClock) -> None:
         self._clock = clock
@@ -49,7 +49,7 @@ class OneByOne(Line):
 
 
 def done(job: Steps[T], clock: SimClock) -> T:
-    """What a work returns; what it raises is raised. clock: of the drive, for its pauses."""
+    """The result of a job; its error is raised. clock: of the drive, for its pauses."""
     result = OneByOne(clock).run([job])[0]
     if isinstance(result, BridgeError):
         raise result
@@ -59,8 +59,8 @@ def done(job: Steps[T], clock: SimClock) -> T:
 class PaperDrive(RawParameters):
     """Two-byte whole numbers by name. An access takes a millisecond.
 
-    on_read, on_write: called with the address (and the bytes) before the access; what they raise is its error, and a write's return
-    value False keeps the drive from taking it. log: every access, "r a", "w a 5", "store", "restart".
+    on_read, on_write: called with the address (and the bytes) before the access; what they raise is its error, and a write that
+    returns False is not accepted. log: every access, "r a", "w a 5", "store", "restart".
     """
 
     def __init__(self, name: str = "X", clock: SimClock | None = None, **values: int) -> None:
@@ -143,7 +143,7 @@ class PaperDrive(RawParameters):
             return Access(address, 1e-9 * (self.clock.now_ns() - before_ns), error=error)
         return Access(address, 1e-9 * (self.clock.now_ns() - before_ns), data)
 
-    def read(self, addresses: Sequence[str], tell: Tell = deaf) -> Steps[list[Access]]:
+    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         found = []
         for address in addresses:
             yield None
@@ -157,7 +157,7 @@ class PaperDrive(RawParameters):
             tell(1)
         return found
 
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = deaf) -> Steps[list[Access]]:
+    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         found = []
         for address, data in items:
             yield None

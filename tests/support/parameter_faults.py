@@ -1,7 +1,7 @@
-"""One download of 40 parameters with one thing going wrong at one frame, and what the drive really holds afterwards.
+"""One download of 40 parameters with one fault at one frame, and the values in the drive afterwards.
 
-The drive's RAM and flash are looked at directly, past every wire. Old values are in its flash, so that a drive without power falls
-back to them.
+The drive's RAM and flash are read directly, without a wire. Its flash holds the old values, so that a drive without power returns
+to them.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ COUNT = 40
 KEYS = maker_keys(COUNT)
 OLD, NEW = maker_set(COUNT, seed=1), maker_set(COUNT, seed=2)
 TIMEOUT_S = 0.05
-OUTAGE_S = 30.0  # of a cable or a supply: longer than anybody tries
+OUTAGE_S = 30.0  # of a cable or a supply: longer than any retry
 
 
 class KilledError(BaseException):
-    """The process is no more: nothing that it would still have done happens."""
+    """The process was killed: nothing after this moment happens."""
 
 
 class DyingPort(WirePort):
-    """A master's port whose process dies at the n-th frame that it sends or receives; n 0: never."""
+    """A master's port whose process is killed at the n-th frame that it sends or receives; n 0: never."""
 
     def __init__(self, wire: SimWire, at_frame: int) -> None:
         super().__init__(wire)
@@ -82,7 +82,8 @@ def old_flash() -> Flash:
 
 @dataclass(frozen=True)
 class Run:
-    """What became of one. said: of the download, None where it died; at_last: after resume or rollback; held, flash: what is in it."""
+    """Result of one run. said: by the download, None where it was killed; at_last: after resume or rollback; held, flash: values in
+    RAM and flash."""
 
     said: Ending | None
     at_last: Ending | None
@@ -94,7 +95,7 @@ class Run:
 
     @property
     def whole(self) -> bool:
-        """Entirely old or entirely new, and as was said."""
+        """Whether the values are entirely old or entirely new, as reported."""
         told = self.at_last or self.said
         if told in (Ending.WRITTEN, Ending.UNCHANGED):
             return self.held == "new" and (not self.stored or self.flash == "new")
@@ -106,9 +107,9 @@ class Run:
 def one_run(
     eds: Path, folder: Path, *faults: CanFault, dies_at: int = 0, forward: bool = True, deaths: Sequence[int] = ()
 ) -> Run:
-    """A download with these faults, in a new folder; then whatever finishes it, when the fault is over.
+    """A download with these faults, in a new folder; then a resume or rollback, when the fault is over.
 
-    deaths: frames at which attempts to finish it die, one after the other.
+    deaths: frames at which successive attempts to finish it are killed.
     """
     flash = old_flash()
     rig = ParameterRig(eds, folder, faults=faults, flash=flash, timeout_s=TIMEOUT_S, file=parsed(eds))
@@ -149,7 +150,7 @@ def _stored_side(flash: Flash) -> str:
     return _side(values) if flash.intact else "torn"
 
 
-# -- what goes wrong, at every frame -----------------------------------------------------------------------------------
+# -- faults, at every frame --------------------------------------------------------------------------------------------
 K = CanFaultKind
 ANSWERED = {  # at the n-th SDO answer or request
     "late ack": (K.SDO_LATE, 1.6 * TIMEOUT_S),

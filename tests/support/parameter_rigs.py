@@ -1,4 +1,4 @@
-"""Simulated CANopen drives with many parameters of their own, and sets for them."""
+"""Simulated CANopen drives with many manufacturer parameters, and sets for them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sim_backends.canopen_store import Flash
 from sim_backends.clock import SimClock
 
 TYPES = ((0x0007, 4, 0), (0x0006, 2, 0), (0x0005, 1, 0), (0x0004, 4, -5), (0x0003, 2, -5), (0x0002, 1, -5))
-"""Of the makers' parameters in turn: CiA code, bytes, default."""
+"""CiA code, bytes and default of the manufacturer parameters, in turn."""
 FIRST = 0x3000
 
 
 def maker_eds(folder: Path, count: int) -> Path:
-    """The simulated drive's EDS with `count` parameters of a maker added: records of 100 from 3000h on, of six types in turn."""
+    """The simulated drive's EDS with `count` manufacturer parameters added: records of 100 from 3000h on, of six types in turn."""
     text = EDS.read_text(encoding="utf-8")
     sections = []
     for record in range(-(-count // 100)):
@@ -51,7 +51,7 @@ def maker_keys(count: int) -> list[tuple[int, int]]:
 
 
 def maker_set(count: int, *, seed: int = 1) -> ParameterSet:
-    """New values for all of them, none of which is its default."""
+    """New values for all of them, each different from its default."""
     entries = []
     for number, key in enumerate(maker_keys(count)):
         size = TYPES[number % 100 % len(TYPES)][1]
@@ -61,7 +61,7 @@ def maker_set(count: int, *, seed: int = 1) -> ParameterSet:
 
 
 class ParameterRig:
-    """Drives on one simulated wire, reached by their parameters. only: the node that the faults are of."""
+    """Drives on one simulated wire, accessed by their parameters. only: the node to which the faults apply."""
 
     def __init__(
         self,
@@ -101,9 +101,9 @@ class ParameterRig:
             )
             for node in nodes
         ]
-        self.bench.clock.sleep_s(0.01)  # boot-up messages are out
+        self.bench.clock.sleep_s(0.01)  # boot-up messages have been sent
         self.journals = [Journal(folder / f"X{node}") for node in nodes]
 
     def values(self, keys: Sequence[tuple[int, int]], node: int = 0) -> list[int]:
-        """What the drive really holds."""
+        """The values in the drive."""
         return [list(self.bench.slaves.values())[node].dictionary.number(*key) for key in keys]

@@ -1,4 +1,4 @@
-"""A machine file with its axis files for the bench, small enough for a test."""
+"""A machine file with its axis files for the bench, with a short travel."""
 
 from __future__ import annotations
 

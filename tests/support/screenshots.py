@@ -1,4 +1,4 @@
-"""What a screenshot of a page really shows of its named elements: each is looked for in the picture, at the place it claims."""
+"""Checks that a screenshot of a page shows its named elements: each is looked for in the picture at its reported position."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from PIL import Image
 from support.panel import Person
 
 INK, CONTRAST = 6, 30.0
-"""So many pixels of an element's place have to differ from its ground, each by so much (of 255) in a colour."""
+"""Number of pixels of an element's area that have to differ from its background, and by how much (of 255) in a colour."""
 _PLACES = """
     const found = {};
     for (const one of document.querySelectorAll('[data-name]')) {
@@ -32,7 +32,7 @@ _PLACES = """
 
 
 def complaints(person: Person, wanted: Iterable[str]) -> list[str]:
-    """What is wrong with these elements on the page as it is drawn; the window is made as high as the page first."""
+    """Defects of these elements on the page as it is drawn; the window is made as high as the page first."""
     picture, (places, too_wide) = _picture(person)
     found = [f"the page is {too_wide} pixels wider than the window"] if too_wide > 0 else []
     for name in wanted:
@@ -49,7 +49,7 @@ def complaints(person: Person, wanted: Iterable[str]) -> list[str]:
 
 
 def _picture(person: Person) -> tuple[np.ndarray, Any]:
-    """(rows, columns, 3) of the whole page, and where its elements are; again while the page still grows."""
+    """(rows, columns, 3) of the whole page, and the positions of its elements; repeated while the page still grows."""
     found: list[tuple[np.ndarray, Any]] = []
 
     def whole() -> bool:
@@ -75,7 +75,7 @@ def _size(person: Person, which: str) -> int:
 
 
 def _is_drawn(picture: np.ndarray, box: list[float]) -> bool:
-    """Whether there is anything but ground in a box of the picture."""
+    """Whether an area of the picture holds anything but background."""
     left, top, right, bottom = (round(edge) for edge in box)
     inside = picture[max(0, top) : bottom, max(0, left) : right].reshape(-1, 3)
     if not len(inside):

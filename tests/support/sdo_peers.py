@@ -9,11 +9,11 @@ from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_wire import SimWire
 
 Answers = Iterable[tuple[float, bytes]]
-"""(delay behind the frame before, s; frame): an answer to one request. Frames that do not end are sent for as long as time runs."""
+"""(delay after the frame before, s; frame): an answer to one request. An endless sequence is sent for as long as time runs."""
 
 
 class Peer:
-    """An SDO server. answer(request) gives its answers; `requests` is what it was sent."""
+    """An SDO server. answer(request) returns its answers; `requests` are those received."""
 
     def __init__(self, wire: SimWire, node_id: int, answer: Callable[[bytes], Answers]) -> None:
         self.requests: list[bytes] = []
@@ -47,7 +47,7 @@ class Peer:
 
 
 class Flood:
-    """Frames (identifier, data) in turn at equal intervals, from `start_s` on for ever."""
+    """Frames (identifier, data) in turn at equal intervals, from `start_s` on, permanently."""
 
     def __init__(
         self, wire: SimWire, frames: list[tuple[int, bytes]], period_s: float, *, start_s: float = 0.0
@@ -62,7 +62,7 @@ class Flood:
     def _tick(self, now_ns: int) -> None:
         while self._next_ns <= now_ns:
             self._next_ns += self._period_ns
-            if len(self._place.outgoing) > 64:  # a controller's queue is full: it drops what it cannot send
+            if len(self._place.outgoing) > 64:  # a controller with a full queue drops further frames
                 continue
             self._place.send(*self._frames[self.sent % len(self._frames)])
             self.sent += 1

@@ -1,4 +1,4 @@
-"""`hil sim` as a process: started, asked where everything is, and ended, whatever becomes of the test."""
+"""`hil sim` as a process: started, asked for its connections, and ended, whatever the test's result."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENDED_WITHIN_S = 60.0
 
 
 class SimProcess:
-    """A running `hil sim`; `place` is its first line, `left` its last, there once `end` returned."""
+    """A running `hil sim`; `place` is its first line, `left` its last one, set when `end` has returned."""
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
@@ -51,7 +51,7 @@ class SimProcess:
         return line
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Signal it and wait; its exit status."""
+        """Send it a signal and wait; its exit status."""
         if self.process.poll() is None:
             self.process.send_signal(number)
         try:
@@ -68,7 +68,7 @@ class SimProcess:
 
 @contextmanager
 def sim(*arguments: str) -> Iterator[SimProcess]:
-    """A simulated part that is gone when the block ends."""
+    """A simulated part that is ended with the block."""
     running = SimProcess(*arguments)
     try:
         yield running

@@ -1,4 +1,4 @@
-"""An axis on the bench whose drive holds a correction table itself, on every face, and stored tables to put there."""
+"""An axis on the bench whose drive holds a correction table itself, on every face, and stored tables for it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FACES = {
     "modbus tcp, error map": 'face = "modbus-tcp"\n',
     "modbus rtu, pitch table": 'face = "modbus-rtu"\nregister_map = "vendor_style"\n',
 }
-"""What [drive] of the axis file says."""
+"""[drive] of the axis file."""
 
 
 def lay_out_table_axis(directory: Path, face: str, *, backlash_um: float = 12.0) -> tuple[AxisConfig, TableSet]:
-    """Axis file and keys; and tables of a lead error with some waviness, which are not those of the machine, not stored yet."""
+    """Axis file and keys; and tables of a lead error with some waviness that differ from the machine's errors, not stored yet."""
     path = lay_out(directory, machine="ideal")
     text = path.read_text().replace("seed = 5\n", f"seed = 5\n{FACES[face]}")
     path.write_text(text.replace("dwell_s = 0.3\nreading_s = 0.3", "dwell_s = 0.1\nreading_s = 0.1"))
@@ -34,5 +34,5 @@ def lay_out_table_axis(directory: Path, face: str, *, backlash_um: float = 12.0)
 
 
 def store(axis: AxisConfig, tables: TableSet) -> None:
-    """Seal them where the axis's verbs look for them."""
+    """Seal them at the path that the axis's verbs read."""
     SealedStore.of(axis, PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"]).save_tables(tables)

@@ -1,4 +1,4 @@
-"""The canopen package as somebody else on the bus: its network on a virtual channel, without its log lines."""
+"""The canopen package as another node on the bus: its network on a virtual channel, without its log lines."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import canopen
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """It logs what it is about to raise; the tests look at what is raised."""
+    """Silence its log, which repeats what it raises; the tests check what is raised."""
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     yield
     logging.getLogger("canopen").setLevel(logging.NOTSET)
 
 
 def network(stack: ExitStack, channel: str) -> canopen.Network:
-    """Connected until the stack ends."""
+    """A network that is connected until the stack ends."""
     theirs = canopen.Network()
     theirs.NOTIFIER_CYCLE = 0.05
     theirs.connect(interface="virtual", channel=channel)

@@ -1,4 +1,4 @@
-"""Machines whose lost motion is known, as a laser on the table would find it, and what a drive would tell of their torque."""
+"""Machines with known lost motion, as a laser on the table measures it, and the torque that a drive shows of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TICK_S = 0.005
 
 @dataclass(frozen=True)
 class PublishedMachine:
-    """A case of CN103561904: what the laser said there, and how near the published rule came; noise of one torque reading, 0.1 %."""
+    """A case of CN103561904: lost motion by the laser there, deviation of the published rule, noise of one torque reading, 0.1 %."""
 
     name: str
     laser_um: float
@@ -51,18 +51,18 @@ PUBLISHED = (
 
 
 def plant_of(train: DriveTrain) -> PlantParameters:
-    """A machine whose only error is its drive train's."""
+    """A machine whose only error is that of its drive train."""
     return PlantParameters(screw=Screw(lead_mm=10.0), friction=Friction(table_permille=0.0), drive_train=train)
 
 
 def bench_of(machine: PublishedMachine, seed: int) -> BenchParameters:
-    """The same with a servo whose torque is as noisy as said."""
+    """The same with a servo whose torque has this noise."""
     servo = ServoParameters(torque_noise_permille=machine.noise_permille, seed=seed)
     return BenchParameters(plant=plant_of(machine.train), servo=servo)
 
 
 def some_train(seed: int) -> DriveTrain:
-    """Stiffness, friction, break-away and guideway of a machine nobody has seen: 20 to 90 µm."""
+    """A random machine (stiffness, friction, break-away, guideway) with 20 to 90 µm of lost motion."""
     rng = random.Random(seed)
     return DriveTrain(
         coupling_n_per_um=rng.uniform(80.0, 200.0),
@@ -82,7 +82,7 @@ def some_train(seed: int) -> DriveTrain:
 
 
 class _Crept:
-    """A plant whose motor is led by hand."""
+    """A plant whose motor is moved directly."""
 
     def __init__(self, train: DriveTrain, load_kg: float) -> None:
         self.axis = FeedAxis(plant_of(train))
@@ -102,7 +102,7 @@ class _Crept:
 
 
 def laser_lost_motion_um(train: DriveTrain, load_kg: float = 0.0) -> float:
-    """What a laser on the table reads at one place of the motor, reached downwards, minus the same reached upwards: no torque."""
+    """Position of the table by a laser at one motor position, reached downwards, minus the same reached upwards, µm: no torque."""
     machine = _Crept(train, load_kg)
     machine.creep(200.0, 500.0)
     machine.rest(0.5)
@@ -124,7 +124,7 @@ class TorqueCurve:
 
 
 def torque_curve(train: DriveTrain, direction: int, load_kg: float = 0.0, *, steps: int = 130) -> TorqueCurve:
-    """Through one reversal into `direction`."""
+    """The torque curve through one reversal into `direction`."""
     machine = _Crept(train, load_kg)
     machine.creep(150.0 * direction, 500.0)
     machine.creep(0.0, 300.0)
@@ -145,7 +145,7 @@ def torque_curve(train: DriveTrain, direction: int, load_kg: float = 0.0, *, ste
 def noisy_trace(
     curve: TorqueCurve, noise_permille: float, rng: np.random.Generator, readings: int = 4
 ) -> ReversalTrace:
-    """The curve as a drive tells it: white noise, whole tenths of a per cent of rated torque (6077h)."""
+    """The curve as a drive shows it: white noise, whole tenths of a per cent of rated torque (6077h)."""
     steps, slides = (
         np.round(true[:, None] + rng.normal(0.0, noise_permille, (len(true), readings))) / 10.0
         for true in (curve.steps_permille, curve.slides_permille)

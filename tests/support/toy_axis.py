@@ -1,7 +1,7 @@
-"""An axis small enough to reason about: drive and instrument over a motor, a nut with play and a wavy screw, in simulated time.
+"""A small axis for tests of decisions: drive and instrument over a motor, a nut with play and a wavy screw, in simulated time.
 
-It shares nothing with the bench. Trouble is ordered as data (`Trouble`), at a moment or at the n-th call, and everything the drive was
-told stands in `calls`.
+It shares no code with the bench. Faults are given as data (`Trouble`), at a time or at the n-th call; `calls` records every order to
+the drive.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ MEASUREMENT = MeasurementConfig(
     seed=1,
 )
 READING_NS = NS_PER_S // 100
-OFFSET_MM = 1234.5  # of the instrument's own zero
+OFFSET_MM = 1234.5  # zero of the instrument
 
 
 @dataclass
 class Trouble:
-    """What goes wrong, and when: at a moment of simulated time, or at the n-th call that anybody makes."""
+    """Faults and their times: at a simulated time, s, or at the n-th call."""
 
     fault_at_s: float = math.inf
     drop_out_at_s: float = math.inf  # safe torque off: disabled without a fault
-    limit_switch_at_s: float = math.inf  # the drive stops by itself, and says target reached
+    limit_switch_at_s: float = math.inf  # the drive stops by itself, and shows target reached
     beam_lost_at_s: float = math.inf
     silent_at_s: float = math.inf  # no more readings
     link_lost_at_s: float = math.inf
     frozen_samples_at_s: float = math.inf  # the drive repeats its last sample
-    stuck_at_s: float = math.inf  # the motor does not move any more
+    stuck_at_s: float = math.inf  # the motor no longer moves
     frozen_readings_at_s: float = math.inf  # the instrument repeats its position; status and count are as before
     jump_at_s: float = math.inf  # the instrument's zero moves by `jump_mm`
     jump_mm: float = 0.0
     instrument_sense: int = 1  # -1: readings fall when the axis advances
-    faster: float = 1.0  # than the drive was told
+    faster: float = 1.0  # than the drive was ordered
     torque_percent: float | None = None
     limited: bool | None = None
     false_arrival: bool = False  # target reached at once, wherever the motor is
@@ -64,7 +64,7 @@ class Trouble:
 
 @dataclass
 class ToyMachine:
-    """Truth: motor -> nut (play) -> table (wave), and the instrument's noise per arrival."""
+    """True state: motor -> nut (play) -> table (wave), and the instrument's noise per arrival."""
 
     play_mm: float = 0.02
     wave_um: float = 5.0
@@ -110,7 +110,7 @@ class ToyMachine:
         return self.nut_mm + (wave + self.arrival_um) / 1000.0
 
     def count(self) -> None:
-        """One call of anybody; the ordered one goes wrong."""
+        """Count one call; the chosen one fails."""
         self.counted += 1
         if self.counted == self.trouble.at_call:
             raise self.trouble.error()
@@ -248,7 +248,7 @@ class ToyDrive(ServoDrive):
 
 
 class ToyInstrument(DistanceInstrument):
-    """Reads the table, with a zero of its own."""
+    """Measures the table, with a zero of its own."""
 
     name = "toy gauge"
 
@@ -279,6 +279,6 @@ class ToyInstrument(DistanceInstrument):
 
 
 def toy_session(machine: ToyMachine, **changed: object) -> AxisSession:
-    """A session over a machine; keywords change how it measures."""
+    """A session over a machine; keywords change its measurement settings."""
     how = replace(MEASUREMENT, **changed)  # type: ignore[arg-type]
     return AxisSession(ToyDrive(machine), ToyInstrument(machine), how)

@@ -82,7 +82,7 @@ def _drive_client(transfer: Transfer[object], talk: Conversation, exchange: Exch
             sent += transfer.send(answer)
     except StopIteration as stop:
         result = stop.value
-    sent += talk.farewell
+    sent += talk.closing_frames
     assert [frame.hex(" ") for frame in sent] == [frame.hex(" ") for frame in expected]
     return result
 
@@ -199,7 +199,7 @@ def test_a_segment_with_the_wrong_toggle_ends_the_transfer() -> None:
     transfer.send(bytes.fromhex("41 08 10 00 0a 00 00 00"))
     with pytest.raises(ProtocolError, match="toggle"):
         transfer.send(bytes.fromhex("10 46 65 65 64 20 61 78"))
-    assert [frame.hex(" ") for frame in talk.farewell] == ["80 08 10 00 00 00 03 05"]
+    assert [frame.hex(" ") for frame in talk.closing_frames] == ["80 08 10 00 00 00 03 05"]
 
 
 def test_a_block_with_a_wrong_crc_ends_the_transfer() -> None:
@@ -210,7 +210,7 @@ def test_a_block_with_a_wrong_crc_ends_the_transfer() -> None:
         transfer.send(bytes.fromhex(answer))
     with pytest.raises(ProtocolError, match="CRC"):
         transfer.send(bytes.fromhex("d1 00 00 00 00 00 00 00"))
-    assert [frame.hex(" ") for frame in talk.farewell] == ["80 00 21 00 04 00 04 05"]
+    assert [frame.hex(" ") for frame in talk.closing_frames] == ["80 00 21 00 04 00 04 05"]
 
 
 def test_the_crc_is_that_of_the_check_string() -> None:

@@ -30,8 +30,7 @@ from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_se
 from sim_backends.modbus_faults import WireFaultKind
 from sim_backends.own_table import known_table
 from sim_backends.reach import check_can, parse_tcp
-from sim_backends.serve import Pace, run_in_real_time
-from sim_backends.shuttle import Shuttle
+from sim_backends.serve import Pace, Shuttle, run_in_real_time
 
 
 def instrument_text(kind: str, port: str) -> str:

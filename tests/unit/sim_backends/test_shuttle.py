@@ -3,8 +3,8 @@
 from sim_backends.clock import SimClock
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import ideal_axis
+from sim_backends.serve import Shuttle, ShuttleParameters
 from sim_backends.servo import SimulatedServo
-from sim_backends.shuttle import Shuttle, ShuttleParameters
 
 
 def test_it_visits_every_step_both_ways_and_rests_there() -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout, RegisterType
-from drivers.modbus.drive_units import from_counts, to_counts, to_percent
+from drivers.modbus.drive_values import from_counts, to_counts, to_percent
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.register_map import Register
 
