@@ -19,7 +19,7 @@ from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.stored import sources
 from hil.effects import Effect
 from hil.effects.model import Model
-from hil.effects.user_effects import blaming, catalogue_with, check_on
+from hil.effects.user_effects import attributing_errors, catalogue_with, check_on
 from hil.records.files import read_text, replace_file
 from hil.records.rows import Floats, Records, concatenate, parse_csv
 
@@ -33,7 +33,7 @@ SIGNS = {1: "+", -1: "−"}
 def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
     """Diagnose passes of one campaign together, as `hil diagnose` does, and write what came of it. Raises InputError."""
     effects = catalogue_with()
-    with blaming(effects):
+    with attributing_errors(effects):
         records = concatenate([parse_csv(read_text(path), path) for path in paths])
         follow = diagnosed(records, None, effects, pitches_mm=(axis.scaling.feed_mm_per_shaft_rev,))
     form = {**shown_diagnosis(follow, records), "sources": sources(paths)}

@@ -1,7 +1,9 @@
-"""The catalogue of effects: what can make an axis err, one file each behind one protocol.
+"""The catalogue of effects: the physical causes of an axis's error, one file each, behind one protocol
+(`hil.effects.base`).
 
-The registry is the explicit tuple `ALL`. A user's own effect stands beside it in a tuple that is passed along
-(`hil.effects.user_effects`): given by hand (`hil diagnose --effects FILE.py`) or by an installed package, never by a data file.
+The registry is the explicit tuple `ALL`. A user's own effects are appended in a tuple that is passed along
+(`hil.effects.user_effects`). They are named on the command line (`hil diagnose --effects FILE.py`) or brought by an
+installed package, never named by a data file.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from hil.effects.load_deflection import LoadDeflection
 from hil.effects.local_wear import LocalWear
 from hil.effects.lost_motion import LostMotion
 from hil.effects.pitch_shape import PitchShape
-from hil.effects.reading import BESIDE, term_from_json
+from hil.effects.reading import NEVER_SEARCHED, term_from_json
 from hil.effects.survey import Survey, survey_of
 from hil.effects.thermal_drift import ThermalDrift
 from hil.effects.thermal_expansion import ThermalExpansion
@@ -49,7 +51,7 @@ ALL: tuple[Effect, ...] = (
 
 __all__ = [
     "ALL",
-    "BESIDE",
+    "NEVER_SEARCHED",
     "Action",
     "Columns",
     "Effect",

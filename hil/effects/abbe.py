@@ -14,11 +14,20 @@ from hil.effects.survey import Survey
 ANGLES = ("pitch_urad", "yaw_urad")
 TILT, CHANGING = "tilt", "arm changing along the travel"
 SECOND_OFFSET = {"straight tilt, two offsets": 1, "tilt, two offsets": 3, "wavy tilt, two offsets": 5}
-"""Forms without a level, for a measuring line moved by `abbe_offset_mm` from where it was (0): orders of the tilt's course."""
+"""Forms without a measured angle, for a measuring line displaced by `abbe_offset_mm` from its first place (0): form ->
+Legendre order of the tilt along the travel.
+"""
 ARMS_MM = (-400.0, -150.0, -60.0, 60.0, 150.0, 400.0)
+"""Starting values of the arm."""
 
 
 class Abbe(Effect):
+    """error_um = h·θ·10⁻³, arm h in mm, tilt θ in µrad (Abbe's principle).
+
+    Forms: θ from a level's column (`pitch_urad`, `yaw_urad`), with an arm that may change along the travel; or θ(u) as
+    Legendre polynomials, when the measuring line was at two offsets.
+    """
+
     id: ClassVar[str] = "abbe"
     title: ClassVar[str] = "Abbe error: tilt times arm"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -1,4 +1,4 @@
-"""Air index: an interferometer that is not (fully) compensated for the air reads x·Δn too much."""
+"""Air index: an interferometer without (full) compensation for the air, whose reading is wrong by x·Δn."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ INDEX = "air index"
 
 
 class AirIndex(Effect):
+    """error_um = share·x·Δn·10⁻³, x in mm, Δn in ppm above standard air; share 1: no compensation at all."""
+
     id: ClassVar[str] = "air_index"
     title: ClassVar[str] = "air index not compensated"
     action: ClassVar[Action] = Action.FIX_SETUP

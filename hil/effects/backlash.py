@@ -14,6 +14,8 @@ CONSTANT = "constant"
 
 
 class Backlash(Effect):
+    """error_um = ±b/2 by direction, b the difference forward - backward in µm, the same at every position."""
+
     id: ClassVar[str] = "backlash"
     title: ClassVar[str] = "backlash, the same everywhere"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -1,4 +1,6 @@
-"""Backlash that varies along the axis: d·u, d·u², u the position from -1 to 1 over the travel (worn screw, sagging preload)."""
+"""Backlash that varies along the axis: d·u, d·u², u the position from -1 to 1 over the travel (worn screw, sagging
+preload).
+"""
 
 from __future__ import annotations
 
@@ -14,6 +16,8 @@ LINEAR, QUADRATIC = "linear", "quadratic"
 
 
 class BacklashPosition(Effect):
+    """error_um = d·(a·u + b·u²), d the direction, u the position over half the travel, a and b in µm."""
+
     id: ClassVar[str] = "backlash_position"
     title: ClassVar[str] = "backlash that varies along the axis"
     action: ClassVar[Action] = Action.COMPENSATE

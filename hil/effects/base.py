@@ -1,11 +1,12 @@
 """The protocol of an effect: how a physical cause shows in measurement records, and what to do about it.
 
-What may go in: the values every effect file and the diagnosis share. An effect is linear in its coefficients and, at most, non-linear
-in a few bounded parameters: error_um = basis(columns, theta) @ coefficients. It says which *forms* given records allow (which
-temperature column, exponential or tanh …), and the diagnosis searches over forms and parameters.
+An effect is linear in its coefficients and, at most, non-linear in a few bounded parameters:
+error_um = basis(columns, theta) @ coefficients. It lists the *forms* that given records allow (which temperature
+column, exponential or tanh …); the diagnosis searches over forms and parameters.
 
-Evaluation is vectorised and causal: a row depends on what is known when its set-point is issued. What depends on the past is
-a column of its own (`time_s`, `since_reversal_mm`, `stroke_mm`; `hil.effects.history` makes those that can be made).
+Evaluation is vectorised and causal: the error of a row depends only on what is known when its set-point is issued.
+History enters as columns (`time_s`, `since_reversal_mm`, `stroke_mm`); `hil.effects.history` computes those that follow
+from the rows.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ from drivers.errors import InputError
 from hil.effects.survey import Survey
 
 UM_PER_MM_PPM = 1e-3
-"""µm in a mm times a ppm, or a mm times a µrad."""
+"""µm in a mm times a ppm, or in a mm times a µrad."""
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
+"""Column name -> values of shape (n,), rows in the order of time; the unit is the end of the name."""
 
 
 class Action(Enum):
-    """What follows from a finding."""
+    """What is to be done about an effect that was found."""
 
     COMPENSATE = "compensate"  # the machine does it and will do it again: add it to the correction
     FIX_SETUP = "fix-setup"  # the instrument or its mount does it: correct the set-up, never the machine
@@ -39,7 +41,7 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty."""
+    """A value with its standard uncertainty (k = 1), both in the unit of the parameter's name."""
 
     value: float
     std: float
@@ -50,18 +52,20 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NonLinear:
-    """A parameter that the basis depends on non-linearly, with the bounds of what can be."""
+    """A parameter that the basis depends on non-linearly, with its bounds; unit as its name says."""
 
     name: str
     lower: float
     upper: float
     logarithmic: bool = True
-    """Searched, and its spread stated, in its logarithm."""
+    """Searched on a logarithmic scale; the spread is that of the logarithm."""
     usual: tuple[float, float] | None = None
-    """Where it lies beforehand, for records that say little of it: middle, and standard deviation of its logarithm."""
+    """Log-normal prior for records that determine the parameter badly: median, and standard deviation of the
+    logarithm.
+    """
 
     def log_prior(self, value: float) -> float:
-        """Log odds of a value against the usual one; 0 where nothing is known beforehand."""
+        """Log of the prior density at a value, relative to that at the median; 0 without a prior."""
         if self.usual is None:
             return 0.0
         middle, spread = self.usual
@@ -70,7 +74,7 @@ class NonLinear:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another effect that can look the same, and the measurement that tells the two apart."""
+    """Another effect that can look the same, and the measurement that separates the two."""
 
     effect: str
     separate_by: str
@@ -83,10 +87,10 @@ class Form:
     effect: id; name: of the variant ('temperature', 'tanh' …)
     inputs: the columns it reads, in the order the effect's basis expects
     constants: fixed numbers of the basis (centre and half span of the travel, a reference temperature …)
-    nonlinear: bounded parameters; starts: grid of them to search from, shape (g, len(nonlinear))
-    scan: whether it takes part in the first search; the others only refine an effect already found
+    nonlinear: bounded parameters; starts: grid of starting values for them, shape (g, len(nonlinear))
+    scan: part of the first search; the others only refine an effect already found
     exhaustive: the grid holds every parameter value that makes a difference
-    shrunk: many columns with one normal prior of unit variance ratio to be scaled, instead of free coefficients
+    shrunk: many coefficients with a common normal prior (ridge) instead of free ones
     """
 
     effect: str
@@ -101,18 +105,22 @@ class Form:
 
 
 class Effect(ABC):
-    """One cause of error. Stateless; registered in an explicit tuple (`hil.effects.ALL`)."""
+    """One cause of error. Stateless; registered in an explicit tuple (`hil.effects.ALL`).
+
+    A new effect defines `id`, `title`, `action`, `forms`, `basis`, `parameters` and `explain`. Methods given a form of
+    another effect raise KeyError.
+    """
 
     id: ClassVar[str]
     title: ClassVar[str]
     action: ClassVar[Action]
     rivals: ClassVar[tuple[Rival, ...]] = ()
     static: ClassVar[bool] = False
-    """A function of position and direction alone, which a table measured after it appeared holds already."""
+    """A function of position and direction alone: a table measured after the cause appeared contains it already."""
     log_odds: ClassVar[float] = 0.0
-    """Beforehand, against the other effects; it decides where the records cannot."""
+    """Prior log odds against the other effects; they decide where the records cannot."""
     least_over_noise: ClassVar[float] = 0.0
-    """RMS, over the noise's standard deviation, below which it is part of the noise and no finding."""
+    """RMS, as a share of the noise's standard deviation, below which the effect is counted as part of the noise."""
 
     @abstractmethod
     def forms(self, survey: Survey) -> tuple[Form, ...]:
@@ -120,37 +128,46 @@ class Effect(ABC):
 
     @abstractmethod
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-        """Columns of the design matrix, shape (n, k), in µm per unit of each coefficient."""
+        """Columns of the design matrix, shape (n, k), in µm per unit of each coefficient. Raises KeyError for an
+        unknown form.
+        """
 
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
-        """The bases of many parameters side by side, shape (n, g·k). To be overridden where all at once is quicker."""
+        """The bases of g parameter vectors side by side, shape (n, g·k). To be overridden where a joint evaluation is
+        faster.
+        """
         return np.hstack([self.basis(form, theta, columns) for theta in thetas])
 
     @abstractmethod
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        """The fitted parameters under the names people use, each with its standard uncertainty."""
+        """The fitted parameters by their usual names, unit as the end of the name, each with its standard
+        uncertainty.
+        """
 
     @abstractmethod
     def explain(self, term: Term) -> str:
-        """One sentence: what it is, with figures and units."""
+        """One sentence: the cause, with figures and units."""
 
     def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
-        """Whether with these parameters it is a feature of one place.
+        """Whether with these parameters the effect is a feature of one place.
 
-        A table that has to hold such a feature comes out rough everywhere, so it is tried beside smoother tables too.
+        A table that has to hold such a feature comes out rough everywhere, so the effect is also tried with smoother
+        tables.
         """
         del form, theta, survey
         return False
 
     def implausible(self, term: Term) -> str | None:
-        """Why no machine does this (sign, range), or None. It lowers the weight of the effect, it does not forbid it."""
+        """Why no machine behaves like this (sign, range), or None. The effect's weight is lowered; it is not
+        excluded.
+        """
         del term
         return None
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect with fitted parameters: what a model holds and the engine evaluates.
+    """An effect with fitted parameters: one part of a model, evaluated by the correction.
 
     theta: the non-linear parameters, in the order of form.nonlinear
     coefficients: shape (k,); covariance: of (coefficients, theta), shape (k + t, k + t)
@@ -168,7 +185,7 @@ class Term:
         return self.form.inputs
 
     def error_um(self, columns: Columns) -> Floats:
-        """The error the effect causes, µm, shape (n,). Raises InputError when a column is missing or not a number."""
+        """The error the effect causes, µm, shape (n,). Raises InputError when a column is missing or not finite."""
         for name in self.needs:
             if name not in columns:
                 raise InputError(f"effect {self.effect.id} needs the column {name}, which is not there")
@@ -179,21 +196,22 @@ class Term:
 
     @property
     def parameters(self) -> dict[str, Estimate]:
+        """The effect's parameters by name, see `Effect.parameters`."""
         return self.effect.parameters(self)
 
     def coefficient(self, index: int, scale: float = 1.0) -> Estimate:
-        """One linear coefficient times `scale`."""
+        """One linear coefficient times `scale`, with its standard uncertainty."""
         return Estimate(
             self.coefficients[index] * scale, math.sqrt(max(self.covariance[index][index], 0.0)) * abs(scale)
         )
 
     def nonlinear(self, index: int) -> Estimate:
-        """One non-linear parameter; its uncertainty is NaN where the fit gave none."""
+        """One non-linear parameter with its standard uncertainty, NaN where the fit gave none."""
         k = len(self.coefficients)
         return Estimate(self.theta[index], math.sqrt(max(self.covariance[k + index][k + index], 0.0)))
 
     def amplitude(self, i: int, j: int) -> Estimate:
-        """hypot of two coefficients, with first-order uncertainty."""
+        """√(a² + b²) of coefficients i and j, with first-order uncertainty."""
         a, b = self.coefficients[i], self.coefficients[j]
         size = math.hypot(a, b)
         if size == 0.0:

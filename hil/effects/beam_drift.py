@@ -1,6 +1,7 @@
-"""Beam drift: an offset that wanders with time and with nothing else (laser warming, mount creeping, turbulent air).
+"""Beam drift: an offset that varies with time alone (laser warming up, mount creeping, turbulent air).
 
-A sum of cosines of time over the campaign whose amplitudes fall with frequency (random walk or 1/f), shrunk towards zero.
+A sum of cosines of time over the campaign whose amplitudes fall with frequency (random walk or 1/f), shrunk towards
+zero.
 """
 
 from __future__ import annotations
@@ -20,6 +21,10 @@ SLOPES = {WANDER: 1.0, FLICKER: 0.5}
 
 
 class BeamDrift(Effect):
+    """error_um = Σ c_k·k^(-p)·cos(πk·t), t the time as a fraction of the campaign (0 … 1), p 1 for a random walk, 0.5
+    for 1/f noise.
+    """
+
     id: ClassVar[str] = "beam_drift"
     title: ClassVar[str] = "wandering beam or mount"
     action: ClassVar[Action] = Action.FIX_SETUP

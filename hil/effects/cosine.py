@@ -1,6 +1,6 @@
-"""Cosine error: a beam at an angle to the travel reads short, -x·θ²/2: a pure scale error, always of the same sign.
+"""Cosine error: a beam at an angle θ to the travel reads short by x·θ²/2, a pure scale error whose sign never changes.
 
-From data alone it cannot be told from a lead error of the screw.
+No data along the same beam separate it from a lead error of the screw.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ FIRST_SETUP = 1.0
 
 
 class Cosine(Effect):
+    """error_um = -s·x·10⁻³, scale error s = θ²/2 in ppm, x in mm, θ in mrad (ISO/TR 230-9, misalignment)."""
+
     id: ClassVar[str] = "cosine"
     title: ClassVar[str] = "misaligned beam (cosine error)"
     action: ClassVar[Action] = Action.FIX_SETUP

@@ -14,6 +14,10 @@ OFFSET, ALONG, BOTH, CURVED = "shift", "growing along the travel", "shift and gr
 
 
 class CrossAxis(Effect):
+    """error_um = (a + b·u)·y·10⁻³ + c·(y - ȳ)²·10⁻⁶, y the other axis in mm; a, b in µm/m, c in µm/m², u the position
+    over half the travel.
+    """
+
     id: ClassVar[str] = "cross_axis"
     title: ClassVar[str] = "position of another axis"
     action: ClassVar[Action] = Action.COMPENSATE

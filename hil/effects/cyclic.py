@@ -20,14 +20,19 @@ MODULATED = "amplitude changing along the travel"
 PER_DIRECTION = "different in each direction"
 
 LINES = 1500
+"""Most frequencies of the even scan."""
 OVERSAMPLING = 3.0
+"""Frequencies scanned per reciprocal of the travel."""
 SHORTEST_MM = 0.5
+"""Shortest period of the even scan."""
 COMMON_MM = (0.5, 1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
-"""Usual screw pitches and scale periods, tried even where the even scan does not reach them."""
+"""Common screw pitches and scale periods, tried beside the even scan."""
 
 
 def period_grid(survey: Survey) -> tuple[tuple[float, ...], ...]:
-    """Periods to scan, ascending, each as a one-element tuple: even in frequency, finer than the travel resolves."""
+    """Periods to scan in mm, ascending, each as a one-element tuple: even in frequency, finer than the travel resolves,
+    at most `LINES` and the common ones.
+    """
     travel = 2 * survey.half_span_mm
     longest = travel / 2
     step = 1.0 / (OVERSAMPLING * travel)
@@ -42,6 +47,8 @@ def period_grid(survey: Survey) -> tuple[tuple[float, ...], ...]:
 
 
 class Cyclic(Effect):
+    """error_um = A·sin(2π·x/p + φ), A in µm, period p in mm, x the target in mm, φ in rad."""
+
     id: ClassVar[str] = "cyclic"
     title: ClassVar[str] = "cyclic error of screw, coupling or encoder"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -14,6 +14,8 @@ STEP = "step"
 
 
 class DatumStep(Effect):
+    """error_um = h where t > t₀, else 0; h in µm, t₀ in s or rows."""
+
     id: ClassVar[str] = "datum_step"
     title: ClassVar[str] = "a jump at one moment"
     action: ClassVar[Action] = Action.RE_MEASURE

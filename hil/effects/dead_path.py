@@ -1,6 +1,7 @@
-"""Dead path: the uncompensated length of air between the interferometer and the zero of the axis, times the change of its index.
+"""Dead path: the uncompensated length of air between the interferometer and the zero of the axis, times the change of
+its index.
 
-A laser reads optical length: an offset n_air(t)·L_dead that comes and goes with the weather.
+A laser measures optical length: the offset n_air(t)·L_dead follows the weather.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ INDEX = "air index"
 
 
 class DeadPath(Effect):
+    """error_um = L·Δn·10⁻³, dead path L in mm, Δn in ppm above standard air; the same at every position."""
+
     id: ClassVar[str] = "dead_path"
     title: ClassVar[str] = "dead path of the interferometer"
     action: ClassVar[Action] = Action.FIX_SETUP

@@ -1,7 +1,8 @@
-"""Columns that carry the past: time since the start, travel since the reversal, stroke before it, a sensor seen through a lag.
+"""Columns of the axis's history: time since the start, travel since the reversal, stroke before it, a sensor seen
+through a lag.
 
-What may go in: pure functions from columns to further columns, causal row by row. The streaming engine keeps the same
-values itself and gives them as columns; records that lack them get stand-ins here, and the result says which.
+Functions from columns to further columns, causal row by row. During a correction the engine tracks the same values and
+passes them as columns. For records that lack them they are estimated here, and the result lists which.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 
 LONG_STROKE_MM = 1e6
-"""Stroke before the first reversal of a record, where nothing says how long it was."""
+"""Stroke before the first reversal of a record, where its length is unknown."""
 
 
 def complete(columns: Columns) -> dict[str, Floats]:
-    """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm` and `command_mm` added where they are missing or not filled.
+    """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm` and `command_mm` added where they are missing or
+    not filled.
 
-    columns: at least `run`, `direction`, `target_mm`, each of shape (n,), rows in the order of time. `row_order` is what stands in
-    for `time_s` where that is missing (`time_column`).
+    columns: at least `run`, `direction`, `target_mm`, each of shape (n,), rows in the order of time. `row_order`
+    replaces `time_s` where that is missing (`time_column`).
     """
     full = dict(columns)
     if "command_mm" not in full:
@@ -44,7 +46,7 @@ def time_column(columns: Columns) -> str:
 
 
 def stand_ins(columns: Columns) -> tuple[str, ...]:
-    """Which columns `complete` has to make up, of those a reader would care about."""
+    """Which columns of time and reversal `complete` has to estimate."""
     return tuple(name for name in ("time_s", "since_reversal_mm", "stroke_mm") if not _filled(columns, name))
 
 
@@ -53,7 +55,7 @@ def _filled(columns: Columns, name: str) -> bool:
 
 
 def row_order(run: Floats) -> Floats:
-    """Row order as time, shape (n,): (run - 1) · rows of that run + row within the run.
+    """Row order as time, in rows, shape (n,): (run - 1) · rows of that run + row within the run.
 
     So the later runs of a campaign stay later when they are read alone.
     """
@@ -89,9 +91,9 @@ def reversals(target_mm: Floats, direction: Floats) -> tuple[Floats, Floats]:
 
 
 def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
-    """`values` through a first-order lag of time constant tau_s, settled at the first row, shape (n,).
+    """`values` through a first-order lag of time constant tau_s (s), settled at the first row, shape (n,).
 
-    Exact for a value that changes linearly between rows. A single row gives the value itself.
+    Exact for a value that changes linearly between rows. A single row, or tau_s ≤ 0, gives the values themselves.
     """
     out = np.array(values, dtype=np.float64)
     if tau_s <= 0 or len(out) < 2:

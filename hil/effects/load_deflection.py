@@ -1,6 +1,7 @@
-"""Load deflection: the axis gives way under load or drive torque, as an offset, with direction, or with position.
+"""Load deflection: the axis deflects under load or drive torque, as an offset, with direction, or with position.
 
-F the load or torque; forms F, d·F, u·F, d·u·F with u the position from -1 to 1; refining forms join them or bend the line.
+F the load or torque; forms F, d·F, u·F, d·u·F with u the position from -1 to 1; refining forms combine two of them or
+add a quadratic term.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ ALONG, CURVED, CURVED_REVERSAL = "offset and with direction and position", "curv
 
 
 class LoadDeflection(Effect):
+    """error_um = c·F (also d·F, u·F, d·u·F, (F - mean)²), F in kg or % of rated torque, c in µm per kg or per %."""
+
     id: ClassVar[str] = "load_deflection"
     title: ClassVar[str] = "deflection under load or torque"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -1,4 +1,4 @@
-"""Local wear: a zone of the travel where the error bulges, in both directions alike or against each other."""
+"""Local wear: a zone of the travel with a bump in the error, of the same or of opposite sign in the two directions."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, No
 from hil.effects.survey import Survey
 
 USUAL_SHARE, USUAL_SPREAD = 1 / 12, 0.7
-"""A zone is short against the travel: its width over half of that, and the standard deviation of the logarithm."""
+"""A zone is short against the travel: prior median of its width over half the travel, and standard deviation of the
+logarithm.
+"""
 NARROW = 0.1
-"""Width over half of the travel up to which no smooth table makes such a bulge."""
+"""Width over half the travel up to which a smooth table cannot represent the bump."""
 BUMP, REVERSAL, BOTH = "bump", "bump with direction", "bump in each direction"
 
 
 class LocalWear(Effect):
+    """error_um = h·exp(-((x - c)/w)²/2), height h in µm, centre c and width w in mm; alike or opposite in the two
+    directions.
+    """
+
     id: ClassVar[str] = "local_wear"
     title: ClassVar[str] = "a worn zone"
     action: ClassVar[Action] = Action.COMPENSATE

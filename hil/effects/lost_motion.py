@@ -1,7 +1,9 @@
-"""Lost motion after a reversal: the table follows only after some travel, an error that fades with the travel since the reversal.
+"""Lost motion after a reversal: the table follows only after some travel; the error decays with the travel since the
+reversal.
 
-error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reversal_mm`. What is left when s is long is a constant
-per direction, and the table's. (The two-stage running form of a controller lives in the procedure that measures a reversal densely.)
+error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reversal_mm`. The constant per direction that
+remains for large s belongs to the table. (A controller's two-stage running form is in `hil.lost_motion`, fitted to
+dense reversals.)
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ TWO_STAGE = "two lengths"
 
 
 class LostMotion(Effect):
+    """error_um = a·d·f(s/L), a in µm, s and L in mm, f(z) = e^(-z) or 1 - tanh z; or a sum of two exponentials."""
+
     id: ClassVar[str] = "lost_motion"
     title: ClassVar[str] = "lost motion after a reversal"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -1,9 +1,9 @@
 """The fitted model of an axis: a pitch table per direction, plus the effects that a table cannot hold.
 
-What may go in: the frozen value, its evaluation and its JSON form. Fitting lives in `hil.diagnosis`; a model file is data, and
-names no code.
+Fitting is in `hil.diagnosis`. A model file is data and names no code.
 
-Signs: `error_um` is the error of the uncorrected machine (actual - commanded), `correction_um` = -error is added to the command.
+Signs: `error_um` is the error of the uncorrected machine (actual - commanded), `correction_um` = -error is added to the
+command.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ class PitchTable:
     positions_mm: (m,), strictly ascending; forward_um, backward_um: (m,), direction +1 and -1
     nodes: indices of those positions that carry the uncertainty (the others are interpolated between them)
     covariance_um2: of (forward at nodes, backward at nodes), shape (2k, 2k); empty where it is not known
+    Raises InputError for positions that do not ascend, or lengths that do not agree.
     """
 
     positions_mm: tuple[float, ...]
@@ -61,19 +62,20 @@ class PitchTable:
 
     @classmethod
     def of(cls, positions_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike) -> PitchTable:
-        """From array-likes of shape (m,)."""
+        """From array-likes of shape (m,), mm and µm. Raises InputError as the class does."""
         positions, forward, backward = (
             tuple(float(v) for v in np.asarray(a).ravel()) for a in (positions_mm, forward_um, backward_um)
         )
         return cls(positions, forward, backward)
 
     def error_um(self, target_mm: Floats, direction: Floats) -> Floats:
-        """Shape (n,)."""
+        """Error at targets (mm) arrived at in a direction (+1, -1), both shape (n,): µm, shape (n,)."""
         forward = np.interp(target_mm, self.positions_mm, self.forward_um)
         backward = np.interp(target_mm, self.positions_mm, self.backward_um)
         return np.asarray(np.where(direction > 0, forward, backward), dtype=np.float64)
 
     def to_json(self) -> dict[str, Any]:
+        """The table of a model file."""
         return {
             "positions_mm": list(self.positions_mm),
             "forward_um": list(self.forward_um),
@@ -85,10 +87,10 @@ class PitchTable:
 
 @dataclass(frozen=True)
 class Model:
-    """What is known of an axis.
+    """The error of an axis as it was fitted.
 
     table: the bidirectional pitch table; terms: the effects beside it
-    about: how it came about (plain strings and numbers for people; never read by the program)
+    about: origin of the model (plain strings and numbers for people; never read by the program)
     """
 
     table: PitchTable
@@ -102,14 +104,14 @@ class Model:
 
     @property
     def declared(self) -> list[str]:
-        """What it holds: 'pitch_table' and the effect ids."""
+        """The parts: 'pitch_table' and the effect ids."""
         return ["pitch_table", *dict.fromkeys(term.effect.id for term in self.terms)]
 
     def error_um(self, columns: Columns) -> Floats:
         """Error of the uncorrected machine, µm, shape (n,), from `target_mm`, `direction` and what the terms need.
 
-        Columns of the past that are missing are made from the rows where `run` is there (`hil.effects.history.complete`).
-        Raises InputError when a column that cannot be made is missing.
+        History columns that are missing are estimated from the rows where `run` is there
+        (`hil.effects.history.complete`). Raises InputError when another column is missing.
         """
         if "run" in columns:
             columns = complete(columns)
@@ -119,10 +121,11 @@ class Model:
         return error
 
     def correction_um(self, columns: Columns) -> Floats:
-        """What to add to the command, µm, shape (n,)."""
+        """The amount to add to the command, µm, shape (n,). Raises InputError as `error_um`."""
         return -self.error_um(columns)
 
     def with_terms(self, terms: Sequence[Term]) -> Model:
+        """A copy with other effects beside the same table."""
         return replace(self, terms=tuple(terms))
 
     def to_json(self) -> str:

@@ -15,9 +15,14 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Ri
 from hil.effects.survey import Survey
 
 ORDERS = {"lead error": 1, "bow": 3, "shape": 6, "fine shape": 12}
+"""Form -> highest Legendre order."""
 
 
 class PitchShape(Effect):
+    """error_um = Σ c_i·P_i(u), i from 1 to the form's order, P_i Legendre polynomials, u the position over half the
+    travel, c_i in µm.
+    """
+
     id: ClassVar[str] = "pitch_shape"
     title: ClassVar[str] = "smooth shape the table missed"
     action: ClassVar[Action] = Action.COMPENSATE

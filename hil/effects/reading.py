@@ -1,6 +1,6 @@
-"""A fitted term out of a model or sealed file: plain values in, a `Term` out, and one line for anything that is not exactly one.
+"""Reads a fitted term from a model or sealed file: plain values in, a `Term` out, a one-line error for anything else.
 
-What may go in: reading and checking. A file is data: it names an effect by its id, and only effects that are loaded are known.
+A file is data: it names an effect by its id, and only loaded effects are known.
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ from drivers.errors import InputError
 from hil.effects.base import Effect, Form, NonLinear, Term
 from hil.effects.non_parametric import NonParametric
 
-BESIDE: tuple[Effect, ...] = (NonParametric(),)
-"""Known to every reader and never searched for: a model holds them only where somebody asked for it."""
+NEVER_SEARCHED: tuple[Effect, ...] = (NonParametric(),)
+"""Effects that every reader knows and no search uses: a model holds one only where it was asked for."""
 LOADED_BY = "--effects FILE.py, or the package that brings it installed"
 
 
 def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
-    """A term from plain values. Raises InputError naming `where` for anything that is not exactly one."""
+    """A term from plain values. Raises InputError naming `where` for a missing or extra key, an effect not in
+    `effects`, or values that do not fit its form.
+    """
     if not isinstance(obj, dict):
         raise InputError(f"{where} is not an object")
     expected = {"effect", "form", "inputs", "constants", "nonlinear", "coefficients", "covariance"}
     if set(obj) != expected:
         raise InputError(f"{where} has the keys {sorted(obj)}, expected {sorted(expected)}")
-    known = {effect.id: effect for effect in (*BESIDE, *effects)}
+    known = {effect.id: effect for effect in (*NEVER_SEARCHED, *effects)}
     if obj["effect"] not in known:
         raise InputError(
             f"{where} names the effect {obj['effect']!r}, which is not loaded; one of your own needs {LOADED_BY}"
@@ -57,7 +59,7 @@ def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
 
 
 def _try_out(term: Term, where: str) -> None:
-    """One row of ones through the basis: a form the effect does not know, or a wrong number of coefficients, shows here."""
+    """Evaluates one row of ones: this shows a form that the effect does not know, or a wrong number of coefficients."""
     columns = {name: np.ones(1) for name in term.form.inputs}
     try:
         width = term.effect.basis(term.form, term.theta, columns).shape[1]
@@ -68,7 +70,7 @@ def _try_out(term: Term, where: str) -> None:
 
 
 def numbers(obj: object, where: str) -> tuple[float, ...]:
-    """A list of finite numbers. Raises InputError."""
+    """A list of finite numbers, shape (n,). Raises InputError naming `where` for anything else."""
     if not isinstance(obj, list):
         raise InputError(f"{where} is not a list")
     for value in obj:

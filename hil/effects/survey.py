@@ -1,6 +1,6 @@
-"""What given records can feed to an effect: the travel, the time they span, which columns are there and vary.
+"""The survey of records: travel, time span, and which columns are there and vary.
 
-What may go in: facts of the records that decide which forms of an effect make sense; no statistics of the error itself.
+It decides which forms of an effect make sense; it holds no statistics of the error itself.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 TEMPERATURE = re.compile(r"temp_\w+_c")
 OTHER_AXIS = re.compile(r"pos_\w+_mm")
 MOST_MOMENTS = 500
+"""Most times between rows that are kept as candidates for a step."""
 VARIES = 1e-9
 """Smallest relative spread that counts as varying."""
 
@@ -28,11 +29,11 @@ class Survey:
     """Facts of the records.
 
     centre_mm, half_span_mm: of the targets; spacing_mm: median distance of neighbouring distinct targets of a pass
-    time_column, time_start: `time_s`, or `row_order` (in rows) where nobody kept the time
+    time_column, time_start: `time_s`, or `row_order` (in rows) where no time was recorded
     duration_s, interval_s: of the whole campaign, and the median between rows, in units of the time column
     varying: columns that are filled in every row and vary; mean: the mean of each filled column
-    moments: times between rows at which something may have happened, every one up to MOST_MOMENTS, run boundaries always
-    pitches_mm: lengths at which the mechanics repeat (screw pitch, rack tooth …), where the axis file gives them
+    moments: times between rows at which a step may have occurred: all up to MOST_MOMENTS, run boundaries always
+    pitches_mm: periods of the mechanics (screw pitch, rack tooth …), where the axis file gives them
     """
 
     rows: int
@@ -54,6 +55,7 @@ class Survey:
 
     @property
     def time_unit(self) -> str:
+        """'s', or 'rows' where no time was recorded."""
         return "s" if self.time_column == "time_s" else "rows"
 
     @property
@@ -68,7 +70,9 @@ class Survey:
 
 
 def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ()) -> Survey:
-    """Survey of completed columns (`hil.effects.history.complete`), each of shape (n,), n ≥ 1."""
+    """Survey of completed columns (`hil.effects.history.complete`), each of shape (n,), n ≥ 1. Raises KeyError without
+    `target_mm` or `run`.
+    """
     target = columns["target_mm"]
     low, high = float(np.min(target)), float(np.max(target))
     half_span = max((high - low) / 2, 1e-6)
@@ -103,7 +107,7 @@ def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ())
 
 
 def varies(values: Floats) -> bool:
-    """Whether a column is filled in every row, (n,), and not the same in all."""
+    """Whether a column, shape (n,), is filled in every row and not constant."""
     if not np.all(np.isfinite(values)):
         return False
     return bool(np.ptp(values) > VARIES * max(1.0, float(np.max(np.abs(values)))))

@@ -1,8 +1,8 @@
 """Thermal drift: an offset of the whole axis that follows a temperature, or settles with time since the start.
 
-Mounts, spindle head, column or nut warm up and carry the origin with them, the same at both ends of the travel. Where heat
-enters at one place (a nut that keeps to the middle, a motor at one end) the axis also bends: the drift then differs along the
-travel, as a cubic of position.
+Mounts, spindle head, column or nut warm up and move the origin, by the same amount at both ends of the travel. Where
+heat enters at one place (a nut that stays near the middle, a motor at one end) the axis also bends: the drift then
+differs along the travel, as a cubic of position.
 """
 
 from __future__ import annotations
@@ -18,9 +18,14 @@ from hil.effects.warming import SINCE_START, WARMING, rise, temperature_forms, t
 
 UNEVEN = "warming since the start, unlike along the travel"
 POWERS = 4
+"""Coefficients of the drift along the travel: Legendre orders 0 to 3."""
 
 
 class ThermalDrift(Effect):
+    """error_um = c·(T - 20 °C), c in µm/K, also through a first-order lag; or c·(1 - e^(-t/τ)), c in µm, τ in s or
+    rows.
+    """
+
     id: ClassVar[str] = "thermal_drift"
     title: ClassVar[str] = "thermal drift of the origin"
     action: ClassVar[Action] = Action.COMPENSATE

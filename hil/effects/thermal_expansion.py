@@ -1,6 +1,7 @@
-"""Thermal expansion of screw or scale: an error that grows with position and with temperature, x·ΔT (or x·(1 - e^(-t/τ)) as it warms).
+"""Thermal expansion of screw or scale: an error proportional to position and temperature rise, x·α·ΔT, or x·(1 -
+e^(-t/τ)) while it warms.
 
-The coefficient is in ppm/K; the origin of growth is the zero of the axis, and growth about another point shows as
+The coefficient is in ppm/K. The growth is about the zero of the axis; growth about another point shows as
 `thermal_drift` beside it.
 """
 
@@ -16,10 +17,14 @@ from hil.effects.survey import Survey
 from hil.effects.warming import REFERENCE_C, SINCE_START, rise, temperature_forms, time_unit
 
 STEEL_TO_ALUMINIUM_PPM_K = (2.0, 35.0)
-"""Invar-like rods to aluminium; a screw is 11 to 12."""
+"""Low-expansion alloys to above aluminium (about 23); a steel screw is 11 to 12."""
 
 
 class ThermalExpansion(Effect):
+    """error_um = α·x·(T - 20 °C)·10⁻³, α in ppm/K, x in mm, reference temperature of ISO 1; or by time since the start,
+    in ppm.
+    """
+
     id: ClassVar[str] = "thermal_expansion"
     title: ClassVar[str] = "thermal expansion of screw or scale"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -1,8 +1,9 @@
-"""Effects of a user's own beside the catalogue: from a file named by hand, or from an installed package.
+"""Effects of a user's own beside the catalogue: from a file named on the command line, or from an installed package.
 
-The one place where code from outside the project is loaded. It is named on the command line, or by the entry points (group
-`hil.effects`) of what is installed; no records, model, axis or sealed file can name any. What comes out is a tuple that the caller
-passes on; nothing is registered anywhere.
+This is the only place where code from outside the project is loaded. It is named on the command line, or by the entry
+points (group
+`hil.effects`) of installed packages; no records, model, axis or sealed file can name any. The result is a tuple that
+the caller passes on; there is no registry.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import BridgeError, InputError
-from hil.effects import ALL, BESIDE, Action, Effect, Rival, survey_of
+from hil.effects import ALL, NEVER_SEARCHED, Action, Effect, Rival, survey_of
 from hil.effects.history import complete
 
 GROUP = "hil.effects"
@@ -31,11 +32,11 @@ ID = re.compile(r"[a-z][a-z0-9_]*")
 def catalogue_with(paths: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
     """The catalogue, the effects of installed packages, and those of the files, in this order.
 
-    Raises InputError naming the file or package, and the line where there is one: code that does not load, that holds no effect, or
-    one whose id is taken.
+    Raises InputError naming the file or package, and the line where there is one: for code that does not load, that
+    holds no effect, or one whose id is taken.
     """
     effects: dict[str, Effect] = {effect.id: effect for effect in ALL}
-    origin = dict.fromkeys((effect.id for effect in (*ALL, *BESIDE)), "the catalogue")
+    origin = dict.fromkeys((effect.id for effect in (*ALL, *NEVER_SEARCHED)), "the catalogue")
     found = [(_package(entry), _effects_of(_loaded(entry), _package(entry))) for entry in entry_points(group=GROUP)]
     found.extend((str(path), effects_of_file(path)) for path in paths)
     for place, own in found:
@@ -47,7 +48,9 @@ def catalogue_with(paths: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
 
 
 def effects_of_file(path: str | Path) -> tuple[Effect, ...]:
-    """The `EFFECTS` of one Python file, which is run. Raises InputError naming the file."""
+    """The `EFFECTS` of one Python file, which is run. Raises InputError naming the file, and the line where its code
+    fails.
+    """
     place = Path(path)
     if not place.is_file():
         raise InputError("is no file; expected Python code with EFFECTS = (…)", path=path)
@@ -68,16 +71,16 @@ def effects_of_file(path: str | Path) -> tuple[Effect, ...]:
 
 
 def check_on(effects: Sequence[Effect], columns: Mapping[str, NDArray[np.float64]]) -> None:
-    """Try every effect outside the catalogue on the columns of some records, each (n,): one basis per form.
+    """Evaluates every effect outside the catalogue on the columns of some records, each (n,): one basis per form.
 
-    Raises InputError naming the file: a basis that is not (n, k) or not finite would only show far from its cause.
+    Raises InputError naming the file for a basis that is not (n, k) or not finite, before the search uses it.
     """
     own = [effect for effect in effects if effect not in ALL]
     if not own:
         return
     whole = complete(columns)
     survey = survey_of(whole)
-    with blaming(own):
+    with attributing_errors(own):
         for effect in own:
             for form in effect.forms(survey):
                 if not form.starts:
@@ -94,8 +97,10 @@ def check_on(effects: Sequence[Effect], columns: Mapping[str, NDArray[np.float64
 
 
 @contextmanager
-def blaming(effects: Sequence[Effect]) -> Iterator[None]:
-    """An exception that comes out of a user's own effect becomes an InputError with its file and line; others pass."""
+def attributing_errors(effects: Sequence[Effect]) -> Iterator[None]:
+    """Turns an exception raised by the code of a user's own effect into an InputError with its file and line; others
+    pass unchanged.
+    """
     files = {file for effect in effects if effect not in ALL and (file := _file_of(effect))}
     try:
         yield
@@ -121,7 +126,7 @@ def _loaded(entry: EntryPoint) -> object:
 
 
 def _effects_of(value: object, place: str | Path) -> tuple[Effect, ...]:
-    """What was offered as effects, checked. Raises InputError."""
+    """Checks the effects of a file or package. Raises InputError."""
     own: list[Effect] = []
     offered = list(value) if isinstance(value, (tuple, list)) else [value]
     if not offered:
@@ -154,7 +159,7 @@ def _file_of(effect: Effect) -> str | None:
 
 
 def _line(error: BaseException, file: str | None) -> int | None:
-    """The last line of a file that an exception came through."""
+    """The last line of a file in an exception's traceback."""
     if isinstance(error, SyntaxError) and error.filename == file:
         return error.lineno
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]

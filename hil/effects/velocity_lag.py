@@ -1,6 +1,6 @@
 """Velocity lag: an error proportional to the feed, d·|v| (following error, latency of the reading).
 
-A refining form lets it saturate. The sign of `velocity_mm_s` is not relied on: the direction gives it.
+Refining forms let it saturate or add a quadratic term. The sign of `velocity_mm_s` is not used: the direction gives it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ PROPORTIONAL, SATURATING, CURVED = "proportional", "saturating", "with square"
 
 
 class VelocityLag(Effect):
+    """error_um = τ·d·|v|, τ in ms (µm per mm/s), v in mm/s; refining forms add d·v² or divide by 1 + |v|/knee."""
+
     id: ClassVar[str] = "velocity_lag"
     title: ClassVar[str] = "lag proportional to velocity"
     action: ClassVar[Action] = Action.COMPENSATE

@@ -1,6 +1,6 @@
-"""The courses of temperature that thermal effects share: a sensor, a sensor through a lag, or warming since the start.
+"""Temperature rise as the thermal effects share it: a sensor, a sensor through a lag, or warming since the start.
 
-What may go in: the temperature rise as a column; what it does to the axis is said by the effects that use it.
+The effects that use it decide how the axis responds.
 """
 
 from __future__ import annotations
@@ -15,19 +15,22 @@ from hil.effects.history import lagged
 from hil.effects.survey import Survey
 
 REFERENCE_C = 20.0
-"""ISO 1: the temperature at which lengths are true."""
+"""Reference temperature of geometrical product specifications, ISO 1."""
 TEMPERATURE = "temperature"
 LAGGED = "lagged temperature"
 WARMING = "warming since the start"
 SLOW_WARMING = "warming since the start through two lags"
 SINCE_START = (WARMING, SLOW_WARMING)
 GRID = 12
+"""Time constants in the grid."""
 
 
 def time_constants(survey: Survey) -> tuple[NonLinear, tuple[tuple[float, ...], ...]]:
-    """Bounds and grid of a settling time constant for a campaign: from a few rows to several times its length.
+    """Bounds and grid of a settling time constant for a campaign, s or rows: from a few rows to several times its
+    length.
 
-    Beforehand it lies in the middle of these: what has hardly begun to settle looks straight, and a straight line goes on for ever.
+    The prior lies in the middle of the grid: a process that has hardly begun to settle looks like a straight line, and
+    that would extrapolate without end.
     """
     low = max(4 * survey.interval_s, survey.duration_s / 60)
     high = max(3 * survey.duration_s, 4 * low)
@@ -64,14 +67,15 @@ def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...]
 
 
 def time_unit(term: Term) -> str:
-    """'s', or 'rows' where the row order stood in for time."""
+    """'s', or 'rows' where the row order replaced the time."""
     return "rows" if "row_order" in term.form.inputs else "s"
 
 
 def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-    """The temperature rise of a form, shape (n, 1): K above 20 °C, or the fraction of warming done (0 … 1).
+    """The temperature rise of a form, shape (n, 1): K above 20 °C, or the fraction of the final rise (0 … 1). Raises
+    KeyError for another form.
 
-    SLOW_WARMING has a second column, shape (n, 2), for the part that heat takes through a second mass, whenever it began.
+    SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
     if form.name in SINCE_START:
         x = columns[form.inputs[0]] / theta[0]

@@ -110,7 +110,7 @@ def test_verify_moves_with_it_in_force(tmp_path: Path, monkeypatch: pytest.Monke
     spread = {f"{name}.low": 5.0, f"{name}.high": 9.0, f"{name}.least": 5.0, f"{name}.most": 9.0}
     term = Term(
         NonParametric(),
-        smooth_form([name], [spread], turned=False),
+        smooth_form([name], [spread], with_direction=False),
         (),
         (5.0, 5.0, 5.0, 5.0),
         tuple((0.0,) * 4 for _ in range(4)),

@@ -16,7 +16,7 @@ from hil.app.terminal.records_input import (
     read_records,
 )
 from hil.effects.non_parametric import without_cause
-from hil.effects.user_effects import blaming
+from hil.effects.user_effects import attributing_errors
 from hil.records.files import replace_file
 from hil.records.rows import to_csv
 
@@ -49,7 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Apply and write. Raises InputError when the records lack a column the model needs."""
     effects = read_effects(args.effects)
-    with blaming(effects):
+    with attributing_errors(effects):
         model = read_model(args.model, effects)
         records = read_records(args.records, args.runs)
         try:

@@ -15,7 +15,7 @@ from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign
 from hil.diagnosis.next.design import design, plan_minutes
 from hil.diagnosis.next.planned_run import Means, Point
 from hil.diagnosis.next.plans import to_plan
-from hil.effects.user_effects import blaming, check_on
+from hil.effects.user_effects import attributing_errors, check_on
 from hil.records.files import replace_file
 
 EXAMPLE = """\
@@ -83,7 +83,7 @@ def run_check(args: argparse.Namespace) -> int:
     """Print the gaps. 0: none; 1: there are some. Raises InputError for bad records."""
     effects = read_effects(args.effects)
     pitches = (load_axis(args.axis).scaling.feed_mm_per_shaft_rev,) if args.axis else ()
-    with blaming(effects):
+    with attributing_errors(effects):
         try:
             records = read_records(args.records, args.runs)
             check_on(effects, records.columns)

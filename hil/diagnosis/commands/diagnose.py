@@ -17,7 +17,7 @@ from hil.axis.axis_file import load_axis
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.job import diagnosed
 from hil.diagnosis.pictures import with_plots
-from hil.effects.user_effects import blaming
+from hil.effects.user_effects import attributing_errors
 from hil.records.files import replace_file
 
 EXAMPLE = """\
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.non_parametric and not args.out:
         raise InputError("--non-parametric is about the extended model, expected --out EXTENDED with it")
     effects = read_effects(args.effects)
-    with blaming(effects):
+    with attributing_errors(effects):
         declared = read_model(args.model, effects) if args.model else None
         records = read_records(args.records, args.runs)
         try:

@@ -10,7 +10,7 @@ from drivers.errors import InputError
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
 from hil.diagnosis.search.declare import fit_with
-from hil.effects.user_effects import blaming, check_on
+from hil.effects.user_effects import attributing_errors, check_on
 from hil.records.files import replace_file
 
 EXAMPLE = """\
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"--with {name}: there is no such effect; there are {', '.join(known)}")
     wanted = [known[name] for name in dict.fromkeys(args.wanted)]
     records = read_records(args.records, args.runs)
-    with blaming(wanted):
+    with attributing_errors(wanted):
         try:
             check_on(wanted, records.columns)
             model = fit_with(records, wanted)

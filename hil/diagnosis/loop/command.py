@@ -34,7 +34,7 @@ from hil.diagnosis.loop.next_run import runs_of
 from hil.diagnosis.loop.procedure import MOST_RUNS, Consent, Loop, Turn, Turning
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.next.plans import read_plan
-from hil.effects.user_effects import blaming
+from hil.effects.user_effects import attributing_errors
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
 from hil.records.files import replace_file
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         in_motion = passes_of(args, args.feeds, axis.instrument)
     turning = Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion)
     with (
-        blaming(effects),
+        attributing_errors(effects),
         machine_of(args, axis, _asked(axis)) as machine,
         terminal_progress() as listener,
     ):

@@ -75,22 +75,22 @@ def structures(campaign: Campaign) -> Catalogue:
     polynomials = {name: powers(name, spreads[name], campaign.columns) for name in names}
     found: list[Structure] = []
 
-    def add(design: Floats, *mine: str, turned: bool) -> None:
-        form = smooth_form(mine, [spreads[name] for name in mine], turned=turned)
+    def add(design: Floats, *mine: str, with_direction: bool) -> None:
+        form = smooth_form(mine, [spreads[name] for name in mine], with_direction=with_direction)
         found.append(Structure(form.inputs, design, form, campaign.columns))
 
     for name in names:
         p = polynomials[name]
         if name != "target_mm":
-            add(p, name, turned=False)
+            add(p, name, with_direction=False)
         if both and name != "target_mm":
-            add(p[:, :3] * d[:, None], name, turned=True)
+            add(p[:, :3] * d[:, None], name, with_direction=True)
     for a, b in itertools.combinations(names, 2):
         pa, pb = polynomials[a], polynomials[b]
         product = np.column_stack([pa[:, 0] * pb[:, 0], pa[:, 1] * pb[:, 0], pa[:, 0] * pb[:, 1], pa[:, 1] * pb[:, 1]])
-        add(product, a, b, turned=False)
+        add(product, a, b, with_direction=False)
         if both:
-            add(product[:, :1] * d[:, None], a, b, turned=True)
+            add(product[:, :1] * d[:, None], a, b, with_direction=True)
     blocks = Blocks.of([s.design for s in found], len(campaign))
     return Catalogue(tuple(found), blocks, _fine(campaign))
 
@@ -107,8 +107,8 @@ def _fine(campaign: Campaign) -> tuple[Structure, ...]:
     knots = campaign.basis.knots_mm
     count = int(min(FINE * len(knots), len(campaign) // 2))
     out = []
-    for turned in (False, True) if campaign.survey.has("direction") else (False,):
-        form = fine_form(float(knots[0]), float(knots[-1]), count, campaign.columns, turned=turned)
+    for with_direction in (False, True) if campaign.survey.has("direction") else (False,):
+        form = fine_form(float(knots[0]), float(knots[-1]), count, campaign.columns, with_direction=with_direction)
         hats = NonParametric().basis(form, (), campaign.columns)
         out.append(Structure(form.inputs, hats, form, campaign.columns))
     return tuple(out)

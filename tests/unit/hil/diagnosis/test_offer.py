@@ -75,7 +75,7 @@ COLUMNS = {"coolant_l_min": np.linspace(3.0, 7.0, ROWS), "torque_percent": np.li
 
 
 def left(*columns: str) -> Carried:
-    form = smooth_form(columns, [spread_of(name, COLUMNS) for name in columns], turned=False)
+    form = smooth_form(columns, [spread_of(name, COLUMNS) for name in columns], with_direction=False)
     structure = Structure(columns, np.zeros((ROWS, 1)), form, COLUMNS)
     return Carried((structure,), np.array([1.0, 0, 0, 0]), np.zeros((4, 4)), 0.001)
 

@@ -47,8 +47,8 @@ def forms(effect: Effect) -> Iterator[tuple[Form, dict[str, np.ndarray]]]:
     plain = columns()
     if isinstance(effect, NonParametric):
         spread = spread_of("temp_screw_c", plain)
-        yield smooth_form(["temp_screw_c"], [spread], turned=True), plain
-        yield fine_form(0.0, 300.0, 12, plain, turned=False), plain
+        yield smooth_form(["temp_screw_c"], [spread], with_direction=True), plain
+        yield fine_form(0.0, 300.0, 12, plain, with_direction=False), plain
         return
     for given in (plain, columns("setup")):
         yield from ((form, given) for form in effect.forms(survey_of(given)))

@@ -21,7 +21,7 @@ from hil.correction.store import SealedStore
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, Form, Term, survey_of
 from hil.effects.history import complete
-from hil.effects.user_effects import blaming, catalogue_with, check_on, effects_of_file
+from hil.effects.user_effects import attributing_errors, catalogue_with, check_on, effects_of_file
 
 OWN = Path(example.__file__)
 TEXT = OWN.read_text(encoding="utf-8")
@@ -156,11 +156,11 @@ def test_an_effect_that_fails_on_the_records_is_named_by_its_file(
 
 def test_only_what_comes_out_of_the_users_file_is_blamed_on_it() -> None:
     effects = catalogue_with([OWN])
-    with pytest.raises(ZeroDivisionError), blaming(effects):
+    with pytest.raises(ZeroDivisionError), attributing_errors(effects):
         print(1 / 0)
     columns = {name: np.arange(3.0) for name in ("target_mm", "measured_mm", "coolant_level_mm")}
     form = effects[-1].forms(survey_of(complete(columns | {"run": np.ones(3), "direction": np.ones(3)})))[0]
-    with pytest.raises(InputError, match=r"coolant_level\.py:\d+: fails: KeyError"), blaming(effects):
+    with pytest.raises(InputError, match=r"coolant_level\.py:\d+: fails: KeyError"), attributing_errors(effects):
         effects[-1].basis(form, (), {"target_mm": np.ones(3)})
 
 
