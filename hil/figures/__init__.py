@@ -1,1 +1,1 @@
-"""Figures: pure numbers from rows (ISO 230-2, uncertainty, latency, the beam's alignment) and their history over months."""
+"""Figures computed from rows (ISO 230-2, uncertainty, latency, alignment of the beam) and their history over months."""

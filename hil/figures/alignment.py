@@ -1,7 +1,9 @@
-"""Is the beam along the axis? From where it meets the target at two places: angle, and the cosine error it makes. Pure.
+"""Alignment of the beam with the axis, from where it meets the target at two places: the angle, and the cosine error it
+makes. No I/O.
 
-With the axis near the laser, then far from it, read on the target how high the beam stands and how far to the side. A beam at an
-angle θ to the motion reads L·cos θ: short by θ²/2, a scale error that no measurement along the same beam can tell from a lead error.
+The height and side of the beam on the target are read with the axis near the laser and far from it. A beam at an angle
+θ to the motion reads L·cos θ, short by θ²/2: a scale error that no measurement along the same beam separates from a
+lead error.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from drivers.toml_types import Number, Positive
 
 @dataclass(frozen=True)
 class Alignment:
-    """near_mm, far_mm: the axis's two places; height_mm, side_mm: of the beam on the target, near and far.
+    """The spots as read; raises InputError for places less than 10 mm apart or a half range of 0.
 
-    read_within_mm: how well a spot can be read, a half range; returning: it is read where a retroreflector sends the beam back, where
-    it stands twice as far off
+    near_mm, far_mm: the axis's two positions; height_mm, side_mm: of the beam on the target, near and far
+    read_within_mm: half range to which a spot can be read
+    returning: read where a retroreflector sends the beam back, so that its offset is doubled
     """
 
     near_mm: Number
@@ -43,30 +46,30 @@ class Alignment:
 
     @property
     def angle_mrad(self) -> float:
-        """Between beam and motion."""
-        rise, aside = (pair[1] - pair[0] for pair in (self.height_mm, self.side_mm))
-        return 1000.0 * math.hypot(rise, aside) * self._per_mm
+        """Angle between beam and motion."""
+        rise, sideways = (pair[1] - pair[0] for pair in (self.height_mm, self.side_mm))
+        return 1000.0 * math.hypot(rise, sideways) * self._per_mm
 
     @property
     def readable_mrad(self) -> float:
-        """The largest angle that could be there unseen, by how well spots can be read."""
+        """Largest angle that the reading of the spots cannot show."""
         return 1000.0 * math.sqrt(2.0) * 2.0 * self.read_within_mm * self._per_mm
 
     @property
     def good(self) -> bool:
-        """As well aligned as the spots can be read; beyond that a better alignment would be seen."""
+        """The angle is within what the spots can show; only beyond that would a better alignment be seen."""
         return self.angle_mrad <= self.readable_mrad
 
     @property
     def short_ppm(self) -> float:
-        """How much the instrument reads short, by the spots as they were read."""
+        """How much the instrument reads short by the measured angle, θ²/2."""
         return self.angle_mrad**2 / 2.0
 
     @property
     def short_at_most_ppm(self) -> float:
-        """The same where all four readings were off by as much as they can be."""
+        """The same with the largest error of all four readings."""
         return (self.angle_mrad + self.readable_mrad) ** 2 / 2.0
 
     def lateral_mm(self, length_mm: float) -> float:
-        """How far the beam may wander sideways over a length: ISO/TR 230-9's range of misalignment."""
+        """Lateral range of the beam over a length: ISO/TR 230-9's range of misalignment."""
         return length_mm * math.sqrt(2e-6 * self.short_at_most_ppm)

@@ -19,6 +19,7 @@ The deviation of a row is measured - target: with a correction in force, the fig
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil iso230`."""
     parser = subparsers.add_parser(
         "iso230",
         description="Accuracy and repeatability of positioning of a linear axis by ISO 230-2:2014.",
@@ -33,7 +34,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print and optionally write the figures. Raises InputError for records that cannot give them."""
+    """Prints the figures and writes them as JSON on request. Returns 0. Raises InputError for records that cannot give
+    them.
+    """
     with naming(args.records):
         figures = iso230(read_csv(args.records))
     print_figures(figures)
@@ -43,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def print_figures(figures: Iso230) -> None:
-    """The figures of the axis and of each target, on standard output."""
+    """Prints the figures of the axis and of each target, µm, on standard output."""
     rows = [[_label(name), number(value), FIGURES[name]] for name, value in figures.figures().items()]
     print_table(
         ["figure", "µm", ("meaning", "left")],

@@ -1,6 +1,7 @@
-"""What has been measured on an axis: campaigns on disk, what is in them, whether it is as it was left, their figures over time.
+"""The history of an axis: campaigns on disk, their passes, whether each is unchanged since it was closed, and figures
+over time.
 
-Reads only. A pass is dated by its own line; one from before passes said when they were begun, by its file.
+Reads only. A pass is dated by its own line; one written before passes had that line, by its file.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ REPLAY = "replay"
 
 
 def purpose_of_replay(purpose: Mapping[str, Any], recording: str) -> dict[str, Any]:
-    """What a campaign is for, when its rows come from the recording of this file name; as it is when there is none ("")."""
+    """The purpose of a campaign whose rows come from the recording of this file name; unchanged without one ("")."""
     return {**purpose, "kind": REPLAY, "recording": recording} if recording else dict(purpose)
 
 
@@ -34,9 +35,10 @@ def purpose_of_replay(purpose: Mapping[str, Any], recording: str) -> dict[str, A
 class Pass:
     """One measuring pass on disk.
 
-    records: its rows, None where there are none or they cannot be read (`why`); state: closed (as it was left), changed (since it was
-    closed), open (not closed since rows were last added), torn (its last line is half); begun: with its time zone; dated: by its own
-    line, not by its file
+    records: its rows, None where there are none or they cannot be read (`why`)
+    state: closed (unchanged since it was closed), changed (since then), open (rows added since, or never closed), torn
+    (its last line is incomplete)
+    begun: with its time zone; dated: by its own line, not by its file
     """
 
     path: Path
@@ -53,7 +55,7 @@ class Pass:
         return self.path.stem
 
     def figures(self) -> Iso230 | str:
-        """ISO 230-2, or why not."""
+        """The figures of ISO 230-2, or the reason why there are none."""
         if self.records is None:
             return self.why
         try:
@@ -84,7 +86,9 @@ class FoundCampaign:
 
 
 def find_campaigns(places: Iterable[str | Path]) -> list[FoundCampaign]:
-    """All campaigns in or below these directories, by date. Raises InputError for a place that is not there."""
+    """All campaigns in or below these directories, by date. Raises InputError for a directory that does not exist or
+    cannot be read.
+    """
     markers: set[Path] = set()
     for place in map(Path, places):
         if not place.is_dir():
@@ -97,7 +101,7 @@ def find_campaigns(places: Iterable[str | Path]) -> list[FoundCampaign]:
 
 
 def read_campaign(directory: Path) -> FoundCampaign:
-    """One campaign. Raises InputError where there is none."""
+    """One campaign. Raises InputError where there is none or its purpose cannot be read."""
     if not (directory / MARKER).is_file():
         raise InputError("holds no campaign", path=directory)
     purpose = read_purpose(directory)
@@ -107,7 +111,9 @@ def read_campaign(directory: Path) -> FoundCampaign:
 
 
 def read_pass(path: Path, closed_as: str | None) -> Pass:
-    """One pass, however damaged; closed_as: its checksum when it was closed."""
+    """One pass, also a damaged one; closed_as: its SHA-256 when it was closed. Raises InputError for a file that cannot
+    be read.
+    """
     data = read_bytes(path)
     sha256 = hashlib.sha256(data).hexdigest()
     whole = data[: data.rfind(b"\n") + 1]
@@ -142,9 +148,10 @@ def _date(notes: Iterable[str]) -> datetime | None:
 
 
 def merge(passes: Sequence[Pass]) -> Records:
-    """Rows of passes in the order of time, runs numbered on.
+    """Rows of passes in the order of time, runs numbered consecutively. Raises InputError for a pass without rows.
 
-    `time_s` counts from the first pass where all are dated by their own line; else each begins where the one before it ended.
+    `time_s` counts from the first pass where all are dated by their own line; else each begins where the one before it
+    ended.
     """
     parts: list[Records] = []
     last_run, end_s = 0, 0.0
@@ -167,7 +174,10 @@ def merge(passes: Sequence[Pass]) -> Records:
 
 @dataclass(frozen=True)
 class Moment:
-    """One pass of an axis's history. figures_um: by name, NaN where the pass has none; mean_temp_c: of its places, NaN without"""
+    """One pass of an axis's history.
+
+    figures_um: by name, NaN where the pass has none; mean_temp_c: over its `temp_*_c` columns, NaN without them
+    """
 
     at: Pass
     campaign: FoundCampaign
@@ -176,7 +186,9 @@ class Moment:
 
 
 def history(campaigns: Iterable[FoundCampaign], names: Iterable[str]) -> list[Moment]:
-    """The passes that have at least one of these ISO 230-2 figures, in the order of time. What was replayed was not measured again."""
+    """The passes that have at least one of these ISO 230-2 figures, in the order of time; replayed campaigns are left
+    out.
+    """
     wanted = tuple(names)
     moments = []
     for campaign in campaigns:
@@ -190,7 +202,9 @@ def history(campaigns: Iterable[FoundCampaign], names: Iterable[str]) -> list[Mo
 
 
 def usual_pass(moments: Iterable[Moment]) -> str:
-    """The name that most of them have, the latest of equals: a trend compares like with like. Raises ValueError without moments."""
+    """The most frequent pass name, the latest of equals, so that a trend compares like with like. Raises ValueError
+    without moments.
+    """
     names = [moment.at.name for moment in moments]
     return max(reversed(names), key=names.count)
 
@@ -207,14 +221,14 @@ def _mean_temp_c(records: Records) -> float:
 
 @dataclass(frozen=True)
 class Trend:
-    """A straight line through a figure over time, its slope per 30 days with its standard deviation, in µm."""
+    """A straight line through a figure over time: slope per 30 days with its standard deviation, µm."""
 
     slope_um: float
     std_um: float
 
 
 def trend(days: np.ndarray[Any, np.dtype[np.float64]], value_um: np.ndarray[Any, np.dtype[np.float64]]) -> Trend | None:
-    """Of at least three values over a day or more, both shape (n,); None of fewer."""
+    """Least squares over days, both shape (n,), NaN left out; None of fewer than three values or less than a day."""
     known = np.isfinite(value_um)
     x, y = days[known], value_um[known]
     if len(x) < 3 or np.ptp(x) < 1.0:

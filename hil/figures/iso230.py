@@ -1,10 +1,8 @@
 """The figures of ISO 230-2:2014 for a linear axis, as pure functions over measurement records.
 
-What may go in: the standard's definitions and what it asks of a campaign. No files, no printing, no fitting.
-
-Deviation of one approach: x_ij = measured - target (the error as it was measured, with whatever correction was in force; the
-command plays no part, so records of a corrected axis give the figures of the corrected axis). Arrow up is direction +1, arrow
-down is direction -1. Every length in an `Iso230` is in µm except the targets.
+Deviation of one approach: x_ij = measured - target (the error as it was measured, with whatever correction was in
+force; the command is not used, so records of a corrected axis give the figures of the corrected axis). Arrow up is
+direction +1, arrow down is direction -1. Every length in an `Iso230` is in µm except the targets.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ FIGURES: Mapping[str, str] = MappingProxyType(
         "B_mean": "mean reversal value (signed)",
     }
 )
-"""Name of each figure of an axis, in the order in which they are shown, and what the standard calls it."""
+"""Name of each figure of an axis, in the order of display, and the standard's term for it."""
 
 TARGET_RESOLUTION_MM = 1e-6
 """Targets closer than this are the same target (far below any instrument, far above float64 noise at 10 m)."""
@@ -112,7 +110,7 @@ class Iso230:
 def iso230(records: Records) -> Iso230:
     """The figures of ISO 230-2:2014, clauses 3 and 7, of one campaign.
 
-    Raises InputError when the campaign is not one the standard's formulas can be applied to: fewer than two targets, a target
+    Raises InputError when the standard's formulas do not apply to the campaign: fewer than two targets, a target
     approached unequally often or twice in one run, a target approached from one direction while others have both.
     """
     deviation = {sign: _deviations(records, sign) for sign in (1, -1) if np.any(records.direction == sign)}
@@ -224,7 +222,7 @@ def _accuracy(mean: Mapping[int, Floats], s: Mapping[int, Floats], signs: tuple[
 
 
 def _notes(records: Records, target_mm: Floats, n: int, signs: tuple[int, ...]) -> tuple[str, ...]:
-    """What the campaign lacks, measured against clause 5.3 of the standard."""
+    """Departures of the campaign from clause 5.3 of the standard."""
     notes = []
     m = len(target_mm)
     travel_mm = float(target_mm[-1] - target_mm[0])

@@ -1,16 +1,16 @@
-"""How late an instrument's readings are against the drive's positions, from passes in motion. Pure.
+"""The delay of an instrument's readings against the drive's positions, from passes in motion. No I/O.
 
-A reading that is taken for one of a moment τ too late shows the axis v·τ behind where the drive says it is: of opposite sign in both
-directions and in proportion to the feed. What an axis loses at a reversal has the sign of the direction too, but is the same at every
-feed; its errors of position are the same in both directions. So half the difference between a pass up and the pass down over the same
-stretch is, over feeds, a straight line: its slope is τ, its intercept half the lost motion.
+A reading dated τ too late shows the axis v·τ behind the drive's position: of opposite sign in the two directions and
+proportional to the feed. Lost motion also has the sign of the direction, but is the same at every feed. Errors of
+position are the same in both directions. So half the difference between a pass up and the pass down over the same
+stretch is a straight line over feeds: its slope is τ, its intercept half the lost motion.
 
-What the slope cannot tell apart: everything that delays the reading against the drive's own position by a time. That is the
-instrument's conversion and its link, the age of the drive's position in its message, and a table that trails its motor by a time
-(velocity_lag). No motion separates these, accelerated or not. The servo's following error is not among them: the drive's position is
-what its encoder says. An edge that instrument and drive both see does separate them: what is left between the two positions of one
-moment is the machine's, and between the edge and the reading's arrival the link's. Friction that grows with speed adds to the
-slope; with three feeds or more a bend of the line shows it.
+The slope is the sum of everything that delays the reading against the drive's own position by a time: the instrument's
+conversion and its link, the age of the drive's position in its message, and a table that trails its motor by a time
+(velocity_lag). No motion separates these, accelerated or not. The servo's following error is not among them: the
+drive's position is that of its encoder. An edge that instrument and drive both see does separate them: the difference
+between the two positions at the edge is the machine's lag, the time from the edge to the reading's arrival the link's
+latency. Friction that grows with speed adds to the slope; with three feeds or more a bend of the line shows it.
 """
 
 from __future__ import annotations
@@ -26,21 +26,24 @@ from drivers.errors import InputError
 from hil.records.rows import UM_PER_MM, Floats, Records
 
 DELAY = "delay_s"
-"""Column of rows that were captured at an edge: from the edge to the arrival of the reading that belongs to it."""
+"""Column of rows captured at an edge: time from the edge to the arrival of its reading, s."""
 SPREAD_OF_FEEDS = 1.5
-"""The fastest feed must be so much faster than the slowest: else a slope and an intercept are one thing."""
+"""Least ratio of the fastest to the slowest feed; below it slope and intercept cannot be separated."""
 FEWEST_PAIRS = 3
-LOOKS_S = 2e-6
-"""No closer is an arrival looked for; it is the same for all passes and does not show in their scatter."""
-_GRID = 50
-_SURE = 0.99
+"""Fewest pairs of passes."""
+ARRIVAL_TOLERANCE_S = 2e-6
+"""Tolerance of the arrival's time, s. It is the same for all passes, so their scatter does not contain it."""
+_GRID = 50  # positions at which a pass up and a pass down are compared
+_CONFIDENCE = 0.99  # confidence at which a bend of the line counts
 
 
 @dataclass(frozen=True)
 class TimeShift:
-    """The reading's delay against the drive's position, s, and its standard deviation with so many degrees of freedom.
+    """The reading's delay against the drive's position, s, and its standard deviation with `freedom` degrees of
+    freedom.
 
-    lost_motion_um: at a reversal, the same at each feed; straight: whether the line over feeds shows no bend, None of two feeds
+    lost_motion_um: at a reversal, the same at each feed; straight: whether the line over feeds shows no bend, None of
+    two feeds
     """
 
     shift_s: float
@@ -51,16 +54,16 @@ class TimeShift:
 
     @property
     def within_s(self) -> float:
-        """Half of the interval that holds it with 95 % probability."""
+        """Half width of the 95 % confidence interval."""
         return float(student.ppf(0.975, self.freedom)) * self.std_s
 
 
 @dataclass(frozen=True)
 class Latency:
-    """From a sample to its arrival, and what of it is known how well (95 %).
+    """Time from a sample to its arrival, s, each figure with its half width (95 %).
 
-    at_edges: whether an edge that both saw tells it from a lag of the machine; lag_s, lag_within_s: of the table behind its motor, NaN
-    where the latency holds it
+    at_edges: measured at edges that drive and instrument share, and so separated from a lag of the machine
+    lag_s, lag_within_s: of the table behind its motor, NaN where the latency includes it
     """
 
     latency_s: float
@@ -71,7 +74,7 @@ class Latency:
     straight: bool | None = None
 
     def to_json(self) -> dict[str, float | bool]:
-        """As plain values; what is not known is left out."""
+        """Plain values; unknown ones are left out."""
         known = {name: value for name, value in vars(self).items() if value is not None}
         return {name: value for name, value in known.items() if not math.isnan(value)}
 
@@ -85,12 +88,12 @@ class Latency:
 
 
 def _ms(seconds: float) -> str:
-    """To a microsecond, and no zero below zero."""
+    """Milliseconds to three decimals, without a negative zero."""
     return f"{round(1e3 * seconds, 3) + 0.0:.3f}"
 
 
 def check_feeds(feeds: Sequence[float]) -> None:
-    """Raises InputError for pairs of passes at these feeds (mm/s) that nothing can be told from."""
+    """Raises InputError for pairs of passes at feeds (mm/s) that cannot separate latency from lost motion."""
     if len(feeds) < FEWEST_PAIRS or max(feeds) < SPREAD_OF_FEEDS * min(feeds):
         raise InputError(
             f"{len(feeds)} pairs of passes at {', '.join(f'{feed:g}' for feed in sorted(set(feeds)))} mm/s cannot tell a latency"
@@ -99,7 +102,8 @@ def check_feeds(feeds: Sequence[float]) -> None:
 
 
 def time_shift(records: Records) -> TimeShift:
-    """From rows in motion with the drive's own position (`motor_mm`), passes up and down over the same stretch at each feed.
+    """The delay from rows in motion with the drive's own position (`motor_mm`), passes up and down over the same
+    stretch at each feed.
 
     Raises InputError as `check_feeds`.
     """
@@ -111,7 +115,7 @@ def time_shift(records: Records) -> TimeShift:
     straight = None
     if len(set(feeds)) > 2 and len(half) > 3:
         bent, bend_std = _fit(np.column_stack([rows, feed**2]), half)
-        straight = bool(abs(bent[2]) <= float(student.ppf((1.0 + _SURE) / 2.0, len(half) - 3)) * bend_std[2])
+        straight = bool(abs(bent[2]) <= float(student.ppf((1.0 + _CONFIDENCE) / 2.0, len(half) - 3)) * bend_std[2])
     # positions in µm over feeds in mm/s; a reading that is late is behind
     return TimeShift(
         -float(line[1]) / UM_PER_MM, float(std[1]) / UM_PER_MM, len(half) - 2, -2.0 * float(line[0]), straight=straight
@@ -119,9 +123,10 @@ def time_shift(records: Records) -> TimeShift:
 
 
 def latency_at_edges(records: Records) -> Latency:
-    """From rows that were captured at edges: the latency from their delays, the table's lag from their positions.
+    """The latency from the delays of rows captured at edges, the table's lag from their positions.
 
-    Passes are what is counted: the rows of one share the doubt of its clock.
+    Each pass counts as one observation: its rows share the uncertainty of its clock. Raises InputError for fewer than
+    two passes, and as `check_feeds`.
     """
     delays = [float(np.mean(records[DELAY][chosen])) for chosen in _passes(records)]
     if len(delays) < 2:
@@ -130,7 +135,7 @@ def latency_at_edges(records: Records) -> Latency:
     lag = time_shift(records)
     return Latency(
         float(np.mean(delays)),
-        math.hypot(within_s, LOOKS_S),
+        math.hypot(within_s, ARRIVAL_TOLERANCE_S),
         at_edges=True,
         lag_s=lag.shift_s,
         lag_within_s=lag.within_s,
@@ -138,10 +143,10 @@ def latency_at_edges(records: Records) -> Latency:
     )
 
 
-def latency_by_passes(dated_by_s: float, left: TimeShift) -> Latency:
-    """Of rows that were dated by a latency already, and what of a shift was left in them."""
-    within_s = math.hypot(left.within_s, LOOKS_S)
-    return Latency(dated_by_s + left.shift_s, within_s, at_edges=False, straight=left.straight)
+def latency_by_passes(dated_by_s: float, remaining: TimeShift) -> Latency:
+    """The latency of rows that were dated by `dated_by_s`, corrected by the remaining shift."""
+    within_s = math.hypot(remaining.within_s, ARRIVAL_TOLERANCE_S)
+    return Latency(dated_by_s + remaining.shift_s, within_s, at_edges=False, straight=remaining.straight)
 
 
 def _passes(records: Records) -> list[Floats]:
@@ -151,7 +156,7 @@ def _passes(records: Records) -> list[Floats]:
 
 
 def _half_differences(records: Records) -> tuple[list[float], list[float]]:
-    """Feed of each pair of passes, and half of up minus down over what both cover, µm."""
+    """Feed of each pair of passes (mm/s), and half of up minus down over their common stretch, µm."""
     behind_um = (records.measured_mm - records["motor_mm"]) * UM_PER_MM
     feeds, halves = [], []
     for run, feed in dict.fromkeys(zip(records.run, records["velocity_mm_s"], strict=True)):
@@ -177,10 +182,10 @@ def _at(grid: Floats, place: Floats, value: Floats) -> Floats:
 
 
 def _fit(rows: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Least squares and the standard deviations of what it finds.
+    """Least squares; coefficients and their standard deviations.
 
-    The larger of two: as if all values were as good as each other, and by what each of them is off, weighed by how much it decides
-    (the passes at one feed may scatter more than at another).
+    Of two estimates the larger: with equal variance for all values, and with each value's own squared residual
+    (HC3, since the passes at one feed may scatter more than at another).
     """
     inverse = np.linalg.inv(rows.T @ rows)
     found = inverse @ rows.T @ values

@@ -1,13 +1,17 @@
-"""One position from many readings at rest: is it still moving, which readings are left out, what is their mean worth. Pure.
+"""One position from many readings at rest: outliers, mean and its uncertainty, and whether the axis still creeps. No
+I/O.
 
-Rules, stated so that a report can state them:
+The rules, in the words of a report:
 
-Outliers: a reading further than 6 · (1 + 8/n) robust standard deviations (1.4826 × the median distance from the median) from the
-median of the n is left out, from 10 readings on; a window of which more than a tenth (and more than two) would go is refused as a
-whole. Of normal readings one window in a thousand loses one.
-Uncertainty: the standard deviation of the mean is s/√n · √((1+ρ)/(1−ρ)), ρ the correlation of neighbouring readings where it is
-positive: readings taken faster than the air changes are not that many independent ones.
-At rest: the straight line through a window changes over it by no more than a tolerance, beyond twice its own uncertainty.
+Outliers: a reading further than 6 · (1 + 8/n) robust standard deviations (1.4826 × the median distance from the median)
+from the median of the n is left out, from 10 readings on; a window of which more than a tenth (and more than two) would
+be left out is refused as a whole. Of normal readings one window in a thousand loses one.
+
+Uncertainty: the standard deviation of the mean is s/√n · √((1+ρ)/(1−ρ)), ρ the correlation of neighbouring readings
+where it is positive: readings taken faster than the air changes are not that many independent ones.
+
+At rest: the straight line through a window changes over it by no more than a tolerance, beyond twice its own
+uncertainty.
 """
 
 from __future__ import annotations
@@ -23,15 +27,18 @@ from hil.records.rows import UM_PER_MM, Floats
 OUTLIER_STD, FEW = 6.0, 8.0
 """In few readings the median distance may be small by chance, so the limit is wider there."""
 RULE_FROM = 10
+"""Fewest readings to which the outlier rule applies."""
 LEFT_OUT_AT_MOST = 0.1
+"""Largest share of outliers in a window that is not refused."""
 RULE = "readings beyond 6 (1 + 8/n) robust standard deviations from the median of n are left out"
 
 
 @dataclass(frozen=True)
 class Average:
-    """What a window of readings comes to.
+    """The result of a window of readings.
 
-    std_um: of one reading; mean_std_um: of the mean, both NaN of a single reading; count: readings used; left_out: as outliers
+    std_um: of one reading; mean_std_um: of the mean, both NaN of a single reading; count: readings used; left_out:
+    outliers
     """
 
     position_mm: float
@@ -42,9 +49,9 @@ class Average:
 
 
 def average(position_mm: Floats) -> Average:
-    """Mean of readings at rest, shape (n,), in the order of time, n ≥ 1.
+    """Mean of readings at rest, mm, shape (n,), in the order of time, n ≥ 1.
 
-    Raises MeasurementLostError for a window of which too much would be left out: that is no outlier, but an unsteady signal.
+    Raises MeasurementLostError for a window with too many outliers: the signal is unsteady then.
     """
     kept = position_mm[~outliers(position_mm)]
     left_out = len(position_mm) - len(kept)
@@ -60,7 +67,7 @@ def average(position_mm: Floats) -> Average:
 def outliers(position_mm: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Which readings the rule leaves out, shape (n,).
 
-    Where more than half of them are the same number, as of a coarse display, the mean distance stands in for the median one.
+    Where more than half of them are the same number, as of a coarse display, the mean distance replaces the median one.
     """
     distance = np.abs(position_mm - np.median(position_mm))
     if len(position_mm) < RULE_FROM:
@@ -71,7 +78,7 @@ def outliers(position_mm: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.boo
 
 
 def _inflation(position_mm: Floats) -> float:
-    """By how much correlation of neighbours widens the variance of their mean, at least 1."""
+    """Factor by which correlation of neighbours widens the variance of their mean, at least 1."""
     deviation = position_mm - position_mm.mean()
     total = float(deviation @ deviation)
     n = len(position_mm)
@@ -84,18 +91,20 @@ def _inflation(position_mm: Floats) -> float:
 
 @dataclass(frozen=True)
 class Creep:
-    """How far the straight line through a window moves over it, and the standard deviation of that."""
+    """Change of the straight line over a window, and its standard deviation."""
 
     change_um: float
     std_um: float
 
     def within(self, tolerance_um: float) -> bool:
-        """At rest: nothing beyond the tolerance that two standard deviations would not explain."""
+        """At rest: the change is within the tolerance plus two standard deviations."""
         return abs(self.change_um) <= tolerance_um + 2.0 * self.std_um
 
 
 def creep(time_s: Floats, position_mm: Floats) -> Creep:
-    """Of readings at these times, both shape (n,). Of fewer than four, or all at one time, nothing is known: infinite uncertainty."""
+    """Of positions (mm) at times (s), both shape (n,). Fewer than four readings, or all at one time, give infinite
+    uncertainty.
+    """
     spread = time_s - time_s.mean() if len(time_s) else time_s
     if len(time_s) < 4 or not np.any(spread):
         return Creep(0.0, math.inf)

@@ -1,20 +1,25 @@
-"""How well the figures of ISO 230-2 are known: the contributions that ISO/TR 230-9 names for a linear axis, at k = 2. Pure.
+"""Uncertainty of the figures of ISO 230-2: the contributions that ISO/TR 230-9 names for a linear axis, at k = 2. No
+I/O.
 
-Each is an expanded uncertainty in µm over the measured length L in m. What is known only by its range R is as likely anywhere in it:
-U = 2·R/(2√3), which the standards write as 0.6·R.
+Each is an expanded uncertainty in µm over the measured length L in m. A quantity known only by its range R has a
+rectangular distribution: U = 2·R/(2√3), which the standards write as 0.6·R.
 
-    device        certificate: a + b·L                              misalignment  0.3·R²/L, R the lateral play of the beam in mm
-    temperature   0.6·α·L·R(θ), R(θ) of the temperature measured    expansion     0.6·ΔT·L·R(α), ΔT the distance from 20 °C
+    device        certificate: a + b·L                              misalignment  0.3·R²/L, R the lateral play of the
+    beam in mm
+    temperature   0.6·α·L·R(θ), R(θ) of the temperature measured    expansion     0.6·ΔT·L·R(α), ΔT the distance from 20
+    °C
     environment   0.6·E_VE, E_VE the range of a drift test over the time of a campaign
 
-The first four stretch all positions alike: they count once in a range over positions and not at all in a reversal or repeatability.
-The environment acts on each of the n approaches; it widens every standard deviation, so there it adds up and does not average out.
+The first four stretch all positions alike: they count once in a range over positions and not at all in a reversal or
+repeatability.
+The environment acts on each of the n approaches; it widens every standard deviation, so there it adds up and does not
+average out.
 With U_L² the sum of the first four squared, and u = U_EVE:
 
     E↑ E↓ E: √(U_L² + 2u²/n)      M: √(U_L² + u²/n)      B: √(2u²/n)      B̄: √(2u²/(n·m))
     R↑ R↓: 2u                     R: √(4u² + 2u²/n)      A↑ A↓ A: √(U_E² + 4u²)
 
-How the figures would scatter if the campaign were made again is not in it: they are those of the runs that were made.
+The figures are those of the runs that were made; how they would scatter in a repeated campaign is not included.
 """
 
 from __future__ import annotations
@@ -31,17 +36,19 @@ from hil.figures.iso230 import Iso230
 from hil.records.rows import Records
 
 RECTANGULAR = 1.0 / math.sqrt(3.0)
-"""Expanded uncertainty (k = 2) of what lies anywhere in a range of 1."""
+"""Expanded uncertainty (k = 2) of a rectangular distribution of range 1."""
 REFERENCE_C = 20.0
+"""Reference temperature, ISO 1."""
 
 
 @dataclass(frozen=True)
 class UncertaintyInputs:
     """What is known of the instrument and the room.
 
-    device_um, device_um_per_m: U = a + b·L of its certificate, k = 2; misalignment_mm: lateral range of the beam over the length;
-    temperature_range_c: R(θ); expansion_um_per_m_c: α of the machine's scale; expansion_range_um_per_m_c: R(α); deviation_c: largest
-    distance from 20 °C, None: that of the records; variation_um: E_VE
+    device_um, device_um_per_m: U = a + b·L of its certificate, k = 2; misalignment_mm: lateral range of the beam over
+    the length
+    temperature_range_c: R(θ); expansion_um_per_m_c: α of the machine's scale; expansion_range_um_per_m_c: R(α)
+    deviation_c: largest distance from 20 °C, None: that of the records; variation_um: E_VE
     """
 
     device_um: NotNegative = 0.0
@@ -56,7 +63,7 @@ class UncertaintyInputs:
 
 @dataclass(frozen=True)
 class Contribution:
-    """One of them. expanded_um: k = 2; how: the sentence that says where it comes from"""
+    """One contribution. expanded_um: k = 2; how: its source in one sentence."""
 
     name: str
     how: str
@@ -65,7 +72,9 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Budget:
-    """contributions: in the order of the formulas; figures_um: expanded, by name, of the figures that the campaign has."""
+    """contributions: in the order of the formulas; figures_um: expanded (k = 2), by name, of the figures that the
+    campaign has.
+    """
 
     length_mm: float
     contributions: tuple[Contribution, ...]
@@ -73,9 +82,9 @@ class Budget:
 
 
 def budget(inputs: UncertaintyInputs, figures: Iso230, records: Records) -> Budget:
-    """The budget of one campaign.
+    """The uncertainty budget of one campaign (ISO/TR 230-9).
 
-    Raises InputError where R(α) is given and neither the records nor the inputs say how far from 20 °C it was.
+    Raises InputError where R(α) is given and neither the records nor the inputs give the distance from 20 °C.
     """
     length_m = float(np.ptp(figures.target_mm)) / 1000.0
     stretch = _stretching(inputs, length_m, records)
@@ -128,7 +137,9 @@ def _stretching(inputs: UncertaintyInputs, length_m: float, records: Records) ->
 
 
 def farthest_from_reference_c(records: Records) -> float | None:
-    """Largest distance from 20 °C of any place's temperature, of the air's where no place has one; None without any."""
+    """Largest distance from 20 °C in the `temp_*_c` columns, or in the air's where there are none; None without any
+    temperature.
+    """
     places = [name for name in records.columns if name.startswith("temp_") and name.endswith("_c")] or ["air_temp_c"]
     values = [records[name][np.isfinite(records[name])] for name in places if name in records]
     deviations = [float(np.max(np.abs(value - REFERENCE_C))) for value in values if len(value)]
