@@ -203,7 +203,7 @@ class AxisSession:
             old = compensation is not None and stored is None
             self.zero.begin(self.drive, homes=self.how.home, campaign=campaign, tables=stored, old_tables=old)
         self.supervisor.enable()
-        stands = self.zero is not None and self.zero.stands
+        stands = self.zero is not None and self.zero.homing_would_lose_zero
         anew = self.zero is not None and self.zero.anew
         if self.how.home and not stands and (anew or self.axis.saw_fault or not self._keeps_home):
             self.steering.lose()

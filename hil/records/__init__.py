@@ -1,1 +1,3 @@
-"""Records: rows, the journal that keeps them as they come, the chain that proves them unchanged, the zero they were taken in."""
+"""Measurement records: rows, the journal that writes them as they are measured, the chain that proves them unchanged,
+and the axis's zero.
+"""

@@ -1,4 +1,4 @@
-"""`hil records`: what was measured and is kept: list, inspect, merge, export, and an axis's history with its trend."""
+"""`hil records`: list, inspect, merge and export measurement records, and an axis's history with its trend."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from hil.records.rows import read_csv, to_csv
 EXAMPLE = """\
 example:
   hil records list .                                    every campaign below this directory, by date
-  hil records inspect X-campaign/calibrate-003          what it was for, its passes, whether they are as they were left
+  hil records inspect X-campaign/calibrate-003          its purpose, its passes, whether they are unchanged
   hil records merge jan.csv feb.csv --out both.csv      runs numbered on, times by the dates of the passes
   hil records export X-campaign/verify-001/verify.csv --format iso-wide --out table.csv
   hil records history X-campaign --figure A --figure R --out history.html
@@ -43,16 +43,17 @@ Exit status 1: inspect found a pass that was changed, torn, or cannot be read.
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil records` with its jobs."""
     parser = subparsers.add_parser(
         "records",
-        description="Look after what was measured. Nothing that is there is changed.",
+        description="List, inspect, merge and export measurement records. No existing file is changed.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
     one = _job(jobs, "list", "every campaign below some directories, by date", _list)
     one.add_argument("places", metavar="DIRECTORY", nargs="+")
-    one = _job(jobs, "inspect", "one campaign: purpose, passes, whether they are as they were left", _inspect)
+    one = _job(jobs, "inspect", "one campaign: purpose, passes, whether they are unchanged", _inspect)
     one.add_argument("campaign", metavar="CAMPAIGN", help="its directory")
     one = _job(jobs, "merge", "record files as one, in the order of time", _merge)
     one.add_argument("records", metavar="RECORDS.csv", nargs="+")
@@ -72,7 +73,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     one.add_argument(
         "--pass", dest="passes", metavar="NAME", action="append", help="passes of this name (default: the most usual)"
     )
-    one.add_argument("--out", metavar="HISTORY.html", help="also write a page with the plot")
+    one.add_argument("--out", metavar="HISTORY.html", help="also write an HTML page with the plot")
     one.add_argument("--png", metavar="FILE", help="also write the plot")
 
 
@@ -135,7 +136,9 @@ def _inspect(args: argparse.Namespace) -> int:
 
 
 def _chain(campaign: FoundCampaign) -> tuple[str, bool | None]:
-    """What the chain says of the rows, and whether they are as they were written; None where there is no chain."""
+    """The result of checking the chain, in words, and whether the rows are as they were written; None without a
+    chain.
+    """
     try:
         found = check_rows(campaign.directory)
     except InputError as error:

@@ -1,7 +1,7 @@
-"""Writing a file whole or not at all.
+"""Files written completely or not at all, read with errors that name them, and locked against other processes.
 
-Every result that replaces an older one goes through `replace_file`: a reader, or a power cut, sees the old bytes or the new
-ones. Beside it, what makes errors about a file name that file, and holding one against other processes. No formats in here.
+Every result that replaces an older file goes through `replace_file`: a reader, or a power cut, sees the old bytes or
+the new ones. Independent of any format.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from drivers.errors import InputError
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """InputErrors raised inside that name no file name this one."""
+    """Adds this path to every InputError raised inside that names no file."""
     try:
         yield
     except InputError as error:
@@ -51,9 +51,9 @@ def read_text(path: str | Path) -> str:
 
 @contextmanager
 def held(path: str | Path, *, wait: bool = False) -> Iterator[None]:
-    """A file or directory that only one may work with at a time, until the block ends or the process dies.
+    """Locks a file or directory exclusively until the block ends or the process dies.
 
-    Raises InputError when it is held already, by another process or by this one; with `wait` it is waited for instead.
+    Raises InputError when it is locked already, by another process or by this one; with `wait` it waits instead.
     """
     try:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
@@ -71,9 +71,10 @@ def held(path: str | Path, *, wait: bool = False) -> Iterator[None]:
 
 @contextmanager
 def held_by_name(path: str | Path) -> Iterator[None]:
-    """A file that only one may work with at a time, also where it is replaced by another of its name meanwhile, as editors do.
+    """Locks a file exclusively, also against processes that replace it by another file of the same name, as editors do.
 
-    The name is held by a socket in Linux's abstract namespace, which leaves nothing behind; the file as well, as by `held`.
+    The name is locked by a socket in Linux's abstract namespace, which leaves no file behind; the file itself as by
+    `held`.
     Raises InputError as `held`.
     """
     with held(path), _held_word("file", os.fsencode(os.path.realpath(path)), path):
@@ -117,7 +118,7 @@ def replace_file(path: str | Path, data: bytes, *, mode: int | None = None) -> N
 
 
 def sync_directory(directory: Path) -> None:
-    """Make a new name, or a change of one, in a directory durable. Raises OSError."""
+    """Makes a new or changed name in a directory durable. Raises OSError."""
     handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

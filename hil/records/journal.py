@@ -1,11 +1,11 @@
 """The journal of a campaign: rows reach the disk as they are measured, and a restart finds every one of them.
 
-A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of `hil.records.rows`),
-written row by row and synced before the axis moves on; a half-written last line, left by a power cut, was never confirmed and is
-dropped. What the campaign was started for stands in `campaign.json`, written once; resuming with anything else is refused. Each line
-is chained to the one before it in `rows.chain` (`hil.records.row_chain`), and resuming refuses rows that are not as they were
-written. A pass says when it was begun, and when it is closed its checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil
-records inspect`.
+A campaign is a directory. Each measuring pass in it is a record file that only grows (`*.csv`, the format of
+`hil.records.rows`), written row by row and synced before the axis moves on. An incomplete last line, left by a power
+cut, was never confirmed and is dropped. The purpose of the campaign stands in `campaign.json`, written once; resuming
+with another purpose is refused. Each line is chained to the one before it in `rows.chain` (`hil.records.row_chain`),
+and resuming refuses rows that are not as they were written. A pass states when it was begun. When it is closed its
+checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`.
 """
 
 from __future__ import annotations
@@ -29,26 +29,27 @@ from hil.records.rows import Records, format_row, parse_csv
 
 CHECKSUMS = "SHA256SUMS"
 FINISHED = "finished"
-"""Name of the empty file in a campaign whose job came to its end: one without it can be gone on with."""
+"""Name of the empty file that marks a campaign whose job is complete; one without it can be resumed."""
 BEGUN = "begun "
-"""Of the comment line that says when a pass was begun."""
+"""Start of the comment line with the time at which a pass was begun."""
 CHAINED = ", rows chained"
-"""Ends that line where the campaign has a chain: one that is gone is then missed."""
+"""End of that line where the campaign has a chain: a chain that was deleted is noticed by it."""
 UNCHECKED = (
     f"its rows were measured before rows were chained ({CHAIN}): whether they are as they were written is not known"
 )
-"""Of a resumed campaign."""
+"""Warning of a resumed campaign without a chain."""
 MARKER = "campaign.json"
-"""What a campaign was started for."""
+"""Name of the file with a campaign's purpose."""
 
 
 class RowJournal:
     """One growing record file, open for appending by one process at a time."""
 
     def __init__(self, path: Path, names: Sequence[str], comment: str = "", chain: RowChain | None = None) -> None:
-        """Open; `names` is the header, `comment` stands above it and says what the rows belong to; chain: to which each line goes.
+        """Opens the file.
 
-        Raises InputError when the file was begun with another header or comment, holds a row that is none, cannot be
+        names: the header; comment: lines above it that state what the rows belong to; chain: receives each line
+        Raises InputError when the file was begun with another header or comment, holds an invalid row, cannot be
         written, or is open in another process.
         """
         self.path = path
@@ -74,7 +75,7 @@ class RowJournal:
             raise InputError("is being written by another process", path=self.path) from error
 
     def _recover(self) -> None:
-        """Count the rows; a last line without its end was torn by a crash and never confirmed, so it is cut off."""
+        """Counts the rows; an incomplete last line was left by a crash, never confirmed, and is cut off."""
         data = read_bytes(self.path)
         whole = data[: data.rfind(b"\n") + 1] if self._chain is None else self._chain.confirmed(self.path.name)
         if len(whole) < len(self._header) and self._header.startswith(whole):  # new, or killed before its first row
@@ -112,29 +113,33 @@ class RowJournal:
         return self._rows
 
     def records(self) -> Records | None:
-        """All rows, None while there are none."""
+        """All rows, None while there are none. Raises InputError for a file that cannot be read."""
         if not self._rows:
             return None
         return parse_csv(read_text(self.path), self.path)
 
     def append(self, row: Mapping[str, float]) -> None:
-        """Write one row; on return it is on disk.
+        """Writes one row; on return it is on disk.
 
-        Raises InputError, with the file as it was, for a row that could not be read back and when the disk does not take it.
+        Raises InputError, with the file as it was, for a row that could not be read back and when the disk does not
+        take it.
         """
         Records.of({name: [row[name]] for name in self.names})
         self._write((format_row(row, self.names) + "\n").encode())
         self._rows += 1
 
     def note(self, text: str) -> None:
-        """Write comment lines, such as that a measurement was resumed."""
+        """Writes comment lines, for example that a measurement was resumed. Raises InputError when they cannot be
+        written.
+        """
         for line in text.splitlines():  # one at a time: a crash leaves at most one that is not chained
             self._write(f"# {line}\n".encode())
 
     def _write(self, data: bytes, *, keep: int | None = None) -> None:
-        """Put data behind the first `keep` bytes (default: all there is), whole or not at all, flush it to the disk, and chain it.
+        """Writes data after the first `keep` bytes (default: all there is), completely or not at all, flushes it to the
+        disk, and chains it.
 
-        An interrupt on the way leaves what the next opening recovers from, and closes the file.
+        An interrupt during this leaves a file that the next opening recovers, and closes it.
         """
         end = os.fstat(self._fd).st_size if keep is None else keep
         try:
@@ -173,25 +178,26 @@ class RowJournal:
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A campaign that was broken off and can be gone on with. purpose: what it was started for"""
+    """A campaign that was interrupted and can be resumed. purpose: what it was started for"""
 
     directory: Path
     purpose: Mapping[str, Any]
 
 
 class Campaign:
-    """A campaign's directory."""
+    """The directory of one campaign: its purpose, its passes and their chain."""
 
     def __init__(self, directory: Path, purpose: Mapping[str, Any], *, resume: bool) -> None:
-        """Start a campaign, or resume one.
+        """Starts a campaign, or resumes one.
 
-        purpose: JSON-able; what decides which rows are to be measured (axis, plan, mode). A resumed campaign must have the same.
-        Raises InputError when the directory holds a campaign and `resume` is False, holds none and it is True, or holds another, and
-        naming the first line of a resumed one that is not as it was written.
+        purpose: JSON-able; decides which rows are to be measured (axis, plan, mode). A resumed campaign must have the
+        same.
+        Raises InputError when the directory holds a campaign and `resume` is False, holds none and it is True, or holds
+        another, and naming the first line of a resumed one that is not as it was written.
         """
         self.directory = directory
         self.resumed = resume
-        self.warning = ""  # for whoever resumed it
+        self.warning = ""  # what could not be checked when it was resumed
         marker = directory / MARKER
         text = json.dumps(purpose, indent=1, sort_keys=True, allow_nan=False)
         if resume:
@@ -212,10 +218,12 @@ class Campaign:
 
     @classmethod
     def numbered(cls, parent: Path, purpose: Mapping[str, Any], *, resume: bool) -> Campaign:
-        """The next of a series of campaigns below `parent` (calibrate-001, calibrate-002 …), or with `resume` the last one.
+        """The next of a series of campaigns below `parent` (calibrate-001, calibrate-002 …), or with `resume` the last
+        one.
 
-        One that was broken off before its first row, such as by a drive that did not answer, does not stand before the one
-        with rows. With nothing there to resume, the first is started: an interruption may have come before it.
+        A campaign interrupted before its first row, for example by a drive that did not answer, is passed over for the
+        last one with rows. With no campaign to resume, the first is started: the interruption may have come before it.
+        Raises InputError as the class does.
         """
         kind = str(purpose["kind"])
         begun = {
@@ -231,9 +239,11 @@ class Campaign:
 
     @contextmanager
     def rows(self, name: str, columns: Sequence[str], comment: str = "") -> Iterator[RowJournal]:
-        """The journal of one measuring pass, open for appending; closed, whatever ended it, its checksum is written.
+        """The journal of one measuring pass, open for appending. On leaving, also by an error, it is closed and its
+        checksum is written.
 
-        Raises InputError naming the first line that is not as it was written, also when it was changed while the pass was open.
+        Raises InputError naming the first line that is not as it was written, also when it was changed while the pass
+        was open.
         """
         path = self.directory / f"{name}.csv"
         try:
@@ -245,7 +255,7 @@ class Campaign:
                     journal.note(f"{BEGUN}{datetime.now().astimezone().isoformat(timespec='seconds')}{CHAINED}")
                 yield journal
         except BaseException:
-            with suppress(InputError):  # what ended the pass matters more
+            with suppress(InputError):  # the error that ended the pass is the one to report
                 self._write_checksum(path)
             raise
         self._write_checksum(path)
@@ -254,7 +264,7 @@ class Campaign:
         return RowChain(self.directory, read_bytes(self.directory / MARKER))
 
     def _write_checksum(self, path: Path) -> None:
-        """Of the confirmed lines: opening the chain anew has cut off what an interrupt left behind them."""
+        """The checksum of the confirmed lines: opening the chain has cut off what an interrupt left behind them."""
         with self._chain() as chain:
             confirmed = chain.confirmed(path.name)
         if not confirmed:
@@ -264,14 +274,14 @@ class Campaign:
         replace_file(self.directory / CHECKSUMS, text.encode())
 
     def finish(self) -> None:
-        """The job that this campaign was started for has come to its end."""
+        """Marks the campaign's job as complete. Raises InputError when that cannot be written."""
         replace_file(self.directory / FINISHED, b"")
 
     @staticmethod
     def unfinished(parent: Path, kind: str) -> Unfinished | None:
-        """The campaign of this kind that `numbered` would resume, if it has rows and its job did not come to its end.
+        """The campaign of this kind that `numbered` would resume, if it has rows and its job is not complete.
 
-        None, too, where what it was started for cannot be read: that one cannot be resumed.
+        None, too, where its purpose cannot be read: it cannot be resumed.
         """
         begun = [path.parent for path in parent.glob(f"{kind}-[0-9]*/{MARKER}")]
         with_rows = [
@@ -286,7 +296,7 @@ class Campaign:
             return None
 
     def columns(self, name: str) -> tuple[str, ...] | None:
-        """The columns of a pass that was begun, None for one that was not."""
+        """The columns of a pass that was begun, else None."""
         path = self.directory / f"{name}.csv"
         lines = _written_lines(path) if path.exists() else []
         header = next(filter(_is_data, lines), None)
@@ -298,7 +308,7 @@ class Campaign:
         return path.exists() and sum(map(_is_data, _written_lines(path))) > 1
 
     def last_time_s(self) -> float:
-        """The latest `time_s` of all rows measured so far, in any pass; 0.0 without rows."""
+        """The latest `time_s` of all rows of all passes, s; 0.0 without rows."""
         latest = 0.0
         for path in self.directory.glob("*.csv"):
             lines = _written_lines(path)
@@ -308,21 +318,25 @@ class Campaign:
         return latest
 
     def write(self, name: str, data: bytes) -> Path:
-        """Put a derived file beside the rows, as a whole."""
+        """Writes a derived file beside the rows, completely or not at all. Raises InputError when it cannot be
+        written.
+        """
         path = self.directory / name
         replace_file(path, data)
         return path
 
 
 def checksums(directory: Path) -> dict[str, str]:
-    """SHA-256 of each pass as it was when it was last closed, by file name; lines that say something else are passed over."""
+    """SHA-256 of each pass when it was last closed, by file name; lines of another form are ignored."""
     path = directory / CHECKSUMS
     lines = read_text(path).splitlines() if path.exists() else []
     return {match[2]: match[1] for line in lines if (match := re.fullmatch(r"([0-9a-f]{64})  ([^/]+)", line))}
 
 
 def _check_rows(directory: Path) -> str:
-    """Refuse rows that are not as they were written, with InputError naming file and line; what could not be checked, or ""."""
+    """Refuses rows that are not as they were written, with InputError naming file and line; returns a warning, or
+    "".
+    """
     origin, warning = read_bytes(directory / MARKER), ""
     check_resumable(directory)
     if not (directory / CHAIN).exists():
@@ -356,7 +370,7 @@ def _says_chained(path: Path) -> bool:
 
 
 def _check_closed(directory: Path) -> None:
-    """Refuse a pass that is not as it was closed, unless it only grew since."""
+    """Refuses a pass that changed since it was closed, other than by growing."""
     for name, digest in checksums(directory).items():
         path = directory / name
         if not path.exists() or not grew_from(digest, read_bytes(path)):
@@ -364,7 +378,7 @@ def _check_closed(directory: Path) -> None:
 
 
 def grew_from(digest: str, data: bytes) -> bool:
-    """Whether data begins with whole lines of this SHA-256: a pass that was closed, and perhaps gone on with."""
+    """Whether data begins with whole lines of this SHA-256: a pass that was closed, and perhaps continued."""
     found = hashlib.sha256()
     for line in data.splitlines(keepends=True):
         found.update(line)
@@ -374,7 +388,7 @@ def grew_from(digest: str, data: bytes) -> bool:
 
 
 def _written_lines(path: Path) -> list[str]:
-    """The lines of a journal, without one that was torn."""
+    """The complete lines of a journal."""
     data = read_bytes(path)
     return data[: data.rfind(b"\n") + 1].decode("utf-8", "replace").split("\n")
 
@@ -384,12 +398,14 @@ def _is_data(line: str) -> bool:
 
 
 def check_rows(directory: Path) -> Chained | None:
-    """Compare the rows of a campaign with its chain; None where it has none. Raises InputError naming the first line that differs."""
+    """Compares the rows of a campaign with its chain; None where it has none. Raises InputError naming the first line
+    that differs.
+    """
     return check_chain(directory, read_bytes(directory / MARKER))
 
 
 def read_purpose(directory: Path) -> dict[str, Any]:
-    """What the campaign in this directory was started for. Raises InputError where that cannot be read."""
+    """The purpose of the campaign in this directory. Raises InputError where it cannot be read."""
     marker = directory / MARKER
     try:
         purpose = json.loads(read_text(marker))
@@ -401,7 +417,7 @@ def read_purpose(directory: Path) -> dict[str, Any]:
 
 
 def _check_same(directory: Path, purpose: Mapping[str, Any]) -> None:
-    """InputError, naming what differs, unless the campaign was started for this."""
+    """Raises InputError, naming the differences, unless the campaign was started for this purpose."""
     started_for = read_purpose(directory)
     differences = list(_differences(started_for, purpose, ""))
     if differences:
@@ -414,7 +430,7 @@ def _check_same(directory: Path, purpose: Mapping[str, Any]) -> None:
 
 
 def _differences(was: Any, now: Any, name: str) -> Iterator[str]:
-    """`name was … and is …` for everything that is not the same, innermost names first."""
+    """`name was … and is …` for every difference, innermost names first."""
     if isinstance(was, dict) and isinstance(now, dict):
         for key in sorted({*was, *now}):
             yield from _differences(was.get(key), now.get(key), f"{name}.{key}" if name else key)

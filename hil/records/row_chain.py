@@ -1,12 +1,15 @@
-"""The chain of checksums beside a campaign's rows: what shows, before anything is built on them, that they are as they were written.
+"""The chain of checksums beside a campaign's rows: it shows, before they are used, that the rows are as they were
+written.
 
-`rows.chain` has one line for each line of the campaign's record files, in the order of writing: the SHA-256 of the line, its file's
-name and the checksum before it; the first is chained to what the campaign was started for. A line that was changed, inserted, deleted,
-moved, or brought from another campaign breaks it. It guards against mistakes, not against somebody who computes it anew.
+`rows.chain` has one line for each line of the campaign's record files, in the order of writing: the SHA-256 of the
+line, its file's name and the checksum before it; the first is chained to the campaign's purpose. A line that was
+changed, inserted, deleted, moved, or brought from another campaign breaks it. It guards against mistakes, not against
+an attacker who recomputes it.
 
-A row counts when both are on the disk: the row is synced first, then its line here. So a crash leaves at most the last row without
-its line. That row was never confirmed, the axis had not gone on: it is cut off, and measured again. A torn last line here is cut off
-too. Anything else was not left by a crash and is refused with its file and line.
+A row is confirmed when both are on the disk: the row is synced first, then its line here. So a crash leaves at most the
+last row without its line. That row was never confirmed and the axis had not moved on: it is cut off and measured again.
+An incomplete last line of the chain is cut off too. Any other difference was not caused by a crash and is refused with
+its file and line.
 """
 
 from __future__ import annotations
@@ -30,11 +33,12 @@ _ENTRY = re.compile(rb"([0-9a-f]{64}) ([^/\x00-\x1f]+\.csv)")
 
 @dataclass(frozen=True)
 class Chained:
-    """What a chain that its files agree with covers.
+    """What a chain covers that agrees with its files.
 
-    lines: chained lines of each record file, by its name; unconfirmed: whole lines behind them that a crash left, by name
+    lines: chained lines of each record file, by its name; unconfirmed: complete lines after them that a crash left, by
+    name
     latest: the name of the file that was written last
-    digest: the last checksum; size: bytes of `rows.chain` up to its last whole line
+    digest: the last checksum; size: bytes of `rows.chain` up to its last complete line
     """
 
     lines: Mapping[str, int]
@@ -45,9 +49,9 @@ class Chained:
 
 
 def check_chain(directory: Path, origin: bytes) -> Chained | None:
-    """Compare a campaign's record files with their chain; None where there is none. Reads only.
+    """Compares a campaign's record files with their chain; None where there is none. Reads only.
 
-    origin: the bytes of what the campaign was started for. Raises InputError naming the first line that is not as it was written.
+    origin: the bytes of the campaign's purpose. Raises InputError naming the first line that is not as it was written.
     """
     path = directory / CHAIN
     if not path.exists():
@@ -70,7 +74,7 @@ def check_chain(directory: Path, origin: bytes) -> Chained | None:
         digest = _link(digest, name, files[name][at])
         if digest.hex() != stated:
             raise InputError(
-                f"is not as it was written: it does not agree with line {number} of {CHAIN}; expected rows that nobody has"
+                f"is not as it was written: it does not agree with line {number} of {CHAIN}; expected rows that were not"
                 " changed, or a new campaign",
                 path=directory / name,
                 line=at + 1,
@@ -81,7 +85,9 @@ def check_chain(directory: Path, origin: bytes) -> Chained | None:
 
 
 def _entries(data: bytes, path: Path) -> list[tuple[str, str]] | None:
-    """Checksums and names; None where not even the first line was written. A last line that is none was torn."""
+    """Checksums and names; None where not even the first line was written. An invalid last line is incomplete and
+    ignored.
+    """
     whole = data.split(b"\n")[:-1]
     if not whole:
         return None
@@ -99,7 +105,7 @@ def _entries(data: bytes, path: Path) -> list[tuple[str, str]] | None:
 
 
 def _unconfirmed(directory: Path, lines: Mapping[str, int], latest: str) -> dict[str, int]:
-    """Whole lines without one in the chain: of the file written last one, or the header of a file without rows."""
+    """Complete lines that are not chained: one of the file written last, or the header of a file without rows."""
     found = {}
     for path in sorted(directory.glob("*.csv")):
         written = written_lines(path)
@@ -113,7 +119,7 @@ def _unconfirmed(directory: Path, lines: Mapping[str, int], latest: str) -> dict
 
 
 def written_lines(path: Path) -> list[bytes]:
-    """The lines of a record file with their ends, without one that was torn; none where there is no file."""
+    """The complete lines of a record file with their ends; none where there is no file."""
     return _split(read_bytes(path)) if path.exists() else []
 
 
@@ -135,7 +141,7 @@ def _link(digest: bytes, name: str, line: bytes) -> bytes:
 
 
 def adopt(directory: Path, origin: bytes) -> None:
-    """Begin a chain over the rows that are there: a campaign of before chains. What was changed until now stays unseen."""
+    """Starts a chain over existing rows of a campaign from before chains. Earlier changes of them stay undetected."""
     with held(directory):
         digest, text = _seed(origin), _FORMAT
         for path in sorted(directory.glob("*.csv"), key=lambda one: (one.stat().st_mtime_ns, one.name)):
@@ -148,8 +154,8 @@ def adopt(directory: Path, origin: bytes) -> None:
 class RowChain:
     """A campaign's chain, open for appending by one process at a time.
 
-    Opening compares all of it with the record files, and cuts off what a crash left unconfirmed of itself and of the file that was
-    written last. Raises InputError as `check_chain` does, and while another process has it open.
+    Opening compares all of it with the record files, and cuts off the unconfirmed lines that a crash left in it and in
+    the file that was written last. Raises InputError as `check_chain` does, and while another process has it open.
     """
 
     def __init__(self, directory: Path, origin: bytes) -> None:
@@ -199,7 +205,9 @@ class RowChain:
         return b"".join(written_lines(self._directory / name)[: self._lines.get(name, 0)])
 
     def add(self, name: str, data: bytes) -> None:
-        """Chain lines that are on the disk as the last ones of a record file; on return the chain is too. Raises OSError."""
+        """Chains lines that are on the disk as the last ones of a record file; on return the chain is too. Raises
+        OSError.
+        """
         digest, text, lines = self._digest, b"", _split(data)
         for line in lines:
             digest = _link(digest, name, line)

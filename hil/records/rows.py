@@ -1,8 +1,9 @@
 """Measurement records: one row per captured position, in the order of time.
 
-The columns are those of the file format (README, "Records"): `run`, `direction`, `target_mm` and `measured_mm` are required, the
-named optional ones are known, any other column is kept as a candidate regressor. All columns are float64 arrays of one length,
-read-only; a cell left empty (or `nan`) is NaN and allowed in optional columns only. An empty `command_mm` means the target.
+The columns are those of the file format (README, "Records"): `run`, `direction`, `target_mm` and `measured_mm` are
+required, the named optional ones are known, any other column is kept as a candidate regressor. All columns are float64
+arrays of one length, read-only; an empty cell (or `nan`) is NaN and allowed in optional columns only. An empty
+`command_mm` means the target.
 
 Signs: error = measured - target; error of the uncorrected machine = measured - command.
 """
@@ -43,7 +44,7 @@ OPTIONAL = (
 UM_PER_MM = 1000.0
 
 LARGEST = 1e30
-"""No column holds anything larger (time in ns since 1970 is 2e18); beyond it the squares of a fit would overflow."""
+"""Largest value of any column (time in ns since 1970 is 2e18); the squares of larger ones would overflow in a fit."""
 
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _SHOWN = 40  # characters of a bad cell that an error quotes
@@ -51,13 +52,17 @@ _SHOWN = 40  # characters of a bad cell that an error quotes
 
 @dataclass(frozen=True)
 class Records:
-    """Rows of one or more runs. Build with `Records.of`, `read_csv` or `concatenate`; never mutated."""
+    """Rows of one or more runs, one float64 array of shape (n,) per column. Build with `Records.of`, `read_csv` or
+    `concatenate`; never mutated.
+    """
 
     columns: Mapping[str, Floats]
 
     @classmethod
     def of(cls, columns: Mapping[str, Iterable[float]]) -> Records:
-        """Check and freeze columns given by name. Raises InputError on missing or ragged columns or bad required values."""
+        """Checks and freezes columns given by name, each shape (n,). Raises InputError on missing or ragged columns or
+        bad required values.
+        """
         frozen: dict[str, Floats] = {}
         for name, values in columns.items():
             frozen[_column_name(name)] = _column(name, values)
@@ -87,6 +92,7 @@ class Records:
 
     @property
     def run(self) -> Floats:
+        """Run numbers, shape (n,)."""
         return self.columns["run"]
 
     @property
@@ -96,15 +102,17 @@ class Records:
 
     @property
     def target_mm(self) -> Floats:
+        """Targets, mm, shape (n,)."""
         return self.columns["target_mm"]
 
     @property
     def measured_mm(self) -> Floats:
+        """Positions by the instrument, mm, shape (n,)."""
         return self.columns["measured_mm"]
 
     @property
     def command_mm(self) -> Floats:
-        """What the drive was told, in mm; the target where nothing else is said (no column, or an empty cell)."""
+        """Commanded positions, mm, shape (n,); the target where there is no other (no column, or an empty cell)."""
         command = self.columns.get("command_mm")
         return self.target_mm if command is None else np.where(np.isnan(command), self.target_mm, command)
 
@@ -132,7 +140,7 @@ class Records:
         return self.where(np.isin(self.run, list(runs)))
 
     def with_column(self, name: str, values: Floats) -> Records:
-        """A copy with one column added or replaced."""
+        """A copy with one column, shape (n,), added or replaced. Raises InputError as `of`."""
         return Records.of({**self.columns, name: values})
 
 
@@ -157,7 +165,9 @@ def _column(name: str, values: Iterable[float]) -> Floats:
 
 
 def concatenate(parts: Iterable[Records]) -> Records:
-    """Rows one after the other; a column that a part lacks is NaN there (`command_mm` falls back to the target)."""
+    """Rows one after the other; a column that a part lacks is NaN there (`command_mm` falls back to the target). Raises
+    InputError as `Records.of`.
+    """
     parts = list(parts)
     names = list(dict.fromkeys(name for part in parts for name in part.columns))
     columns: dict[str, Floats] = {}
@@ -175,12 +185,12 @@ def concatenate(parts: Iterable[Records]) -> Records:
 
 
 def read_csv(path: str | Path) -> Records:
-    """Read a record file. Raises InputError with file and line for anything that is not a clean row."""
+    """Reads a record file. Raises InputError with file and line for an invalid row or header."""
     return parse_csv(read_text(path), path)
 
 
 def parse_csv(text: str, path: str | Path = "records") -> Records:
-    """Parse the text of a record file; `path` only names it in errors."""
+    """Parses the text of a record file; `path` only names it in errors. Raises InputError as `read_csv`."""
     header: list[str] | None = None
     rows: list[list[float]] = []
     for number, line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
@@ -238,7 +248,7 @@ def _parse_row(cells: list[str], header: list[str], path: str | Path, line: int)
 
 
 def parse_number(cell: str) -> float | None:
-    """The number a cell holds, None for anything else; Python's own `1_000` and foreign digits are not numbers of a file."""
+    """The number in a cell, None for anything else; Python's own `1_000` and non-ASCII digits are not accepted."""
     if not cell.isascii() or "_" in cell:
         return None
     try:
@@ -248,12 +258,12 @@ def parse_number(cell: str) -> float | None:
 
 
 def shown(cell: str) -> str:
-    """A wrong cell as an error quotes it: not all of it when it is long."""
+    """A wrong cell for an error text, shortened when it is long."""
     return repr(cell) if len(cell) <= _SHOWN else repr(cell[:_SHOWN] + "…")
 
 
 def format_row(values: Mapping[str, float], names: Iterable[str]) -> str:
-    """One CSV line without its line end; floats so that they read back the same, NaN as an empty cell."""
+    """One CSV line without its line end; floats read back to the same value, NaN is an empty cell."""
     return ",".join(_format_cell(name, values[name]) for name in names)
 
 

@@ -1,9 +1,10 @@
-"""The zero of an axis: what ties its positions to the machine, kept on disk, and whether it still stands.
+"""The zero of an axis: what ties its positions to the machine, kept on disk, and checked before the axis is used.
 
-An axis's zero is made by its first homing and kept beside its campaigns, in `<axis>.zero.json`; each campaign keeps a copy in
-`zero.json`, sealed tables carry it in their header. Whoever measures or corrects in it later is held against it: before anything moves
-by what the drive says (who it is, how it homes, whether it has kept its zero), and at the reference position by what the instrument
-reads there. What is another zero, or can no longer be shown to be the same, is refused. Why so: hil/decisions/0018.
+An axis's zero is made by its first homing and kept beside its campaigns, in `<axis>.zero.json`; each campaign keeps a
+copy in `zero.json`, sealed tables carry it in their header. Every later measurement or correction is checked against
+it: before any motion by the drive's answers (its identity, how it homes, whether it has kept its zero), and at the
+reference position by the instrument's reading. Another zero, or one that cannot be shown to be the same, is refused.
+Reasons: hil/decisions/0018.
 """
 
 from __future__ import annotations
@@ -21,31 +22,35 @@ from drivers.errors import InputError, StateError
 from hil.records.files import read_text, replace_file
 
 FILE = "zero.json"
-"""A campaign's copy of the zero that its rows were measured in."""
-FROM_WHERE_IT_STANDS = frozenset({33, 34, 35, 37})
-"""Homing methods of 6098h without a switch: 35 and 37 take the place where the axis stands, 33 and 34 the index pulse beside it, which
-is off by whole turns of the motor."""
+"""A campaign's copy of the zero in which its rows were measured."""
+POSITION_DEPENDENT_METHODS = frozenset({33, 34, 35, 37})
+"""Homing methods of CiA 402 (6098h) without a switch. 35 and 37 take the present position, 33 and 34 the nearest index
+pulse, whose place differs by whole turns of the motor.
+"""
 REFERENCE_WITHIN_UM = 100.0
-"""How far the instrument may find the reference position from where it was. An ordinary switch returns within 20 µm, half a metre of
-steel grows by 58 µm in 10 K. An index pulse that was missed, the least of the mistakes looked for, is a turn of the motor: mm."""
+"""Tolerance of the reference position, µm. An ordinary switch repeats within 20 µm; half a metre of steel grows by 58
+µm in 10 K. The smallest mistake to be found, a missed index pulse, is one turn of the motor: mm.
+"""
 _SAME_MM = 1e-6  # home positions: less than any encoder's count
-_FEWEST = 0.5
-"""Share of the samples due since, by the instrument's present rate, that it must have counted to have run on. One that was switched
-off has counted since then only; readings that a full line dropped are far fewer."""
+_LEAST_COUNTED_SHARE = 0.5
+"""Share of the samples due since the last reading, at the instrument's present rate, that an instrument must have
+counted if it ran on. One that was switched off has counted only since then; readings dropped on a busy line are far
+fewer.
+"""
 _SLACK_S = 5.0
-"""Between a sample and the time that is noted for it."""
+"""Tolerance between a sample and the time noted for it, s."""
 
 
 class ZeroError(StateError):
-    """The axis is not in the zero that was expected, or nothing shows that it is."""
+    """The axis is not in the expected zero, or this cannot be shown."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What was read at the reference position.
+    """The readings at the reference position.
 
-    motor_mm: the drive's position there; instrument_mm: the reading, in the instrument's own frame; sequence: the instrument's own
-    number of its sample, None where it gives none; time: ISO 8601 in UTC
+    motor_mm: the drive's position there; instrument_mm: the reading, in the instrument's own frame; sequence: the
+    instrument's own number of its sample, None where it gives none; time: ISO 8601 in UTC
     """
 
     motor_mm: float
@@ -55,14 +60,16 @@ class Reference:
     time: str
 
     @property
-    def apart_mm(self) -> float:
-        """Of the instrument's frame from the drive's."""
+    def offset_mm(self) -> float:
+        """Offset of the instrument's frame from the drive's, mm."""
         return self.instrument_mm - self.motor_mm
 
 
 @dataclass(frozen=True)
 class Zero:
-    """One zero of one axis. drive: who made it; homes: by its own homing, with method and home position (load mm); made: in UTC."""
+    """One zero of one axis. drive: identity of the drive that made it; homes: by its own homing, with method and home
+    position (load mm); made: in UTC.
+    """
 
     id: str
     axis: str
@@ -74,18 +81,19 @@ class Zero:
     reference: Reference | None = None
 
     def to_json(self) -> dict[str, Any]:
+        """The form of a zero file."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, form: Any) -> Zero:
-        """Raises ValueError for anything that `to_json` did not give."""
+        """Reads what `to_json` gave. Raises ValueError for anything else."""
         try:
             values = dict(form)
             reference = values.pop("reference")
             zero = cls(**values, reference=None if reference is None else Reference(**reference))
             if zero.reference is not None:
                 datetime.fromisoformat(zero.reference.time)
-                float(zero.reference.apart_mm)
+                float(zero.reference.offset_mm)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError("no zero of an axis") from error
         if not (isinstance(zero.id, str) and isinstance(zero.axis, str) and isinstance(zero.drive, Mapping)):
@@ -93,11 +101,12 @@ class Zero:
         return zero
 
     def describe(self) -> str:
+        """One phrase for messages: id, date and homing."""
         return f"{self.id[:8]} of {self.made[:10]}, {describe_homing(self.homes, self.method, self.home_position_mm)}"
 
 
 def describe_homing(homes: bool, method: int | None, home_position_mm: float | None) -> str:
-    """In a few words."""
+    """The homing in a few words."""
     if not homes:
         return "not homed"
     named = "homed by the drive's own method" if method is None else f"homing method {method}"
@@ -105,7 +114,7 @@ def describe_homing(homes: bool, method: int | None, home_position_mm: float | N
 
 
 def read_zero(path: Path) -> Zero | None:
-    """None where there is no such file. Raises InputError for one that cannot be read."""
+    """The zero in a file, None where there is no such file. Raises InputError for one that cannot be read."""
     if not path.exists():
         return None
     try:
@@ -115,17 +124,18 @@ def read_zero(path: Path) -> Zero | None:
 
 
 def write_zero(path: Path, zero: Zero) -> None:
+    """Writes the zero, completely or not at all. Raises InputError when it cannot be written."""
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, (json.dumps(zero.to_json(), indent=1, allow_nan=False) + "\n").encode())
 
 
 def homing_risk(homes: bool, method: int | None) -> str | None:
-    """What there is to say against an axis's homing; None for nothing."""
+    """The risk of an axis's homing method to its zero, as one clause; None for no risk."""
     if not homes:
         return None
     if method is None:
         return "the drive does not say how it homes; a method that takes the place where the axis stands would lose its zero"
-    if method in FROM_WHERE_IT_STANDS:
+    if method in POSITION_DEPENDENT_METHODS:
         where = (
             "the place where the axis stands" if method in (35, 37) else "the index pulse beside where the axis stands"
         )
@@ -139,7 +149,7 @@ def homing_risk(homes: bool, method: int | None) -> str | None:
 
 def what_shows_it(zero: Zero, *, absolute_encoder: bool) -> str | None:
     """What a later connection needs for going on in this zero; None where homing to a switch gives it back."""
-    if absolute_encoder or (zero.homes and zero.method not in FROM_WHERE_IT_STANDS):
+    if absolute_encoder or (zero.homes and zero.method not in POSITION_DEPENDENT_METHODS):
         return None
     if not zero.homes:
         return "the axis is not homed: the instrument has to run on until then"
@@ -150,11 +160,12 @@ def what_shows_it(zero: Zero, *, absolute_encoder: bool) -> str | None:
 
 
 class ZeroKeeper:
-    """Holds one connected axis against its zero. Without a file of the zero the axis is a fresh one, and gets it.
+    """Checks one connected axis against its zero. An axis without a zero file is new: its zero is written there.
 
-    path: of the axis's zero; absolute_encoder: the drive knows its position without homing, also after its power was off;
-    instrument: its kind. anew: the next homing makes a new zero; instrument_zeroed: a person says that the instrument does not count
-    from where it did.
+    path: of the axis's zero; within_um: tolerance at the reference position; absolute_encoder: the drive knows its
+    position without homing, also after its power was off; instrument: its kind
+    anew: the next homing makes a new zero; instrument_zeroed: the operator states that the instrument's origin has
+    changed
     """
 
     def __init__(
@@ -171,7 +182,7 @@ class ZeroKeeper:
         self.axis = axis
         self.anew = False
         self.instrument_zeroed = False
-        self.stands = False
+        self.homing_would_lose_zero = False
         """Found by `begin`: the axis has its zero, and a homing would lose it."""
         self.current: Zero | None = None
         """What the axis is in, since `begin`."""
@@ -186,7 +197,7 @@ class ZeroKeeper:
         self._begun = ""
 
     def guard(self, drive: ServoDrive) -> None:
-        """From now on the drive homes only where that loses no zero, whoever asks it to."""
+        """Makes the drive refuse, for every caller, a homing that would lose the zero."""
         drive.before_homing = lambda: self._before_homing(drive)
 
     # -- before anything moves -----------------------------------------------------------------------------------------------
@@ -199,15 +210,16 @@ class ZeroKeeper:
         tables: Zero | None = None,
         old_tables: bool = False,
     ) -> None:
-        """Hold drive, campaign and tables against the axis's zero. Raises ZeroError; nothing has moved.
+        """Checks drive, campaign and tables against the axis's zero. Raises ZeroError; nothing has moved.
 
-        campaign: its folder; tables: the zero that what is to be put into force was made in; old_tables: that states none.
+        campaign: its folder; tables: the zero in which the tables to be put into force were made; old_tables: those
+        tables state no zero
         """
-        self._campaign, self._allowed, self.stands, self._begun = campaign, False, False, _now()
+        self._campaign, self._allowed, self.homing_would_lose_zero, self._begun = campaign, False, False, _now()
         rows = None if campaign is None else read_zero(campaign / FILE)
         known = self.kept(rows, tables)
         now = drive.zero()
-        place = homes and now.method in FROM_WHERE_IT_STANDS
+        place = homes and now.method in POSITION_DEPENDENT_METHODS
         asks = not self.anew and (place or (not homes and known is not None))
         absolute = asks and self._absolute and known is not None
         self._says_homed = asks and not absolute and drive.says_homed() is True
@@ -216,15 +228,17 @@ class ZeroKeeper:
             self._check_same(known, now, homes=homes, homed=homed)
         if place and not homed and not self.anew and (known is not None or old_tables or self._was_measured()):
             raise ZeroError(self._refused(now.method, known))
-        self.stands = place and homed
+        self.homing_would_lose_zero = place and homed
         self._tied = absolute or (homes and not place)
-        self._allowed = homes and not self.stands
+        self._allowed = homes and not self.homing_would_lose_zero
         self.current = known or Zero(
             secrets.token_hex(16), self.axis, _now(), dict(now.identity), homes, now.method, now.home_position_mm
         )
 
     def kept(self, rows: Zero | None = None, tables: Zero | None = None) -> Zero | None:
-        """The axis's zero, after `rows` of a campaign and `tables` were found to be in it. Raises ZeroError where they are not."""
+        """The axis's zero, after checking that `rows` of a campaign and `tables` are in it. Raises ZeroError where they
+        are not.
+        """
         known = None if self.anew else read_zero(self.path) or rows or tables
         for what, zero in (("the campaign's rows were measured", rows), ("the tables were made", tables)):
             if zero is not None and (known is None or zero.id != known.id):
@@ -236,7 +250,7 @@ class ZeroKeeper:
         return known
 
     def check_tables(self, tables: Zero | None) -> None:
-        """Raise ZeroError for tables that were made in another zero than the axis has."""
+        """Raises ZeroError for tables that were made in another zero than the axis has."""
         if tables is not None and self.current is not None and tables.id != self.current.id:
             self.kept(tables=tables)
 
@@ -244,7 +258,7 @@ class ZeroKeeper:
         if dict(known.drive) != dict(now.identity):
             raise ZeroError(
                 f"axis {self.axis}: its zero ({known.describe()}) was made with drive {_named(known.drive)}, this one is"
-                f" {_named(now.identity)}{self._way_out}"
+                f" {_named(now.identity)}{self._new_zero_hint}"
             )
         if not homes or homed:
             return
@@ -253,7 +267,7 @@ class ZeroKeeper:
         if not known.homes or known.method != now.method or moved:
             raise ZeroError(
                 f"axis {self.axis}: its zero is {known.describe()}, the drive would home by"
-                f" {describe_homing(homes, now.method, is_)}{self._way_out}"
+                f" {describe_homing(homes, now.method, is_)}{self._new_zero_hint}"
             )
 
     def _refused(self, method: int | None, known: Zero | None) -> str:
@@ -265,7 +279,7 @@ class ZeroKeeper:
         )
 
     @property
-    def _drives_word(self) -> str:
+    def _drive_statement(self) -> str:
         if not self._says_homed:
             return "does not say that it has kept its zero"
         return (
@@ -274,7 +288,7 @@ class ZeroKeeper:
         )
 
     @property
-    def _way_out(self) -> str:
+    def _new_zero_hint(self) -> str:
         return f"; to begin anew: hil calibrate {self._file} --new-zero"
 
     def _was_measured(self) -> bool:
@@ -289,10 +303,10 @@ class ZeroKeeper:
         return False
 
     def _before_homing(self, drive: ServoDrive) -> None:
-        """By any caller; one that did not begin here homes an axis by itself."""
+        """Called before every homing; a caller that did not call `begin` homes an axis alone."""
         if not self._allowed:
             self.begin(drive, homes=True)
-            if self.stands and (self.path.exists() or self._was_measured()):
+            if self.homing_would_lose_zero and (self.path.exists() or self._was_measured()):
                 method = None if self.current is None else self.current.method
                 raise ZeroError(self._refused(method, self.current))
         self._allowed = False
@@ -301,10 +315,11 @@ class ZeroKeeper:
 
     # -- at the reference position ------------------------------------------------------------------------------------------
     def at_reference(self, motor_mm: float, instrument_mm: float, sequence: int | None, rate_hz: float | None) -> None:
-        """Hold a reading at the reference position against the one of before, or keep it where there is none, or where the instrument
-        counts from another place now. Raises ZeroError; nothing has been measured.
+        """Checks a reading at the reference position against the earlier one, or stores it where there is none or the
+        instrument's origin has changed.
 
         sequence: of a sample taken when `begin` was called; rate_hz: of the instrument's samples
+        Raises ZeroError; nothing has been measured.
         """
         current = self.current
         if current is None:
@@ -314,7 +329,7 @@ class ZeroKeeper:
         before = None if self.anew else current.reference
         counts_on = before is not None and self._counts_on(before, found, rate_hz)
         if before is not None and counts_on and not self.instrument_zeroed:
-            off_um = 1000.0 * (found.apart_mm - before.apart_mm)
+            off_um = 1000.0 * (found.offset_mm - before.offset_mm)
             if abs(off_um) > self._within_um:
                 raise ZeroError(
                     f"axis {self.axis}: the instrument finds the reference position {off_um / 1000.0:+.4f} mm from where it was on"
@@ -325,8 +340,8 @@ class ZeroKeeper:
         elif before is not None and not self._tied and not (self._says_homed and self.instrument_zeroed):
             raise ZeroError(
                 f"axis {self.axis}: the instrument counts from another place than on {before.time[:16]}, the axis is not homed to a"
-                f" switch, and its drive {self._drives_word}: nothing shows that it is the same ([axis] absolute_encoder = true where"
-                f" the drive keeps it){self._way_out}"
+                f" switch, and its drive {self._drive_statement}: nothing shows that it is the same ([axis] absolute_encoder = true where"
+                f" the drive keeps it){self._new_zero_hint}"
             )
         self.current = replace(current, reference=found)
         write_zero(self.path, self.current)
@@ -335,21 +350,21 @@ class ZeroKeeper:
         self.anew = self.instrument_zeroed = False
 
     def instrument_lost(self, motor_mm: float, instrument_mm: float) -> None:
-        """The signal was away while the axis kept its zero: from now on the instrument counts from where this was read."""
+        """The signal was lost while the axis kept its zero: the instrument's origin is now that of this reading, mm."""
         if self.current is not None and self.current.reference is not None:
             reference = replace(self.current.reference, motor_mm=motor_mm, instrument_mm=instrument_mm, time=_now())
             self.current = replace(self.current, reference=reference)
             write_zero(self.path, self.current)
 
     def _counts_on(self, before: Reference, found: Reference, rate_hz: float | None) -> bool:
-        """Whether the instrument has run on since; one that numbers no samples is taken to have."""
+        """Whether the instrument has run on since; one that does not number its samples is assumed to have."""
         if before.instrument != found.instrument:
             return False
         if before.sequence is None or found.sequence is None:
             return True
         counted = found.sequence - before.sequence
         passed_s = (datetime.fromisoformat(found.time) - datetime.fromisoformat(before.time)).total_seconds()
-        return counted >= 0 and (rate_hz is None or counted >= rate_hz * (_FEWEST * passed_s - _SLACK_S))
+        return counted >= 0 and (rate_hz is None or counted >= rate_hz * (_LEAST_COUNTED_SHARE * passed_s - _SLACK_S))
 
 
 def _now() -> str:

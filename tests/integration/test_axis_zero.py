@@ -491,7 +491,7 @@ def test_a_beam_that_comes_back_within_a_job_gives_the_instrument_a_new_zero(sit
     zero = read_zero(here.axis.zero_path)
     assert zero is not None
     assert zero.reference is not None
-    assert abs(zero.reference.apart_mm) > 1.0  # what the counter missed
+    assert abs(zero.reference.offset_mm) > 1.0  # what the counter missed
     with here.machine() as machine:
         run_verification(machine, here.store().load())
 
