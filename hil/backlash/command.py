@@ -1,4 +1,4 @@
-"""`hil backlash`: system B, lost motion from the servo's torque."""
+"""`hil backlash`: lost motion from the servo's torque (system B)."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ example:
   hil backlash X.toml --restore                     put back what an interrupted measurement could not
 
 The [backlash] section of the axis file says where, in which steps, and which parameters (hil/examples/backlash_axis.toml). No position
-sensor is needed: the motor's torque shows when the table breaks away. Every reading is kept in the axis's folder, also of what was
-interrupted. Exit status 1: no break-away within the allowed steps (detection limit exceeded); everything was put back.
+sensor is needed: the motor's torque shows when the table breaks away. Every reading is kept in the axis's folder, also those of an
+interrupted run. Exit status 1: no break-away within the allowed steps (detection limit exceeded); everything was put back.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil backlash`."""
     parser = subparsers.add_parser(
         "backlash",
         description="Reverse, step until the table breaks away, and read the lost motion from the motor's torque, both ways.",
@@ -40,13 +41,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_axis_arguments(parser)
-    parser.add_argument("--runs", type=_count, help="how often both ways (default: the axis file's)")
-    parser.add_argument("--method", choices=METHODS, help="which estimate counts (default: the axis file's)")
+    parser.add_argument("--runs", type=_count, help="measurements of both reversals (default: the axis file's)")
+    parser.add_argument("--method", choices=METHODS, help="the estimate that is used (default: the axis file's)")
     parser.add_argument(
         "--write", action="store_true", help="write the mean to the backlash parameter, and read it back"
     )
     parser.add_argument(
-        "--restore", action="store_true", help="measure nothing; put back what an earlier run left changed"
+        "--restore",
+        action="store_true",
+        help="measure nothing; restore the parameters that an interrupted run left changed",
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     parser.set_defaults(run=run)
@@ -59,7 +62,7 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: measured; 1: detection limit exceeded."""
+    """Returns 0: measured; 1: detection limit exceeded. Raises what `measure_backlash` raises."""
     axis = load_drive_axis(args.axis)
     how = backlash_config(axis, runs=args.runs, method=args.method)
     if args.dry_run:

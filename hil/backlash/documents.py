@@ -1,4 +1,4 @@
-"""What a measurement of lost motion by torque came to: in words, as a report, and as plain values."""
+"""The result of a measurement of lost motion by torque: sentences, report, and plain values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.backlash.result import NAMES, fitted_lost_motion, mean_um, reversal_jso
 
 
 def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
-    """The parameters before and now."""
+    """The drive's parameters before and now, as label -> text."""
     before = result.found.values
     lines = {f"{name}, before": f"{value:g}" for name, value in before.items()}
     lines[f"1 of {settings.amount.name}"] = f"{settings.amount_um:g} µm"
@@ -28,7 +28,7 @@ def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
 
 
 def verdict(result: TorqueBacklash) -> str:
-    """The sentence for a measurement without a value, empty for one with."""
+    """The sentence for a measurement without a value, empty for one with a value."""
     exceeded = result.exceeded
     if exceeded is None:
         return ""
@@ -46,7 +46,7 @@ def verdict(result: TorqueBacklash) -> str:
 
 
 def report_html(axis: DriveAxis, measured: MeasuredBacklash) -> str:
-    """The report as a page."""
+    """The report as an HTML page."""
     from hil.backlash.report import BacklashReport, render_backlash  # noqa: PLC0415  (plots are slow to import)
 
     how, result = measured.how, measured.result
@@ -63,7 +63,7 @@ def report_html(axis: DriveAxis, measured: MeasuredBacklash) -> str:
 
 
 def form(axis: DriveAxis, measured: MeasuredBacklash) -> dict[str, Any]:
-    """The machine-readable result."""
+    """The machine-readable result; lengths in µm."""
     result, method = measured.result, measured.how.method
     found = fitted_lost_motion(result.reversals)
     return {

@@ -1,12 +1,15 @@
-"""Lost motion from the whole wind-up, with its uncertainty: where the rising flank would meet the level of sliding.
+"""Lost motion from the whole wind-up, with its uncertainty: where the rising flank of torque would meet the sliding
+level.
 
-While the table sticks, motor travel goes into wind-up alone, so the torque is a curve of the wind-up. When it has risen as far as it
-takes to slide, what the motor has travelled since the reversal is the wind-up released and built up again, and that is the lost motion
-which the table shows from then on. The break-away lies above: static friction takes the torque, and its peak, further than sliding
-needs. So the peak itself is not looked for. The upper half of the flank is fitted by a parabola, the level of sliding is what longer
-ways beyond the peak leave behind (or, without them, the mean of the steps there), and the two are brought to meet.
+While the table sticks, motor travel winds up the drive train only, so the torque is a curve of the wind-up. When it has
+risen to the level of sliding, the motor's travel since the reversal is the wind-up released and built up again, and
+that is the lost motion of the table from then on. The break-away lies above: static friction drives the torque, and its
+peak, further than sliding needs. So the peak itself is not used. The upper half of the flank is fitted by a parabola.
+The sliding level is the torque after longer moves beyond the peak (or, without them, the mean of the steps there). The
+lost motion is where the two meet.
 
-What torque cannot show: how far the guideway gives before it slides, which looks like more wind-up. `HIDDEN_SHARE` stands for it.
+Torque cannot show how far the guideway deflects before it slides, which looks like more wind-up. `HIDDEN_SHARE`
+accounts for it.
 """
 
 from __future__ import annotations
@@ -21,22 +24,23 @@ from hil.backlash.trace import Floats, ReversalTrace
 
 Mask = NDArray[np.bool_]
 HIDDEN_SHARE = 0.006
-"""Standard uncertainty of what torque cannot tell apart from wind-up, as a share of the lost motion."""
+"""Standard uncertainty of the part that torque cannot separate from wind-up, as a share of the lost motion."""
 _LOW, _HIGH = (0.0, 0.2, 0.35, 0.5), 0.88
-"""Where the flank is taken from, and to: 0 where torque is zero, 1 where sliding begins."""
-_BEYOND_SHARE, _BEYOND_STEPS = 0.12, 5  # what is left out beyond the meeting point: peak and drop
+"""Limits of the fitted flank, candidates for the lower one first: 0 where torque is zero, 1 where sliding begins."""
+_BEYOND_SHARE, _BEYOND_STEPS = 0.12, 5  # left out beyond the meeting point: peak and drop
 _FEWEST_FLANK, _FEWEST_CURVED, _FEWEST_SLIDING, _FEWEST_SLIDES = 4, 9, 10, 4  # places
-_STEEP = 0.12  # of the flank's slope: what still rises so much is not sliding
+_STILL_RISING_SHARE = 0.12  # of the flank's slope: steps that still rise more are not sliding
 _ROUNDING_VARIANCE = 0.1**2 / 12.0  # 6077h counts in 0.1 % of rated
-_CERTAIN = 0.01  # further coefficients must explain more with less than this chance of luck
+_F_TEST_LEVEL = 0.01  # significance at which further coefficients are accepted
 
 
 @dataclass(frozen=True)
 class FittedWindUp:
-    """Lost motion in µm; u_um its standard uncertainty, of which chance_um comes from noise and would average out.
+    """Lost motion in µm; u_um its standard uncertainty, of which chance_um comes from noise and averages out over runs.
 
-    level_percent: torque of sliding; peak_um, peak_percent: the break-away, largest mean torque, as travel and torque; the flank:
-    torque = Σ coefficients[i]·(travel - centre_um)^i within flank_um.
+    level_percent: torque of sliding, % of rated; peak_um, peak_percent: the break-away, largest mean torque, as travel
+    and torque
+    the flank: torque = Σ coefficients[i]·(travel - centre_um)^i within flank_um
     """
 
     lost_motion_um: float
@@ -50,14 +54,14 @@ class FittedWindUp:
     flank_um: tuple[float, float]
 
     def flank_percent(self, travel_um: Floats) -> Floats:
-        """The fitted flank, shape as given."""
+        """Torque of the fitted flank at travels in µm, % of rated, shape as given."""
         u = travel_um - self.centre_um
         return np.asarray(sum(c * u**i for i, c in enumerate(self.coefficients)), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class _Polynomial:
-    """A polynomial through places of a flank; covariance of its coefficients by what it leaves, widened for few places."""
+    """A polynomial fitted to a flank; covariance of its coefficients from the residual, widened for few points."""
 
     centre: float
     coefficients: Floats
@@ -66,7 +70,7 @@ class _Polynomial:
     freedom: int
 
     def meets(self, level: float, start_um: float) -> float:
-        """Travel at which it reaches a level, by Newton from nearby; nan where it never does."""
+        """Travel at which it reaches a level, by Newton from start_um; NaN where it never does."""
         x = start_um - self.centre
         powers = np.arange(len(self.coefficients))
         for _ in range(30):
@@ -99,7 +103,7 @@ class _Flank:
 
 
 def fit_wind_up(trace: ReversalTrace) -> FittedWindUp | None:
-    """Fit one reversal. None while (or where) there is no flank that ends in sliding."""
+    """The fit of one reversal, None without a flank that ends in sliding."""
     travel, torque = trace.travel_um, trace.rising_percent
     meet = _first_guess(travel, torque)
     for _ in range(8):
@@ -116,13 +120,15 @@ def fit_wind_up(trace: ReversalTrace) -> FittedWindUp | None:
 
 
 def _level(trace: ReversalTrace, sliding: Mask) -> float:
-    """Torque of sliding. Single steps with rests in between stick a little each time, so longer ways are asked first."""
+    """Torque of sliding. Single steps with rests in between stick a little each time, so the longer moves are
+    preferred.
+    """
     slides = trace.slides_rising_percent
     return float(np.mean(slides if len(slides) >= _FEWEST_SLIDES else trace.rising_percent[sliding]))
 
 
 def _level_variance(trace: ReversalTrace, sliding: Mask, drift: float) -> float:
-    """Of that mean; drift: slope of the sliding steps, % per µm."""
+    """Variance of that mean; drift: slope of the sliding steps, % per µm."""
     slides = trace.slides_rising_percent
     if len(slides) >= _FEWEST_SLIDES:
         values, trend = slides, 0.0
@@ -135,18 +141,18 @@ def _level_variance(trace: ReversalTrace, sliding: Mask, drift: float) -> float:
 
 
 def _student(freedom: int) -> float:
-    """How much wider 95 % is for a spread known from so few."""
+    """Ratio of Student's to the normal quantile at 95 %, for a spread estimated with so few degrees of freedom."""
     return float(stdtrit(freedom, 0.975) / ndtri(0.975))
 
 
 def _first_guess(travel: Floats, torque: Floats) -> float | None:
-    """Roughly where sliding begins: the first place whose smoothed torque is at the level of the last quarter."""
+    """Approximate start of sliding: the first position whose smoothed torque is at the level of the last quarter."""
     tail = max(_FEWEST_SLIDING, len(travel) // 5)
     if len(travel) < tail + 8:
         return None
     level = float(np.median(torque[-tail:]))
     if level < 0.5 * abs(torque[0]) or level <= torque[0]:
-        return None  # it still hangs in a clearance, or goes down
+        return None  # still in a clearance, or falling
     smooth = np.convolve(np.pad(torque, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     above = np.flatnonzero(smooth >= level - 0.03 * (level - torque[0]))
     return float(travel[above[0]]) if len(above) else None
@@ -158,9 +164,9 @@ def _sliding(travel: Floats, meet: float) -> Mask:
 
 
 def _flank(travel: Floats, torque: Floats, meet: float, level: float) -> _Flank | None:
-    """The flank as far down as one smooth curve describes it: from zero torque, or from above a clearance that lies there.
+    """The flank as far down as one smooth curve describes it: from zero torque, or from above a clearance there.
 
-    Places are chosen by travel and not by torque, so that noise has no say in it.
+    Positions are chosen by travel and not by torque, so that noise does not affect the choice.
     """
     below = np.flatnonzero((travel < meet) & (torque <= 0.0))
     zero = float(travel[below[-1]]) if len(below) else float(travel[0])
@@ -175,18 +181,18 @@ def _flank(travel: Floats, torque: Floats, meet: float, level: float) -> _Flank 
         met = curve.meets(level, meet)
         if np.isfinite(met) and x[0] < met < travel[-1]:
             found = _Flank(curve, met, (float(x[0]), float(x[-1])))
-            if not curved or not any(_better(_fit(x, y, degree), curve) for degree in (3, 4)):
+            if not curved or not any(_explains_more(_fit(x, y, degree), curve) for degree in (3, 4)):
                 break
     return found
 
 
-def _better(more: _Polynomial, fewer: _Polynomial) -> bool:
-    """Whether further coefficients explain more than luck would."""
+def _explains_more(more: _Polynomial, fewer: _Polynomial) -> bool:
+    """Whether further coefficients improve the fit significantly (F test)."""
     if more.rss <= 0.0:
         return False
     added = fewer.freedom - more.freedom
     gain = (fewer.rss - more.rss) / added / (more.rss / more.freedom)
-    return bool(fdtrc(added, more.freedom, gain) < _CERTAIN)
+    return bool(fdtrc(added, more.freedom, gain) < _F_TEST_LEVEL)
 
 
 def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:
@@ -204,7 +210,7 @@ def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp 
     travel, torque, meet = trace.travel_um, trace.rising_percent, flank.meet
     slope = flank.curve.slope(meet)
     tail = _fit(travel[sliding], torque[sliding], 1)
-    if slope <= 0.0 or tail.slope(meet) > _STEEP * slope:
+    if slope <= 0.0 or tail.slope(meet) > _STILL_RISING_SHARE * slope:
         return None  # it has not broken away
     variance = flank.curve.variance(meet) + _level_variance(trace, sliding, tail.slope(meet))
     chance_um = float(np.sqrt(variance)) / slope

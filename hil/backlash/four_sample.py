@@ -1,7 +1,8 @@
-"""The published rule (CN103561904): four torques in a row, and the peak is the third of them.
+"""The published rule (CN103561904): of four successive torques, the peak is the third.
 
-|T| at steps n-3 … n; the peak is at step n-1 when T(n-2) >= T(n-3), T(n-1) >= T(n-2) and T(n) < T(n-1), and the lost motion is the
-distance travelled by then. Kept as published, as the reference that the fitted curve has to beat: noise fools it easily.
+|T| at steps n-3 … n; the peak is at step n-1 when T(n-2) >= T(n-3), T(n-1) >= T(n-2) and T(n) < T(n-1), and the lost
+motion is the distance travelled by then. Kept as published, as the reference for the fitted curve: noise triggers it
+easily.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from hil.backlash.trace import ReversalTrace
 
 
 class FourSampleRule:
-    """The rule with its memory of four; fed step by step."""
+    """The rule with its last four samples; fed step by step."""
 
     def __init__(self) -> None:
         self._last: deque[tuple[float, float]] = deque(maxlen=4)
 
     def feed(self, distance_um: float, torque_percent: float) -> float | None:
-        """One more step: distance since the reversal, and its torque. The distance at the peak once it is recognised, else None."""
+        """Takes one more step: distance since the reversal, µm, and its torque, %. The distance at the peak once it is
+        recognised, else None.
+        """
         self._last.append((distance_um, abs(torque_percent)))
         if len(self._last) < 4:
             return None

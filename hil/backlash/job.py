@@ -1,8 +1,9 @@
-"""Lost motion from the servo's torque (system B): measure it, put back what was interrupted, write it, switch its compensation.
+"""Lost motion from the servo's torque (system B) as jobs: measure, restore after an interruption, write, switch the
+compensation.
 
-Beside the note of an interrupted measurement (`hil.backlash.neutral_settings`) one more file is kept in the axis's folder: what
-stood in the drive before a measured amount was first written, and which amount that was, so that the original can be had back and
-the compensation be switched off and on again.
+Beside the note of an interrupted measurement (`hil.backlash.neutral_settings`) one more file is kept in the axis's
+folder: the drive's values before a measured amount was first written, and the amount last written. With it the original
+can be restored and the compensation switched off and on.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
-from hil.backlash.neutral_settings import BacklashSettings, Found, restore
+from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, restore
 from hil.backlash.procedure import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
 from hil.backlash.result import NAMES
 from hil.backlash.settings import NOTE, TABLE, backlash_settings
@@ -34,13 +35,13 @@ WRITTEN = "backlash-written.json"
 
 
 def backlash_config(axis: DriveAxis, **given: Any) -> BacklashConfig:
-    """What the axis file says of it, or the defaults, with what was given instead. Raises InputError."""
+    """The axis file's [backlash] section, or the defaults, with the given values replaced. Raises InputError."""
     how = axis.backlash or default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
     return replace(how, **{name: value for name, value in given.items() if value is not None})
 
 
 def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
-    """What holds the amount and the switch of the acceleration, by name."""
+    """Names of the settings: the amount and the acceleration switch."""
     if how.parameter is None:
         return [str(axis.store.directory / TABLE)]
     return [name for name in (how.parameter, how.acceleration) if name]
@@ -49,7 +50,7 @@ def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
 # -- measure -------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class MeasuredBacklash:
-    """A measurement, and the file with its readings."""
+    """A measurement. kept: the file with its readings"""
 
     how: BacklashConfig
     settings: BacklashSettings
@@ -58,7 +59,7 @@ class MeasuredBacklash:
 
 
 def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Plan:
-    """What a measurement moves and writes."""
+    """The moves and writes of a measurement."""
     moves = []
     for direction in DIRECTIONS:
         ends = (how.start_mm(direction), how.turning_mm(direction), how.end_mm(direction))
@@ -78,7 +79,10 @@ def measure(
     listener: Listener = silent,
     tell: Callable[[str], None],
 ) -> MeasuredBacklash:
-    """Measure on an open drive; every reversal is kept as it comes, also one that was broken off."""
+    """Measures on an open drive; every reversal is written to disk as it is measured, also an interrupted one.
+
+    Raises what `check_drive` and `measure_backlash` raise.
+    """
     settings = backlash_settings(axis, how, drive)
     check_drive(drive, how)
     kept = _next_file(axis.store.directory)
@@ -90,7 +94,7 @@ def measure(
 
 
 def measuring_job(axis: DriveAxis, how: BacklashConfig) -> Job:
-    """For the desk: returns a MeasuredBacklash; nothing is written to stay."""
+    """Job that returns a MeasuredBacklash; nothing is written permanently."""
 
     def work(place: Workplace) -> MeasuredBacklash:
         return measure(axis, how, place.drive, listener=place.listener, tell=place.tell)
@@ -104,7 +108,7 @@ def _next_file(directory: Path) -> Path:
 
 
 def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
-    """One line of JSON for every reversal, whole or broken off."""
+    """Appends one line of JSON per reversal, complete or interrupted."""
 
     def keep(run: int, trace: ReversalTrace) -> None:
         with path.open("a", encoding="utf-8") as file:
@@ -115,10 +119,11 @@ def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
 
 # -- the parameter ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Compensating:
+class CompensationState:
     """The drive's backlash compensation at present.
 
-    amount: in the parameter's own unit, of which 1 is amount_um; original, written: before and by us, None while we wrote none
+    amount: in the parameter's own unit, of which 1 is amount_um; original, written: its value before this program wrote
+    one, and the last value written; None while nothing was written
     """
 
     name: str
@@ -126,66 +131,67 @@ class Compensating:
     amount_um: float
     original: float | None = None
     written: float | None = None
-    interrupted: bool = False  # a measurement did not get to put the settings back
+    interrupted: bool = False  # a measurement ended without restoring the settings
 
     @property
     def on(self) -> bool:
         return self.amount != 0.0
 
 
-def compensating(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> Compensating:
-    """Read it from the open drive."""
+def read_compensation(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> CompensationState:
+    """Reads it from the open drive. Raises what reading a parameter raises."""
     settings = backlash_settings(axis, how, drive)
     written = _written(axis)
     original = None if written is None else written["before"].get(settings.amount.name)
     last = None if written is None else written["amount"]
     noted = settings.note.exists()
-    return Compensating(settings.amount.name, settings.amount.read(), settings.amount_um, original, last, noted)
+    return CompensationState(settings.amount.name, settings.amount.read(), settings.amount_um, original, last, noted)
 
 
 def look_job(axis: DriveAxis, how: BacklashConfig) -> Job:
-    """For the desk: returns a Compensating; moves and writes nothing."""
+    """Job that returns a CompensationState; moves and writes nothing."""
     plan = Plan(axis.name, axis.drive.backend)
-    return Job(LOOK, plan, lambda place: compensating(axis, how, place.drive))
+    return Job(LOOK, plan, lambda place: read_compensation(axis, how, place.drive))
 
 
 def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Job:
-    """For the desk: write a measured mean to the drive's parameter, and read it back; returns a Compensating."""
+    """Job that writes a measured mean to the drive's parameter and reads it back; returns a CompensationState."""
 
-    def work(place: Workplace) -> Compensating:
+    def work(place: Workplace) -> CompensationState:
         settings = backlash_settings(axis, how, place.drive)
         before = {setting.name: setting.read() for setting in settings.settings()}
         amount = settings.amount_of(lost_motion_um)
         _remember(axis, before, amount)
         settings.amount.write(amount)
-        return compensating(axis, how, place.drive)
+        return read_compensation(axis, how, place.drive)
 
     return Job(WRITE, _parameter_plan(axis, how), work)
 
 
 def restore_job(axis: DriveAxis, how: BacklashConfig) -> Job:
-    """For the desk: put back what an interrupted measurement left changed, else what stood there before we wrote; a Compensating.
+    """Job that restores what an interrupted measurement left changed, else the values before the first write; returns a
+    CompensationState.
 
-    Which of the two is decided here, as the plan says it: what needs no builder never undoes what a builder wrote.
+    Which of the two is decided here, when the plan is made: a job that needs no builder never undoes a builder's write.
     """
     interrupted = unrestored(axis)
 
-    def work(place: Workplace) -> Compensating:
+    def work(place: Workplace) -> CompensationState:
         settings = backlash_settings(axis, how, place.drive)
         if restore(settings) is None:
             if interrupted:
                 raise StateError("nothing to restore: what an interrupted measurement left changed is put back already")
             _write_original(axis, settings)
-        return compensating(axis, how, place.drive)
+        return read_compensation(axis, how, place.drive)
 
     plan = _parameter_plan(axis, how)
     return Job(RESTORE, replace(plan, locked=not interrupted), work)
 
 
 def switch_job(axis: DriveAxis, how: BacklashConfig, *, on: bool) -> Job:
-    """For the desk: the compensation off (its amount 0), or on again with the amount it had; returns a Compensating."""
+    """Job that switches the compensation off (amount 0), or on again with its last amount; returns a CompensationState."""
 
-    def work(place: Workplace) -> Compensating:
+    def work(place: Workplace) -> CompensationState:
         settings = backlash_settings(axis, how, place.drive)
         present = settings.amount.read()
         if on and present == 0.0:
@@ -197,7 +203,7 @@ def switch_job(axis: DriveAxis, how: BacklashConfig, *, on: bool) -> Job:
             before = {setting.name: setting.read() for setting in settings.settings()}
             _remember(axis, before, present)
             settings.amount.write(0)
-        return compensating(axis, how, place.drive)
+        return read_compensation(axis, how, place.drive)
 
     return Job(SWITCH, _parameter_plan(axis, how), work)
 
@@ -207,8 +213,8 @@ def unrestored(axis: DriveAxis) -> bool:
     return (axis.store.directory / NOTE).exists()
 
 
-def put_back(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> Found | None:
-    """What an interrupted measurement left changed is put back; None where nothing was. Raises NotRestoredError."""
+def put_back(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> SettingsBefore | None:
+    """Restores what an interrupted measurement left changed; None where nothing was. Raises NotRestoredError."""
     return restore(backlash_settings(axis, how, drive))
 
 
@@ -227,8 +233,9 @@ def _write_original(axis: DriveAxis, settings: BacklashSettings) -> None:
 
 
 def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:
-    """Keep what stood there before the first amount of ours, and the last amount of ours. To be called before that is written: a
-    power cut in between must not cost the original."""
+    """Stores the values before the first write, and the amount about to be written. Called before the write: a power
+    cut in between must not lose the original.
+    """
     earlier = _written(axis)
     kept = before if earlier is None else earlier["before"]
     form = {"before": kept, "amount": amount}

@@ -1,7 +1,7 @@
-"""A drive's backlash compensation taken out of force for as long as something is measured, and put back whatever happens.
+"""A drive's backlash compensation switched off during a measurement, and restored afterwards in every case.
 
-Two settings: the amount, and (where the drive has one) the switch of the acceleration that hides it. What they were is noted in a file
-before the first is touched, so that even a process that was killed can be made good.
+Two settings: the amount, and (where the drive has one) the acceleration switch. Their values are noted in a file before
+the first change, so that they can be restored even after the process was killed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ Tell = Callable[[str], None]
 
 
 class Setting(Protocol):
-    """One number that the drive (or, for want of one, a file) keeps. Both raise what access to a parameter raises.
+    """One number kept by the drive or, where the drive has none, in a file. Both methods raise what access to a
+    parameter raises.
 
     resolution: the smallest difference between two values that it can hold.
     """
@@ -34,16 +35,18 @@ class Setting(Protocol):
     def read(self) -> float: ...
 
     def write(self, value: float) -> None:
-        """Write and read back; raises ProtocolError when another value stands there."""
+        """Writes and reads back; raises ProtocolError when another value is read."""
 
 
 class NotRestoredError(SafetyError):
-    """A setting could not be put back; the message names it and what it was."""
+    """A setting could not be restored; the message names it and its earlier value."""
 
 
 @dataclass(frozen=True)
 class BacklashSettings:
-    """The amount, of which 1 is `amount_um` µm, the switch, and where their values are noted meanwhile."""
+    """The amount, of which 1 is `amount_um` µm, the acceleration switch, and the file in which their values are
+    noted.
+    """
 
     amount: Setting
     amount_um: float
@@ -51,37 +54,41 @@ class BacklashSettings:
     note: Path
 
     def settings(self) -> tuple[Setting, ...]:
-        """In the order in which they are changed."""
+        """Both, in the order in which they are changed."""
         return (self.amount,) if self.acceleration is None else (self.amount, self.acceleration)
 
     def amount_of(self, lost_motion_um: float) -> float:
-        """The amount as the drive keeps it, to what it can hold."""
+        """The amount for a lost motion in µm, in the drive's unit, rounded to its resolution."""
         step = self.amount.resolution
         return round(round(lost_motion_um / self.amount_um / step) * step, 9)
 
 
 @dataclass(frozen=True)
-class Found:
-    """What stood there before, by name; from_note: a measurement before this one did not get to put it back."""
+class SettingsBefore:
+    """The values before the measurement, by name; from_note: read from the note of an earlier, interrupted
+    measurement.
+    """
 
     values: dict[str, float]
     from_note: bool
 
 
-def look(settings: BacklashSettings) -> Found:
-    """Read the present values, or what an earlier measurement noted and never put back. Changes nothing."""
-    noted = _noted(settings.note)
+def read_before(settings: BacklashSettings) -> SettingsBefore:
+    """Reads the present values, or those that an interrupted measurement noted. Changes nothing. Raises InputError for
+    a damaged note.
+    """
+    noted = _read_note(settings.note)
     values = {setting.name: setting.read() for setting in settings.settings()}
-    return Found(values if noted is None else {**values, **noted}, noted is not None)
+    return SettingsBefore(values if noted is None else {**values, **noted}, noted is not None)
 
 
 @contextmanager
-def neutral(settings: BacklashSettings, tell: Tell) -> Iterator[Found]:
-    """Both 0 inside; on leaving both are as they were. tell: hears what could not be put back.
+def neutral(settings: BacklashSettings, tell: Tell) -> Iterator[SettingsBefore]:
+    """Both settings 0 inside; on leaving they have their earlier values. tell: receives what could not be restored.
 
-    Raises NotRestoredError when nothing else went wrong; else the error under way goes on.
+    Raises NotRestoredError when nothing else failed; else the first error is passed on.
     """
-    found = look(settings)
+    found = read_before(settings)
     replace_file(settings.note, (json.dumps(found.values, indent=2) + "\n").encode())
     try:
         for setting in settings.settings():
@@ -95,19 +102,21 @@ def neutral(settings: BacklashSettings, tell: Tell) -> Iterator[Found]:
         raise NotRestoredError(failed)
 
 
-def restore(settings: BacklashSettings) -> Found | None:
-    """Put back what an earlier measurement left changed; None when none did. Raises NotRestoredError."""
-    if _noted(settings.note) is None:
+def restore(settings: BacklashSettings) -> SettingsBefore | None:
+    """Restores what an interrupted measurement left changed; None when there was none. Raises NotRestoredError."""
+    if _read_note(settings.note) is None:
         return None
-    found = look(settings)
+    found = read_before(settings)
     failed = _put_back(settings, found, lambda _text: None)
     if failed:
         raise NotRestoredError(failed)
     return found
 
 
-def _put_back(settings: BacklashSettings, found: Found, tell: Tell) -> str:
-    """The switch first, then the amount; an interrupt in between is heard once all is done. What failed, in one sentence."""
+def _put_back(settings: BacklashSettings, found: SettingsBefore, tell: Tell) -> str:
+    """Restores the switch first, then the amount; an interrupt in between is raised afterwards. Returns the failures in
+    one sentence.
+    """
     failures: list[str] = []
     interrupt: KeyboardInterrupt | None = None
     for setting in reversed(settings.settings()):
@@ -130,7 +139,7 @@ def _put_back(settings: BacklashSettings, found: Found, tell: Tell) -> str:
     return ""
 
 
-def _noted(path: Path) -> dict[str, float] | None:
+def _read_note(path: Path) -> dict[str, float] | None:
     if not path.exists():
         return None
     try:

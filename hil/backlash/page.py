@@ -1,4 +1,6 @@
-"""Backlash from torque (system B): start, both measured values, the graph, the mean, write, restore the original, off and on."""
+"""Page of lost motion by torque (system B): start, both measured values, the graph, the mean, write, restore the
+original, off and on.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draws the page."""
     with view.card("backlash.instructions"):
         ui.markdown(view.t("backlash.steps"))
     messages = view.messages("backlash.messages")
@@ -36,7 +38,7 @@ def draw(view: View) -> None:
 
 
 def _draw_where(view: View) -> Refresh:
-    """Where the axis is, how far it has to go, and the step now running."""
+    """Position of the axis, remaining distance, and the present step."""
     with view.card("backlash.where"):
         return draw_where(view, "backlash", lambda: view.desk.last(backlash.MEASURE))
 
@@ -59,7 +61,7 @@ def _draw_measured(view: View) -> Refresh:
 
 
 def _draw_parameter(view: View) -> Refresh:
-    """What stands in the drive, and what stood there originally."""
+    """The drive's present value and its original one."""
     t = view.t
     with view.card("backlash.parameter"):
         present = view.value("backlash.present", small=True)
@@ -78,7 +80,7 @@ def _draw_parameter(view: View) -> Refresh:
 
 
 def _draw_buttons(view: View) -> Refresh:
-    """What can be set and done."""
+    """Inputs and buttons."""
     t, desk = view.t, view.desk
     how = backlash.backlash_config(desk.axis)
     fastest = desk.axis.limits.max_velocity_mm_s

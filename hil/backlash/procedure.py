@@ -1,9 +1,10 @@
-"""Lost motion from the servo's torque, with no position sensor (system B, CN103561904).
+"""Lost motion from the servo's torque, without a position sensor (system B, CN103561904).
 
-note the drive's backlash parameter and its acceleration switch, both to 0
-each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer ways; the same from −
-both estimates of every reversal, the mean of both directions
-the parameters as they were, on every way out; the new amount only where it was asked for
+1. Note the drive's backlash parameter and its acceleration switch; set both to 0.
+2. Each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer moves; the
+same from −.
+3. Both estimates of every reversal, the mean of both directions.
+4. Restore the parameters, also after any error; write the new amount only on request.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from drivers.drive import Capability, ServoDrive
 from drivers.errors import CapabilityError, LimitError, ProtocolError
 from hil.axis.backlash import SLIDE_MM, SLIDES, BacklashConfig
 from hil.backlash.fitted import fit_wind_up
-from hil.backlash.neutral_settings import BacklashSettings, Found, Tell, neutral
+from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, Tell, neutral
 from hil.backlash.result import NAMES, Reversal, mean_um
 from hil.backlash.trace import ReversalTrace
 from hil.machine.events import Event, Listener, Measured, Point, silent
@@ -26,43 +27,46 @@ from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 
 DIRECTIONS = (-1, 1)
-"""Of the motion after the reversal: first + → −, then − → +."""
+"""Direction of motion after the reversal: first + → −, then − → +."""
 READING_S = 0.002
-"""Between two torque readings of one place."""
+"""Interval between two torque readings at one position, s."""
 STEP_SLICE_S = 0.005
-"""How often the drive is looked at in a single step."""
+"""Polling interval of the drive during a single step, s."""
 _FIT_EVERY = 8  # steps
-_SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to go on beyond the break-away
+_SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to continue beyond the break-away
 
 Keep = Callable[[int, ReversalTrace], None]
-"""keep(run, trace): hears every reversal, also one that was broken off."""
+"""keep(run, trace): receives every reversal, also an interrupted one."""
 Remember = Callable[[dict[str, float], float], None]
-"""remember(before, amount): hears the parameters as they were, and the amount that is about to be written."""
+"""remember(before, amount): receives the parameters before the measurement, and the amount about to be written."""
 
 
 @dataclass(frozen=True)
 class TorqueBacklash:
-    """What came of it. found: the parameters before; written: the amount written; `reversals` in the order of time."""
+    """The result. found: the parameters before; written: the amount written; reversals: in the order of time."""
 
     reversals: tuple[Reversal, ...]
     method: str
-    found: Found
+    found: SettingsBefore
     written: float | None = None
 
     @property
     def lost_motion_um(self) -> float | None:
-        """Mean of both directions by the method asked for; None where the detection limit was exceeded."""
+        """Mean of both directions by the chosen method; None where the detection limit was exceeded."""
         return mean_um(self.reversals, self.method)
 
     @property
     def exceeded(self) -> Reversal | None:
-        """The reversal that found no peak within the allowed steps."""
+        """The reversal without a peak within the allowed steps, if any."""
         return next((one for one in self.reversals if one.lost_motion_um(self.method) is None), None)
 
 
 def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
-    """What the drive cannot do, said before anything is written or moved. Raises CapabilityError, LimitError, and StateError while the
-    drive's own correction table is in force: at a reversal it would turn the motor further than the drive shows."""
+    """Checks the drive before anything is written or moved.
+
+    Raises CapabilityError for what it cannot do, LimitError for positions outside the travel, and StateError while the
+    drive's own correction table is in force: at a reversal it would turn the motor further than the drive shows.
+    """
     refuse_while_drive_corrects(drive, "what its table adds at a reversal would be missing from the lost motion")
     drive.require(Capability.PROFILE_POSITION, Capability.TORQUE_ACTUAL)
     sample = drive.sample()
@@ -74,7 +78,7 @@ def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
 
 
 def check_reach(drive: ServoDrive, *positions_load_mm: float) -> None:
-    """Raise LimitError for the first position outside the travel, before anything moves."""
+    """Raises LimitError for the first position outside the travel, before anything moves."""
     for position in positions_load_mm:
         try:
             drive.limits.check_target(position)
@@ -93,9 +97,12 @@ def measure_backlash(
     listener: Listener = silent,
     tell: Tell = lambda _text: None,
 ) -> TorqueBacklash:
-    """Measure on an open drive. tell: hears what could not be put back, while another error is under way.
+    """Measures on an open drive. tell: receives what could not be restored, while another error is raised.
 
-    Everything is put back before this returns or raises; with `write` the mean then takes the parameter's place, and is read back.
+    The parameters are restored before this returns or raises; with `write` the mean is then written to the parameter
+    and read back.
+    Raises what `check_drive` raises, NotRestoredError, ProtocolError for another value read back, and what stops an
+    axis.
     """
     check_drive(drive, how)
     reversals: list[Reversal] = []
@@ -126,7 +133,7 @@ def _write(settings: BacklashSettings, amount: float) -> None:
 
 @dataclass
 class _Recording:
-    """The rows of one reversal as they come."""
+    """The rows of one reversal while it is measured."""
 
     direction: int
     weight_percent: float = 0.0
@@ -142,7 +149,7 @@ class _Recording:
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Whom it concerns and who listens."""
+    """The measurement of single reversals: supervisor, settings and listeners."""
 
     supervisor: Supervisor
     how: BacklashConfig
@@ -150,9 +157,9 @@ class _Measurement:
     listener: Listener
 
     def reversal(self, run: int, direction: int) -> ReversalTrace:
-        """One reversal: run in, turn back, and step until the table slides or the steps are used up.
+        """One reversal: run in, reverse, and step until the table slides or the steps are used up.
 
-        The run-in goes to and fro: half of the torque that it leaves behind each way is the weight of a vertical axis.
+        The run-in goes both ways: half the sum of the torques that remain after each is the weight of a vertical axis.
         """
         how, turning, step_mm = self.how, self.how.turning_mm(direction), self.how.step_um / 1000.0
         stage = self._stage(run, direction)
@@ -169,7 +176,7 @@ class _Measurement:
                 said = f"{travelled_um:.1f} µm, {torques[0]:+.1f} %"
                 point = Point(_series(run, direction), travelled_um, float(np.mean(torques)))
                 self.listener(Event(stage, said, index, how.steps, point))
-                if index % _FIT_EVERY == 0 and _enough(recording.trace(), how.step_um):
+                if index % _FIT_EVERY == 0 and _slides_long_enough(recording.trace(), how.step_um):
                     self._slide(recording)
                     break
         finally:
@@ -181,20 +188,20 @@ class _Measurement:
         return f"run {run} of {self.how.runs}, {NAMES[direction]}"
 
     def result(self, one: Reversal) -> Event:
-        """What a reversal came to."""
+        """The event for the result of a reversal."""
         direction = one.trace.direction
         found = Measured(_series(one.run, direction), one.lost_motion_um(self.how.method), "µm")
         return Event(self._stage(one.run, direction), "done", self.how.steps, self.how.steps, found)
 
     def _slide(self, recording: _Recording) -> None:
-        """Longer ways in the new direction, at the measuring speed; what each leaves behind at rest."""
+        """Longer moves in the new direction, at the measuring speed; the torque at rest after each."""
         broken_away_mm = recording.position_load_mm[-1]
         for index in range(1, SLIDES + 1):
             place = broken_away_mm + recording.direction * index * SLIDE_MM
             recording.slides_percent.append(self._step(place)[1])
 
     def _step(self, position_load_mm: float) -> tuple[float, list[float]]:
-        """Go to one place and rest; where the motor is, and the torque readings."""
+        """Moves to one position and rests; the motor's position and the torque readings."""
         supervisor, axis = self.supervisor, self.supervisor.axes[0]
         supervisor.move(position_load_mm, self.how.velocity_mm_s, slice_s=STEP_SLICE_S)
         supervisor.watch(self.how.settle_s)
@@ -211,12 +218,12 @@ class _Measurement:
 
 
 def _series(run: int, direction: int) -> str:
-    """How a reversal's points and figures are called."""
+    """Name of a reversal's points and figures."""
     return f"{run}, {NAMES[direction]}"
 
 
-def _enough(trace: ReversalTrace, step_um: float) -> bool:
-    """Whether the table has been sliding long enough for its level to be known."""
+def _slides_long_enough(trace: ReversalTrace, step_um: float) -> bool:
+    """Whether the table has been sliding long enough to determine its level."""
     fit = fit_wind_up(trace)
     if fit is None:
         return False

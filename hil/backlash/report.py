@@ -1,4 +1,6 @@
-"""The report of lost motion by torque: torque over travel of both reversals with what was read from it, every run, and the mean."""
+"""The report of lost motion by torque: torque over travel of both reversals with the estimates, every run, and the
+mean.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ from hil.backlash.result import NAMES, LostMotion, Reversal, fitted_lost_motion,
 
 @dataclass(frozen=True)
 class BacklashReport:
-    """What one measurement found. method: the estimate that counts; verdict: a sentence, empty when there is nothing to say."""
+    """The data of one report. method: the estimate that is used; verdict: a sentence, or empty."""
 
     title: str
     reversals: Sequence[Reversal]
@@ -30,7 +32,7 @@ class BacklashReport:
 
 
 def render_backlash(report: BacklashReport) -> str:
-    """The whole page. Same data, same text."""
+    """The whole page as HTML. Same data, same text."""
     parts = [
         header(report.title, report.identity.get("Measured", "")),
         _tiles(report),
@@ -45,12 +47,14 @@ def render_backlash(report: BacklashReport) -> str:
 
 
 def torque_image(reversals: Sequence[Reversal], kind: str = "png") -> bytes:
-    """The drawing of one run as a file of its own, "png" or "svg"."""
+    """The plot of one run as a file, "png" or "svg"."""
     return file_bytes(torque_plot(reversals, LIGHT), kind)
 
 
 def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
-    """Torque less the weight over the motor's travel since the reversal, a panel for each, in the sense of the new direction."""
+    """Torque less the weight over the motor's travel since the reversal, one panel per reversal, in the sense of the
+    new direction.
+    """
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 4.0, top_in=0.75)
         panels = figure.subplots(1, max(1, len(reversals)), sharey=True, squeeze=False)[0]

@@ -1,4 +1,6 @@
-"""What a measurement of lost motion by torque comes to: both estimates of every reversal, their means, and the uncertainty."""
+"""The result of a measurement of lost motion by torque: both estimates of every reversal, their means, and the
+uncertainty.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ class Reversal:
         return cls(run, trace, four_sample(trace), fit_wind_up(trace))
 
     def lost_motion_um(self, method: str) -> float | None:
-        """By "fitted" or "four-sample"."""
+        """The estimate by "fitted" or "four-sample", µm."""
         if method == "four-sample":
             return self.published_um
         return None if self.fitted is None else self.fitted.lost_motion_um
@@ -50,7 +52,7 @@ class LostMotion:
 
 
 def mean_um(reversals: Sequence[Reversal], method: str, direction: int | None = None) -> float | None:
-    """Mean of one direction, or the mean of both directions' means. None where a reversal has no value, or there is none."""
+    """Mean of one direction, or of both directions' means, µm. None where a reversal has no value, or there is none."""
     if direction is None:
         both = [mean_um(reversals, method, each) for each in NAMES]
         known = [value for value in both if value is not None]
@@ -63,8 +65,8 @@ def mean_um(reversals: Sequence[Reversal], method: str, direction: int | None = 
 def fitted_lost_motion(reversals: Sequence[Reversal]) -> LostMotion | None:
     """Mean of both directions by the fitted curve, with its uncertainty at 95 %; None where a fit is missing.
 
-    Chance is what the fits say of it, or what runs of one direction scatter by where that is more; the share that torque cannot show
-    does not average out.
+    The random part is that of the fits, or the scatter of the runs of one direction where that is larger;
+    `HIDDEN_SHARE` does not average out.
     """
     mean = mean_um(reversals, "fitted")
     if mean is None:
@@ -75,7 +77,7 @@ def fitted_lost_motion(reversals: Sequence[Reversal]) -> LostMotion | None:
 
 
 def _chance_variance(reversals: Sequence[Reversal], direction: int) -> float:
-    """Variance of one direction's mean."""
+    """Random variance of one direction's mean, µm²."""
     fits = [one.fitted for one in reversals if one.trace.direction == direction and one.fitted is not None]
     stated = sum(fit.chance_um**2 for fit in fits) / len(fits) ** 2
     if len(fits) < 2:

@@ -1,4 +1,4 @@
-"""What the screen of system B shows, made of the desk's last jobs; no drawing."""
+"""The contents of the page of system B, from the desk's last jobs; no drawing."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.backlash import job as backlash
 from hil.backlash.documents import verdict
-from hil.backlash.job import Compensating, MeasuredBacklash
+from hil.backlash.job import CompensationState, MeasuredBacklash
 from hil.backlash.result import NAMES
 
 
 @dataclass(frozen=True)
 class BacklashScreen:
-    """measurement: the last one; parameter: the drive's compensation as last seen, None before anybody looked.
+    """measurement: the last one; parameter: the drive's compensation as last read, None before that
 
-    by_direction_um: mean of the runs so far, by the direction after the reversal; mean_um: what would be written, only of a whole
-    measurement; warning: in English, "" for none
+    by_direction_um: mean of the runs so far, by the direction after the reversal; mean_um: the value to be written,
+    only of a complete measurement; warning: in English, "" for none
     """
 
     measurement: Progress | None
-    parameter: Compensating | None
+    parameter: CompensationState | None
     by_direction_um: dict[int, float | None]
     mean_um: float | None
     warning: str
 
 
 def backlash_screen(desk: Desk) -> BacklashScreen:
-    """As the desk stands."""
+    """From the present state of the desk. Reads whether a note of an interrupted measurement exists."""
     measurement = desk.last(backlash.MEASURE)
     result = None if measurement is None else measurement.result
     mean_um = warning = None
@@ -41,7 +41,7 @@ def backlash_screen(desk: Desk) -> BacklashScreen:
 
 
 def _mean(measurement: Progress | None, direction: int) -> float | None:
-    """Over the runs of a direction that are done; None where one had no value."""
+    """Mean over the completed runs of a direction; None where one had no value."""
     if measurement is None:
         return None
     values = [one.value for one in measurement.figures if one.name.endswith(NAMES[direction])]
@@ -49,9 +49,9 @@ def _mean(measurement: Progress | None, direction: int) -> float | None:
     return sum(known) / len(known) if known and len(known) == len(values) else None
 
 
-def _parameter(desk: Desk) -> Compensating | None:
-    """By the last job that read it."""
+def _parameter(desk: Desk) -> CompensationState | None:
+    """The compensation by the last job that read it."""
     jobs = [desk.last(kind) for kind in (backlash.LOOK, backlash.WRITE, backlash.RESTORE, backlash.SWITCH)]
     done = [job for job in jobs if job is not None and job.phase is Phase.DONE]
     latest = max(done, key=lambda job: job.number, default=None)
-    return latest.result if latest is not None and isinstance(latest.result, Compensating) else None
+    return latest.result if latest is not None and isinstance(latest.result, CompensationState) else None

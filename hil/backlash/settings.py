@@ -1,5 +1,6 @@
-"""Where an axis keeps its backlash amount and its acceleration switch: in objects of a CANopen drive, in named parameters of any other
-drive, or, where the drive has none, in a file of our own beside the axis's campaigns."""
+"""Where an axis keeps its backlash amount and acceleration switch: objects of a CANopen drive, named parameters of any
+other drive, or, where the drive has none, a file beside the axis's campaigns.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +22,12 @@ from hil.records.files import read_text, replace_file
 
 NOTE, TABLE = "backlash-before.json", "backlash.json"
 _TABLE_RESOLUTION_UM = 0.1
-_WRITES = 3  # of one measurement at most: 0, back, and the new amount; what could be zeroed must be put back too
+_WRITES = 3  # of one measurement at most: 0, the earlier value, and the new amount; a value that was set to 0 must be restorable
 
 
 @dataclass(frozen=True)
 class ObjectSetting:
-    """An object of a CANopen drive, whole numbers >= 0; its length is what the drive answers with."""
+    """An object of a CANopen drive, whole numbers >= 0; its length is that of the drive's answer."""
 
     drive: CanOpenDrive
     name: str
@@ -34,6 +35,7 @@ class ObjectSetting:
     resolution: float = 1.0
 
     def read(self) -> float:
+        """The present value. Raises what an SDO upload raises."""
         return int.from_bytes(self.drive.sdo.read_bytes(*self.key), "little")
 
     def write(self, value: float) -> None:
@@ -57,26 +59,30 @@ class NamedSetting:
     resolution: float
 
     def read(self) -> float:
+        """The present value. Raises InputError for one that is no number, and what reading a parameter raises."""
         value = self.parameters.read(self.name)
         if not isinstance(value, int | float):
             raise InputError(f"parameter {self.name} is {value!r}, expected a number")
         return value
 
     def write(self, value: float) -> None:
-        """Raises what writing a parameter raises; it is read back there."""
+        """Writes and reads back. Raises what writing a parameter raises."""
         whole = self.resolution == 1.0
         self.parameters.write(self.name, round(value) if whole else value)
 
 
 @dataclass(frozen=True)
 class TableSetting:
-    """Our own file, for a drive without such a parameter: what a compensation that runs here adds at a reversal, µm."""
+    """A file for a drive without such a parameter: the amount in µm that the bridge's own compensation adds at a
+    reversal.
+    """
 
     path: Path
     name: str = "the bridge's own table"
     resolution: float = _TABLE_RESOLUTION_UM
 
     def read(self) -> float:
+        """The amount, µm; 0 without a file. Raises InputError for a damaged one."""
         if not self.path.exists():
             return 0.0
         try:
@@ -88,12 +94,17 @@ class TableSetting:
         return float(value)
 
     def write(self, value: float) -> None:
+        """Replaces the file. Raises InputError when it cannot be written."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(self.path, (json.dumps({"backlash_um": round(value, 6)}) + "\n").encode())
 
 
 def backlash_settings(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> BacklashSettings:
-    """The settings that an axis file names, on its open drive. Nothing is written; raises what finding them raises."""
+    """The settings that an axis file names, on its open drive. Writes nothing.
+
+    Raises InputError for an incomplete section, CapabilityError for a parameter that cannot be written or is none of
+    backlash, StateError where the EEPROM's write budget does not last.
+    """
     directory = axis.store.directory
     directory.mkdir(parents=True, exist_ok=True)
     if how.parameter is None:

@@ -1,4 +1,4 @@
-"""The torque recorded through one reversal, step by step, with the axis at rest at each."""
+"""The torque recorded step by step through one reversal, with the axis at rest at each step."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ Floats = NDArray[np.float64]
 class ReversalTrace:
     """One reversal. direction: of the motion after it, +1 or -1.
 
-    position_load_mm: shape (n,), by the motor's encoder; its first place is that of the reversal. torque_percent: shape (n, k), k
-    readings at each place, % of rated, with the axis's sign. slides_percent: shape (m, k), the same after each of m longer ways in the
-    new direction, once the table slides; m may be 0. weight_percent: what holds the table of a vertical axis, in the axis's sign.
+    position_load_mm: shape (n,), by the motor's encoder; the first is the reversal
+    torque_percent: shape (n, k), k readings at each position, % of rated, with the axis's sign
+    slides_percent: shape (m, k), the same after each of m longer moves in the new direction, once the table slides; m
+    may be 0
+    weight_percent: torque that holds the table of a vertical axis, in the axis's sign
+    Raises InputError for another direction or shapes that do not agree.
     """
 
     direction: int
@@ -38,13 +41,15 @@ class ReversalTrace:
 
     @property
     def travel_um(self) -> Floats:
-        """How far the motor has gone since the reversal, shape (n,), > 0 in the new direction."""
+        """Travel of the motor since the reversal, µm, shape (n,), > 0 in the new direction."""
         travel = self.direction * (self.position_load_mm - self.position_load_mm[0]) * 1000.0
         return np.asarray(travel + 0.0, dtype=np.float64)  # no −0
 
     @property
     def rising_percent(self) -> Floats:
-        """Mean torque of each place, less the weight, in the new direction's sense, shape (n,): rises from below 0 to above."""
+        """Mean torque at each position, less the weight, in the sense of the new direction, shape (n,): rises from
+        below 0 to above.
+        """
         return self._rising(self.torque_percent)
 
     @property

@@ -14,7 +14,7 @@ from hil.app.jobs.job import Job, Workplace
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.axis.backlash import BacklashConfig
 from hil.backlash import job as backlash
-from hil.backlash.job import Compensating
+from hil.backlash.job import CompensationState
 from hil.backlash.neutral_settings import BacklashSettings, Setting, neutral
 from hil.backlash.settings import backlash_settings
 from hil.machine.events import silent
@@ -28,11 +28,11 @@ class Here:
         self.axis, self.drive = axis, drive
         self.how = backlash.backlash_config(axis)
 
-    def does(self, job: Job) -> Compensating:
+    def does(self, job: Job) -> CompensationState:
         waiting: Waiting = None  # type: ignore[assignment]
         place = Workplace(self.axis, self.drive, None, silent, lambda _text: None, None, waiting, lambda *_: None)
         result = job.work(place)
-        assert isinstance(result, Compensating)
+        assert isinstance(result, CompensationState)
         return result
 
     def amount(self) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from hil.backlash.fitted import FittedWindUp, _better, _fit, _Polynomial, fit_wind_up
+from hil.backlash.fitted import FittedWindUp, _explains_more, _fit, _Polynomial, fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion, mean_um, reversal_json
 from hil.backlash.trace import ReversalTrace
 
@@ -205,8 +205,8 @@ def test_further_coefficients_must_explain_more_than_luck_would() -> None:
     for more, added, f in ((10, 1, 10.04), (20, 2, 5.85)):
         for factor, better in ((1.01, True), (0.99, False)):
             fewer = polynomial(1.0 * more + added * f * factor, more + added)
-            assert _better(polynomial(1.0 * more, more), fewer) is better, (more, factor)
-    assert not _better(polynomial(0.0, 5), polynomial(1.0, 6))
+            assert _explains_more(polynomial(1.0 * more, more), fewer) is better, (more, factor)
+    assert not _explains_more(polynomial(0.0, 5), polynomial(1.0, 6))
 
 
 def test_a_line_through_four_places() -> None:
