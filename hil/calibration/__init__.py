@@ -1,1 +1,1 @@
-"""Calibration (system A): measure passes, compute tables, prove them, revise; verify; explore."""
+"""Calibration (system A): measuring passes, computing tables, proving and revising them, verifying, exploring."""

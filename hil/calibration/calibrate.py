@@ -1,7 +1,7 @@
 """Calibration, system A: measure, compute, prove, store, revise what lies outside, until everything lies inside (JP4875672B2).
 
-The procedure depends on its rows alone: taken up after an interruption, it replays those on disk to the same tables and goes on with
-the first row missing.
+The procedure depends only on its rows: resumed after an interruption, it replays those on disk to the same tables and
+continues with the first missing row.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ from hil.records.journal import Campaign
 from hil.records.rows import Records
 
 Store = Callable[[TableSet], None]
+"""store(tables): stores tables before they are put into force."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One proof of the tables: what was measured with them in force, and which sections lay outside the band."""
+    """One proof of the tables: the rows measured with them in force, and the sections outside the band."""
 
     records: Records
     tables: TableSet
@@ -48,7 +49,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a calibration came to.
+    """The result of a calibration.
 
     before: the uncorrected machine; rounds: each proof, in order; tables: the last tables, stored and in force
     """
@@ -59,11 +60,12 @@ class Calibration:
 
     @property
     def outside(self) -> tuple[Outside, ...]:
+        """The sections outside the band in the last round."""
         return self.rounds[-1].outside
 
     @property
     def inside(self) -> bool:
-        """Every section and direction ended inside the band (always true without a band)."""
+        """Every section and direction is inside the band (always true without a band)."""
         return not self.outside
 
 
@@ -76,7 +78,7 @@ def calibrate(
     *,
     straightness: SingleTable | None = None,
 ) -> Calibration:
-    """Run the whole of it on a prepared session.
+    """Runs the whole calibration on a prepared session.
 
     straightness: a straightness correction that is stored and put into force together with the tables
 
@@ -118,7 +120,7 @@ def calibrate(
 
 
 def check_band(records: Records, band: Band) -> None:
-    """Refuse a band narrower than the repeatability seen in these runs; InputError with both figures."""
+    """Raises InputError, with both figures, for a band narrower than the repeatability of these runs."""
     band.check_repeatability(section_means(records).pooled_std_um)
 
 
@@ -187,7 +189,9 @@ def _rms_um(errors_um: Sequence[float]) -> float:
 
 
 def as_stored(tables: TableSet, correction: CorrectionConfig) -> TableSet:
-    """The form the tables are stored in: with a share moved to straightness, or combined; the same total correction."""
+    """The tables in the form in which they are stored: with a share moved to straightness, or combined; the total
+    correction is the same.
+    """
     if tables.specified is not None and correction.straightness_share > 0:
         return split_specified(tables, correction.straightness_share)
     return tables.combined() if correction.combined else tables
@@ -198,7 +202,7 @@ def _outside(records: Records, band: Band | None) -> list[Outside]:
 
 
 def _revised(tables: TableSet, outside: Sequence[Outside], correction: CorrectionConfig, number: int) -> TableSet:
-    """By system A's formula after the first proof, by fine steps after each later one."""
+    """Revised by system A's formula after the first proof, by fine steps after each later one."""
     if tables.specified is None or correction.band is None:
         return tables
     if number == 1:

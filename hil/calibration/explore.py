@@ -1,8 +1,9 @@
-"""An exploring campaign: measured so that the effects a calibration cannot see become visible, and stay apart from each other.
+"""The exploring campaign: rows planned to show effects that a calibration cannot, and to keep them apart.
 
-Targets off the grid and in random order, so that time is not confounded with position; reversals with travels of all lengths; runs
-warmed up and rested by turns; load and cross position as asked, shuffled. Every run has repeats of some of its targets for the
-noise floor. The whole plan comes from a seed, so that a resumed campaign goes on with it.
+Targets lie off the grid and in random order, so that time is not confounded with position. Reversals have travels of
+all lengths. Runs alternate between warmed up and rested. Load and cross position take the given levels in shuffled
+order. Every run repeats some of its targets for the noise floor. The whole plan follows from a seed, so that a resumed
+campaign continues it.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ def warm_up(
     *,
     stage: str = "warm-up",
 ) -> None:
-    """Run full strokes between the outermost targets for a duration, watched like any other motion.
+    """Full strokes between the outermost targets for duration_s, supervised like any other motion.
 
-    velocity_mm_s: default half the axis's limit
+    velocity_mm_s: default half the axis's limit. Raises what stops the axis.
     """
     velocity = session.drive.limits.max_velocity_mm_s / 2 if velocity_mm_s is None else velocity_mm_s
     low, high = min(session.how.targets_mm), max(session.how.targets_mm)
@@ -46,7 +47,7 @@ def warm_up(
 
 
 def rest(session: AxisSession, duration_s: float, listener: Listener = silent, *, stage: str = "rest") -> None:
-    """Stand still, enabled and watched."""
+    """Stands still for duration_s, enabled and supervised. Raises what stops the axis."""
     total = max(1, round(duration_s))
     listener(Event(stage, done=0, total=total))
     session.watch(duration_s)
@@ -54,13 +55,14 @@ def rest(session: AxisSession, duration_s: float, listener: Listener = silent, *
 
 
 REPEATS = 4
+"""Targets that are measured twice in each run."""
 
 
 @dataclass(frozen=True)
-class Run:
+class ExploringRun:
     """One run of the campaign.
 
-    strokes_s, rest_s: warming strokes and standing still before it; conditions: column -> level during it
+    strokes_s, rest_s: warming strokes and standstill before it; conditions: column -> level during it
     """
 
     steps: tuple[Step, ...]
@@ -71,15 +73,15 @@ class Run:
 
 @dataclass(frozen=True)
 class Exploration:
-    """How much is measured: runs of rows each, and how long an axis is warmed up or rests between runs."""
+    """Extent of a campaign: runs, rows per run, and the mean duration of warming up or resting between runs, s."""
 
     runs: int = 8
     rows: int = 42
     warm_up_s: float = 240.0
 
 
-def plan_runs(session: AxisSession, how: Exploration, seed: int) -> list[Run]:
-    """The runs of a campaign over the travel of the session's targets; another seed, other targets and another order."""
+def plan_runs(session: AxisSession, how: Exploration, seed: int) -> list[ExploringRun]:
+    """The runs of a campaign over the travel of the session's targets; the seed determines targets and order."""
     rng = np.random.default_rng([session.how.seed, seed])
     low, high = min(session.how.targets_mm), max(session.how.targets_mm)
     levels = session.conditions.levels
@@ -88,7 +90,7 @@ def plan_runs(session: AxisSession, how: Exploration, seed: int) -> list[Run]:
     for number in range(1, how.runs + 1):
         heat = rng.permutation([1.0, 0.0]) if number > 1 else np.array([0.0, 0.0])
         planned.append(
-            Run(
+            ExploringRun(
                 tuple(_steps(rng, number, how.rows, (low, high), session.how.overrun_mm)),
                 strokes_s=float(heat[0] * rng.uniform(0.5, 1.5) * how.warm_up_s),
                 rest_s=float(heat[1] * rng.uniform(0.5, 1.5) * how.warm_up_s),
@@ -107,7 +109,7 @@ def _shuffled_levels(rng: np.random.Generator, values: Sequence[float], runs: in
 def _steps(
     rng: np.random.Generator, run: int, rows: int, travel_mm: tuple[float, float], overrun_mm: float
 ) -> list[Step]:
-    """Strata over the travel, one random target in each, visited in random order from random sides; some twice."""
+    """Strata over the travel, one random target in each, in random order and direction; some twice."""
     low, high = travel_mm
     repeats = min(REPEATS, rows // 4)
     edges = np.linspace(low, high, rows - repeats + 1)
@@ -126,14 +128,17 @@ def _steps(
 
 
 def explore(
-    session: AxisSession, campaign: Campaign, name: str, runs: Sequence[Run], listener: Listener = silent
+    session: AxisSession, campaign: Campaign, name: str, runs: Sequence[ExploringRun], listener: Listener = silent
 ) -> Records:
-    """Measure the runs with the compensation now in force. A run that is on disk already is not prepared for again."""
+    """Measures the runs with the compensation now in force. A run that is on disk already is not prepared again.
+
+    Raises InputError for rows of another plan, and what stops the axis.
+    """
     parts = []
     for number, run in enumerate(runs, start=1):
         stage = f"{name}-{number}"
         if not campaign.has_rows(stage):
-            _bring_about(session, run)
+            _set_conditions(session, run)
             if any(condition in SET_UP for condition, _ in run.conditions):
                 session.take_datum()
             if run.strokes_s:
@@ -144,8 +149,8 @@ def explore(
     return concatenate(parts)
 
 
-def _bring_about(session: AxisSession, run: Run) -> None:
-    """The run's conditions; nobody reaches into a machine under power for them."""
+def _set_conditions(session: AxisSession, run: ExploringRun) -> None:
+    """Sets the run's conditions, without power where they are set by hand."""
     conditions = session.conditions
     now = conditions.read()
     other = any(now.get(name) != level for name, level in run.conditions)

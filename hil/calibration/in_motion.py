@@ -1,8 +1,9 @@
 """Measuring while the axis moves: passes at several feeds, each set-point of a stream corrected in its cycle.
 
-What only shows in motion (a lag in proportion to velocity) no campaign at rest can see, and no correction at rest can mend. A row is
-one sample of the instrument on a stretch of constant velocity: its target is where the path is at that moment. The moment is that of
-its arrival less the instrument's latency (on the fly), or that of an edge which drive and instrument share (triggered).
+An effect of motion (a lag proportional to velocity) cannot be measured or corrected at rest. A row is one sample of the
+instrument on a stretch of constant velocity: its target is the position of the path at the time of the sample. That
+time is its arrival less the instrument's latency (on the fly), or that of an edge which drive and instrument share
+(triggered).
 """
 
 from __future__ import annotations
@@ -30,12 +31,13 @@ from hil.records.rows import Floats, Records
 
 @dataclass(frozen=True)
 class InMotion:
-    """How passes are made.
+    """Settings of the passes.
 
-    feeds_mm_s: at each, up and down in every run; stretch_mm: of constant velocity; rows: kept of each pass, evenly;
-    latency_s: of the instrument, see `hil.figures.latency`, None: unknown yet; dated_by: how it is known; lag_mm: how far the axis may
-    be behind its set-point; trigger_input: of the drive, captures at the edges that come there with the instrument's samples, None: on
-    the fly
+    feeds_mm_s: at each, up and down in every run; stretch_mm: of constant velocity; rows: kept of each pass, evenly
+    spaced
+    latency_s: of the instrument, see `hil.figures.latency`, None: unknown; dated_by: how it is known, in words; lag_mm:
+    allowed distance of the axis behind its set-point
+    trigger_input: input of the drive that captures positions at edges shared with the instrument, None: on the fly
     """
 
     feeds_mm_s: tuple[float, ...]
@@ -51,7 +53,7 @@ class InMotion:
 
 
 @dataclass(frozen=True)
-class Pass:
+class FeedPass:
     """One stretch at one feed in one direction. from_mm, to_mm: the path, with its ramps."""
 
     run: int
@@ -61,19 +63,20 @@ class Pass:
 
     @property
     def direction(self) -> int:
+        """+1 or -1."""
         return 1 if self.to_mm > self.from_mm else -1
 
 
 def check_passes(session: AxisSession, how: InMotion) -> None:
-    """Raises CapabilityError or InputError, before anything moves, for passes that this axis cannot make."""
+    """Raises CapabilityError or InputError, before any motion, for passes that this axis cannot make."""
     session.drive.require(Capability.STREAMING, *([] if how.trigger_input is None else [Capability.TOUCH_PROBE]))
     if how.latency_s is None:
         check_feeds(how.feeds_mm_s * how.runs)
     plan_passes(session, how, 0)
 
 
-def plan_passes(session: AxisSession, how: InMotion, seed: int) -> list[Pass]:
-    """Feeds in random order in each run, each up and down over a stretch at a random place of the travel.
+def plan_passes(session: AxisSession, how: InMotion, seed: int) -> list[FeedPass]:
+    """Feeds in random order in each run, each up and down over a stretch at a random position of the travel.
 
     Raises InputError for a feed beyond the limits, or whose ramps leave no room for the stretch.
     """
@@ -90,13 +93,13 @@ def plan_passes(session: AxisSession, how: InMotion, seed: int) -> list[Pass]:
                 )
             start = round(float(rng.uniform(low, high - length)), 3)
             passes += [
-                Pass(run, float(feed), start, start + length),
-                Pass(run, float(feed), start + length, start),
+                FeedPass(run, float(feed), start, start + length),
+                FeedPass(run, float(feed), start + length, start),
             ]
     return passes
 
 
-def ramped_path(this: Pass, acceleration_mm_s2: float, period_s: float) -> Floats:
+def ramped_path(this: FeedPass, acceleration_mm_s2: float, period_s: float) -> Floats:
     """Targets (mm) and velocities (mm/s) of every period, shape (n, 2): ramp up, constant velocity, ramp down."""
     length, feed = abs(this.to_mm - this.from_mm), this.feed_mm_s
     ramp_s = feed / acceleration_mm_s2
@@ -112,7 +115,7 @@ def ramped_path(this: Pass, acceleration_mm_s2: float, period_s: float) -> Float
 
 @dataclass
 class _Trace:
-    """What a pass leaves behind: the path in time, where the drive was found, the numbered samples, and latches."""
+    """The data of one pass: the path in time, the drive's positions, the numbered samples, and latches."""
 
     times: Dates
     session: AxisSession
@@ -128,7 +131,7 @@ class _Trace:
         self.reached_ns.append(stream.reached_ns)
         self.command_mm.append(self.session.commanded_mm)
         self.since_reversal_mm.append(math.nan if history is None else history.since_reversal_mm)
-        if not self.found or stream.found[0] > self.found[-1][0]:  # one that came late is not told again
+        if not self.found or stream.found[0] > self.found[-1][0]:  # a late position is reported once
             self.found.append(stream.found)
         self.samples += self.session.readings()
         if self.edges is not None:
@@ -139,15 +142,17 @@ def measure_in_motion(
     session: AxisSession,
     campaign: Campaign,
     name: str,
-    passes: Sequence[Pass],
+    passes: Sequence[FeedPass],
     *,
     how: InMotion,
     listener: Listener = silent,
 ) -> Records:
-    """Make the passes with the compensation now in force, on a prepared session; every row is on disk before the next pass.
+    """Makes the passes with the compensation now in force, on a prepared session; every row is on disk before the next
+    pass.
 
-    A campaign that was interrupted makes its passes again: there is no half of a pass. Raises CapabilityError before anything moves
-    where the drive takes no set-points in its cycle.
+    An interrupted campaign repeats the pass that was incomplete. Raises CapabilityError before any motion where the
+    drive takes no set-points in its cycle, InputError for rows of another plan or passes without a row, and what stops
+    the axis.
     """
     session.drive.require(Capability.STREAMING)
     edges = None if how.trigger_input is None else EdgeWatch(session, how.trigger_input)
@@ -170,8 +175,8 @@ def measure_in_motion(
     return records
 
 
-def _passes_done(records: Records | None, passes: Sequence[Pass]) -> int:
-    """Whole passes that are on disk already: those before the last one of which there are rows."""
+def _passes_done(records: Records | None, passes: Sequence[FeedPass]) -> int:
+    """Number of complete passes on disk: those up to the last one with rows."""
     if records is None:
         return 0
     last = (int(records.run[-1]), int(records.direction[-1]), float(records["velocity_mm_s"][-1]))
@@ -181,11 +186,11 @@ def _passes_done(records: Records | None, passes: Sequence[Pass]) -> int:
     return keys.index(last) + 1
 
 
-_Moment = tuple[float, tuple[int, Reading], dict[str, float]]
-"""When, which sample, and more columns of its row."""
+_DatedSample = tuple[float, tuple[int, Reading], dict[str, float]]
+"""Time in ns, the sample, and further columns of its row."""
 
 
-def _measure_pass(session: AxisSession, trace: _Trace, this: Pass, how: InMotion) -> Iterator[dict[str, float]]:
+def _measure_pass(session: AxisSession, trace: _Trace, this: FeedPass, how: InMotion) -> Iterator[dict[str, float]]:
     session.approach(this.from_mm - this.direction * session.how.overrun_mm)
     session.move_to(this.from_mm)
     session.watch(session.how.dwell_s)
@@ -202,14 +207,14 @@ def _measure_pass(session: AxisSession, trace: _Trace, this: Pass, how: InMotion
         yield {**known, **row, "time_s": known["time_s"] + row["time_s"], "stroke_mm": stroke_mm}
 
 
-def _rows(this: Pass, path: Floats, trace: _Trace, how: InMotion) -> Iterator[dict[str, float]]:
-    """Samples on the stretch of constant velocity, some evenly spread ones of them."""
+def _rows(this: FeedPass, path: Floats, trace: _Trace, how: InMotion) -> Iterator[dict[str, float]]:
+    """Samples on the stretch of constant velocity, evenly thinned to `how.rows`."""
     reached = np.array(trace.reached_ns, dtype=np.float64)
     found_ns, found_mm = np.array(trace.found, dtype=np.float64).T
     even = np.flatnonzero(path[:, 1] >= this.feed_mm_s * (1 - 1e-9))
-    settled = even[len(even) // 4 :]  # the first quarter is left for the servo's lag to build up
+    settled = even[len(even) // 4 :]  # the servo's lag builds up in the first quarter
     first_ns, last_ns = reached[settled[0]], reached[settled[-1]]
-    moments: list[_Moment]
+    moments: list[_DatedSample]
     if trace.edges is None:
         moments = [(float(trace.times.taken_ns(*sample)), sample, {}) for sample in trace.samples]
     else:
@@ -233,8 +238,8 @@ def _rows(this: Pass, path: Floats, trace: _Trace, how: InMotion) -> Iterator[di
 
 def _at_edges(
     trace: _Trace, found_ns: Floats, found_mm: Floats, settled: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> list[_Moment]:
-    """When an edge came, the sample that belongs to it, and how late that was here."""
+) -> list[_DatedSample]:
+    """Time of each edge, the sample that belongs to it, and the delay of its arrival."""
     if trace.edges is None or not trace.samples or not settled.any():
         return []
     measured = np.array([trace.session.load_position_mm(reading) for _, reading in trace.samples])

@@ -1,4 +1,4 @@
-"""Calibration and verification along an axis (system A)."""
+"""Calibration and verification of an axis (system A) as jobs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CALIBRATE, VERIFY, UNCORRECTED = "calibrate", "verify", "uncorrected"
 
 # -- calibrate -----------------------------------------------------------------------------------------------------------
 def calibration_plan(axis: AxisConfig) -> Plan:
-    """What a calibration moves and writes: the axis as it is, and at least one proof of the tables."""
+    """The moves and writes of a calibration: the uncorrected axis, and at least one proof of the tables."""
     steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
     writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
     return measuring_plan(axis, [*steps, *steps], writes, locked=True)
@@ -43,7 +43,9 @@ def run_calibration(
 ) -> Calibration:
     """Prepare and calibrate; each set of tables is sealed once it is proven.
 
-    recording: file name of what is replayed, if anything is; store: None then, the tables of a recording are kept nowhere.
+    recording: file name of a replayed recording, "" for a real machine; store: None for a recording, whose tables are
+    not stored
+    Raises what `calibrate` and preparing the session raise.
     """
     axis = machine.axis
     purpose = axis.purpose(CALIBRATE)
@@ -69,7 +71,7 @@ def calibration_job(axis: AxisConfig, *, resume: bool = False, zero: OfZero = UN
 
 
 def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
-    """What a calibration came to, as plain values."""
+    """The result of a calibration as plain values."""
     return {
         "axis": axis.name,
         "before": error_figures(result.before),
@@ -89,14 +91,14 @@ def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
 # -- verify --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Verified:
-    """A verification, and what was in force; None: nothing was."""
+    """A verification, and the compensation that was in force, None for none."""
 
     compensation: Compensation | None
     result: Verification
 
 
 def verification_plan(axis: AxisConfig, seed: int) -> Plan:
-    """What a verification moves and writes."""
+    """The moves and writes of a verification."""
     steps = bidirectional_steps(other_targets(axis.measurement, seed), axis.measurement.runs)
     return measuring_plan(axis, steps, [Write("rows", str(axis.store.directory))])
 
@@ -110,9 +112,10 @@ def run_verification(
     resume: bool = False,
     recording: str = "",
 ) -> Verification:
-    """Prepare, put the compensation into force, measure at other targets.
+    """Prepares the session, puts the compensation into force, measures at other targets.
 
-    compensation: None for the machine uncorrected; recording: file name of what is replayed, if anything is.
+    compensation: None for the uncorrected machine; recording: file name of a replayed recording, "" for a real machine
+    Raises what preparing and measuring raise.
     """
     axis = machine.axis
     purpose = {**axis.purpose(UNCORRECTED if compensation is None else VERIFY), "seed": seed}

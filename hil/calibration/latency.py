@@ -1,8 +1,8 @@
-"""Measuring how late the instrument's readings are, by passes up and down at several feeds.
+"""Measuring the latency of the instrument's readings, by passes up and down at several feeds.
 
-With a line that drive and instrument share, at its edges: this tells the link's latency from a lag of the table behind its motor.
-Without it, on the fly: passes are made, dated by what is known of the latency, and made again until nothing more is found. What that
-cannot tell apart stands in `hil.figures.latency`.
+With a line that drive and instrument share, at its edges: this separates the link's latency from a lag of the table
+behind its motor. Without it, on the fly: passes are made, dated by the latency known so far, and repeated until the
+remaining shift is insignificant. `hil.figures.latency` says what this cannot separate.
 """
 
 from __future__ import annotations
@@ -10,25 +10,29 @@ from __future__ import annotations
 from dataclasses import replace
 
 from drivers.errors import InputError
-from hil.calibration.in_motion import InMotion, Pass, check_passes, measure_in_motion, plan_passes
+from hil.calibration.in_motion import FeedPass, InMotion, check_passes, measure_in_motion, plan_passes
 from hil.figures.latency import Latency, latency_at_edges, latency_by_passes, time_shift
 from hil.machine.events import Listener, silent
 from hil.machine.session import AxisSession
 from hil.records.journal import Campaign
 
 MOST_ROUNDS = 5
+"""Most repetitions of the passes."""
 ENOUGH_S = 2e-5
-"""A shift below this, or within its uncertainty, is no reason for another round; a link that is known so well is even."""
+"""Resolution of the search, s: a smaller shift, or one within its uncertainty, ends it; a link known to this is
+even.
+"""
 ROWS = 40
+"""Rows per pass."""
 EDGES_PERIOD_S = 0.01
-"""Set-points come no faster while latches are fetched between them: a few answers of the drive have room in it."""
+"""Shortest period of set-points while latches are fetched between them: room for a few answers of the drive, s."""
 
 
 def measure_latency(session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener = silent) -> Latency:
-    """On a prepared session; nothing is corrected meanwhile. how: its latency is where the search begins.
+    """Measures the latency on a prepared session, uncorrected. how: its latency is the starting value.
 
-    Raises InputError for feeds that cannot tell a latency from lost motion, or a latency that is not found, and what
-    `measure_in_motion` raises.
+    Raises InputError for feeds that cannot separate latency from lost motion, or a latency that does not converge, and
+    what `measure_in_motion` raises.
     """
     how = replace(how, rows=ROWS)
     if how.trigger_input is not None:
@@ -47,8 +51,11 @@ def measure_latency(session: AxisSession, campaign: Campaign, how: InMotion, lis
 def dated(
     session: AxisSession, campaign: Campaign, how: InMotion, listener: Listener = silent
 ) -> tuple[InMotion, Latency | None]:
-    """Passes whose samples are dated by a latency, the one that is known, or else measured now, as `measure_latency`; or each by its
-    own edge, where edges showed that the link is uneven."""
+    """Settings whose samples are dated by the known latency, or by one measured now; by its own edge each, where the
+    link is uneven.
+
+    Returns the settings and the latency measured now, None where it was known. Raises as `measure_latency`.
+    """
     if how.latency_s is not None:
         return replace(how, trigger_input=None), None
     latency = measure_latency(session, campaign, how, listener)
@@ -76,7 +83,7 @@ def _by_passes(session: AxisSession, campaign: Campaign, how: InMotion, listener
     )
 
 
-def _both_ways_first(passes: list[Pass]) -> list[Pass]:
-    """Every second run begins downwards: what drifts in between is not taken for a difference of the two ways."""
+def _both_ways_first(passes: list[FeedPass]) -> list[FeedPass]:
+    """Every second run begins downwards, so that drift is not taken for a difference of the directions."""
     pairs = [passes[place : place + 2] for place in range(0, len(passes), 2)]
     return [this for pair in pairs for this in (pair if pair[0].run % 2 else pair[::-1])]

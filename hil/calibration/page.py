@@ -1,4 +1,6 @@
-"""Calibrate and verify (system A): the plan in words, the errors as they are measured, the figures before and after, the band."""
+"""Page of calibration and verification (system A): the plan in words, the errors while measured, figures before and
+after, the band.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +17,17 @@ from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
-from hil.calibration.screen import SHOWN, STAGES, CalibrationScreen, Stage, calibration_screen
+from hil.calibration.screen import SHOWN, STAGES, CalibrationScreen, MeasuredStage, calibration_screen
 
 Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]
 KINDS = (CALIBRATE, VERIFY, UNCORRECTED)
 COLOUR = {"before": 1, "after": 0, "verified": 2, "uncorrected": 4}
-"""Of each stage's curves."""
+"""Colour of each stage's curves."""
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draws the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("calibrate.no_instrument")).classes("hil-note"), "calibrate.no_instrument")
@@ -52,7 +54,7 @@ def draw(view: View) -> None:
 
 
 def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
-    """What a calibration does, in words, with this axis's figures; and whether its tables can be read and written."""
+    """The moves and writes of a calibration, in words, and whether the tables can be read and written."""
     t, rights = view.t, view.desk.rights
     with ui.element("div").classes("hil-grid wide"):
         with view.card("calibrate.plan"):
@@ -71,7 +73,7 @@ def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
 
 
 def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    """Start, verify, go on with what was broken off."""
+    """Start, verify, resume."""
     t, desk = view.t, view.desk
 
     async def start_new() -> None:
@@ -123,7 +125,7 @@ async def _resume(view: View, axis: AxisConfig, kept: Kept, kind: str, zero: Zer
 
 
 async def _ask_password(view: View) -> None:
-    """The reading password of the tables; it is forgotten with the dialog."""
+    """Asks for the reading password of the tables; it is not kept."""
     given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes")
     if given is not None:
         token = view.token
@@ -131,7 +133,7 @@ async def _ask_password(view: View) -> None:
 
 
 def _draw_where(view: View) -> Refresh:
-    """Where the axis is, and the step now running."""
+    """Position of the axis, and the present step."""
     with view.card("calibrate.where"):
         where = draw_where(view, "calibrate", lambda: view.desk.last_of(KINDS))
         bar = view.named(ui.linear_progress(0.0, show_value=False, size="12px"), "calibrate.progress")
@@ -145,7 +147,7 @@ def _draw_where(view: View) -> Refresh:
 
 
 def _draw_accuracy(view: View, kept: Kept) -> Refresh:
-    """The accuracy A of ISO 230-2, as the axis is now and as it was."""
+    """The accuracy A of ISO 230-2, now and before."""
     with view.card("calibrate.accuracy"):
         now = view.value("calibrate.now", "µm")
         before = view.value("calibrate.before", "µm", small=True)
@@ -159,8 +161,8 @@ def _draw_accuracy(view: View, kept: Kept) -> Refresh:
     return refresh
 
 
-def _figure(view: View, stage: Stage | None, name: str) -> str:
-    """With its expanded uncertainty, where that is known."""
+def _figure(view: View, stage: MeasuredStage | None, name: str) -> str:
+    """A figure with its expanded uncertainty, where that is known."""
     if stage is None or name not in stage.figures_um:
         return "–"
     known = stage.u95_um.get(name)
@@ -169,7 +171,7 @@ def _figure(view: View, stage: Stage | None, name: str) -> str:
 
 
 def _draw_band(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    """Whether every section lies inside the band that was asked for, and which do not; the same at other targets."""
+    """Whether every section is inside the band, and which are not; the same at other targets."""
     t, band = view.t, axis.correction.band
     with view.card("calibrate.band"):
         verdict = view.value("calibrate.verdict", small=band is None)
@@ -208,7 +210,7 @@ def _draw_curves(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
 
 
 def _curves(view: View, axis: AxisConfig, screen: CalibrationScreen) -> Options:
-    """Mean errors along the axis: + as triangles, − as triangles upside down, a colour for each stage, the band behind."""
+    """Mean errors along the axis: + as triangles, − as inverted triangles, a colour for each stage, the band behind."""
     t = view.t
     drawn = [
         Curve(
@@ -233,7 +235,7 @@ def _curves(view: View, axis: AxisConfig, screen: CalibrationScreen) -> Options:
 
 
 def _draw_figures(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    """The figures of ISO 230-2, each with what is known of its uncertainty."""
+    """The figures of ISO 230-2, each with its uncertainty where known."""
     t = view.t
     with view.card("calibrate.figures", name="calibrate.figures.card").classes("w-full"):
         columns = ["calibrate.head.figure", *(f"calibrate.stage.{name}" for name in STAGES)]

@@ -1,4 +1,6 @@
-"""The reports of a calibration and of a verification. Imported only when one is wanted: drawing is slow to load."""
+"""The reports of a calibration and of a verification. Imported only when one is written, since plotting loads
+slowly.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from hil.correction.tables import Band, TableSet
 
 
 def calibration_report(axis: AxisConfig, result: Calibration) -> str:
-    """Before, and each proof."""
+    """Report of a calibration as HTML: before, and each proof."""
     campaigns = [NamedCampaign("before", result.before)]
     campaigns += [
         NamedCampaign(f"round {number}", one.records, _outside_note(len(one.outside), axis.correction.band))
@@ -24,13 +26,13 @@ def calibration_report(axis: AxisConfig, result: Calibration) -> str:
 
 
 def verification_report(axis: AxisConfig, tables: TableSet, result: Verification) -> str:
-    """One campaign with the correction in force."""
+    """Report of a verification as HTML: one campaign with the correction in force."""
     verified = NamedCampaign("verified", result.records, _outside_note(len(result.outside), axis.correction.band))
     return render_html(of_axis(axis, "Verification of", [verified], tables))
 
 
 def of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tables: TableSet) -> ReportData:
-    """What was measured, on which axis and how it stood, the band it is held against, the tables in force, how well it is known."""
+    """The report's data: campaigns, identity of the axis, band, tables in force, and uncertainty."""
     band = axis.correction.band
     return ReportData(
         f"{what} axis {axis.name}",
@@ -43,6 +45,7 @@ def of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tab
 
 
 def in_force(tables: TableSet) -> tuple[TableInForce, ...]:
+    """The tables in force, as a report names them."""
     what = f"{tables.mode.value}, {len(tables.pitch.position_mm)} positions"
     return (TableInForce("correction tables", tables.digest(), what),)
 

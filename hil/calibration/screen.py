@@ -1,4 +1,6 @@
-"""What the screen of system A shows: the axis before and after its correction, its figures with their uncertainty, the band."""
+"""The contents of the page of system A: the axis before and after its correction, its figures with uncertainty, the
+band.
+"""
 
 from __future__ import annotations
 
@@ -21,46 +23,50 @@ from hil.figures.uncertainty import budget
 from hil.records.journal import MARKER, Campaign
 from hil.records.rows import Records, concatenate
 
-Curve = tuple[tuple[float, float], ...]
+Points = tuple[tuple[float, float], ...]
 STAGES = ("before", "after", "verified", "uncorrected")
+"""Measurements that are shown, in this order."""
 SHOWN = ("A", "E", "R", "M", "B")
-"""Figures of ISO 230-2 on this screen."""
+"""Figures of ISO 230-2 that are shown."""
 
 
 @dataclass(frozen=True)
-class Stage:
-    """The axis as measured once.
+class MeasuredStage:
+    """One measurement of the axis.
 
-    means_um: mean error of each target, µm over mm, by direction; figures_um, u95_um: of ISO 230-2 with their expanded uncertainty
-    (k = 2), what is not known is not in it; outside: sections outside the band, None without a band
+    means_um: mean error of each target, (mm, µm), by direction; figures_um, u95_um: of ISO 230-2 with their expanded
+    uncertainty (k = 2), unknown ones left out; outside: sections outside the band, None without a band
     """
 
     begun: datetime
-    means_um: Mapping[int, Curve]
+    means_um: Mapping[int, Points]
     figures_um: Mapping[str, float]
     u95_um: Mapping[str, float]
     outside: tuple[Outside, ...] | None
 
     @property
     def sections(self) -> int:
-        """How many sections and directions were measured."""
+        """Number of sections and directions measured."""
         return sum(map(len, self.means_um.values()))
 
 
 @dataclass(frozen=True)
 class CalibrationScreen:
-    """stages: by name, of STAGES, those that were measured; unfinished: job -> the campaign that can be gone on with, and the
-    seed of its targets; tables: whether any are stored"""
+    """stages: by name, of STAGES, those that were measured; unfinished: job -> the campaign that can be resumed, and
+    the seed of its targets; tables: whether any are stored
+    """
 
-    stages: Mapping[str, Stage]
+    stages: Mapping[str, MeasuredStage]
     unfinished: Mapping[str, tuple[str, int]]
     tables: bool
 
 
 def calibration_screen(axis: AxisConfig) -> CalibrationScreen:
-    """From the axis's folder. Reads files: not for a page's own loop."""
+    """Reads the axis's folder; too slow for the page's event loop. Raises InputError for a campaign that cannot be
+    read.
+    """
     folder = axis.store.directory
-    stages: dict[str, Stage] = {}
+    stages: dict[str, MeasuredStage] = {}
     passes = _last_passes(folder, CALIBRATE)
     measured = {"before": passes.get("measure"), "after": None, "verified": None, "uncorrected": None}
     rounds = [one for name, one in sorted(passes.items(), key=_number) if name.startswith("round-")]
@@ -79,7 +85,9 @@ def calibration_screen(axis: AxisConfig) -> CalibrationScreen:
 
 
 def latest(rounds: Sequence[Records]) -> Records:
-    """Each section and direction as the last round that measured it found it: a later round measures only what lay outside."""
+    """The rows of each section and direction from the last round that measured it: a later round measures only sections
+    outside the band.
+    """
     kept: list[Records] = []
     known: set[tuple[float, float]] = set()
     for records in reversed(rounds):
@@ -89,7 +97,7 @@ def latest(rounds: Sequence[Records]) -> Records:
     return concatenate([records for records in reversed(kept) if len(records)])
 
 
-def _stage(axis: AxisConfig, begun: datetime, records: Records) -> Stage:
+def _stage(axis: AxisConfig, begun: datetime, records: Records) -> MeasuredStage:
     means, band = section_means(records), axis.correction.band
     curves = {
         sign: tuple((float(x), float(y)) for x, y in zip(means.target_mm, values, strict=True) if np.isfinite(y))
@@ -97,11 +105,11 @@ def _stage(axis: AxisConfig, begun: datetime, records: Records) -> Stage:
     }
     figures, u95 = _figures(axis, records)
     outside = None if band is None else tuple(sections_outside(means, band))
-    return Stage(begun, curves, figures, u95, outside)
+    return MeasuredStage(begun, curves, figures, u95, outside)
 
 
 def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict[str, float]]:
-    """Empty where the rows are too few, such as in the middle of a pass."""
+    """Figures and uncertainties; empty where the rows are too few, such as during a pass."""
     try:
         found = iso230(records)
     except InputError:
@@ -116,7 +124,7 @@ def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict
 
 
 def _last_passes(folder: Path, kind: str) -> dict[str, Pass]:
-    """Of the last campaign of this kind that has rows, by name."""
+    """The passes of the last campaign of this kind that has rows, by name."""
     for directory in sorted(folder.glob(f"{kind}-[0-9]*"), key=_of_series, reverse=True):
         if (directory / MARKER).is_file():
             passes = {one.name: one for one in read_campaign(directory).passes if one.records is not None}

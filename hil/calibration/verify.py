@@ -1,4 +1,6 @@
-"""Verification: measure with the correction in force at other targets than those it was made at, and judge."""
+"""Verification: measure with the correction in force at targets other than those it was computed from, and compare with
+the band.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,14 @@ from hil.records.rows import Records
 
 @dataclass(frozen=True)
 class Verification:
-    """What a verification found; `outside` is empty without a band."""
+    """The result of a verification; `outside` is empty without a band."""
 
     records: Records
     outside: tuple[Outside, ...]
 
     @property
     def good(self) -> bool:
+        """No section is outside the band."""
         return not self.outside
 
 
@@ -33,9 +36,9 @@ def verify(
     *,
     seed: int = 1,
 ) -> Verification:
-    """Measure on a prepared session with whatever compensation it has in force.
+    """Measures on a prepared session with the compensation in force.
 
-    seed: chooses the other targets; a different one, different targets.
+    seed: determines the other targets. Raises InputError for rows of another plan, and what stops the axis.
     """
     steps = bidirectional_steps(other_targets(session.how, seed), session.how.runs)
     records = measure(session, campaign, name, steps, listener)

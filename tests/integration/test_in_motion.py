@@ -13,7 +13,7 @@ from support import bench_axis
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
 from hil.calibration.calibrate import calibrate
-from hil.calibration.in_motion import InMotion, Pass, ramped_path
+from hil.calibration.in_motion import FeedPass, InMotion, ramped_path
 from hil.correction.compensation import Compensation
 from hil.diagnosis.loop.procedure import turn_in_motion
 from hil.effects import ALL
@@ -126,5 +126,5 @@ def test_a_path_keeps_feed_acceleration_and_length() -> None:
         assert np.abs(np.diff(steps)).max() / HOW.period_s <= HOW.acceleration_mm_s2 * (1 + 1e-6)
 
 
-def plan(how: InMotion) -> list[Pass]:
-    return [Pass(1, feed, a, a + sign * 150.0) for feed in how.feeds_mm_s for a, sign in ((10.0, 1), (180.0, -1))]
+def plan(how: InMotion) -> list[FeedPass]:
+    return [FeedPass(1, feed, a, a + sign * 150.0) for feed in how.feeds_mm_s for a, sign in ((10.0, 1), (180.0, -1))]

@@ -1,1 +1,1 @@
-"""The verbs of a calibration: `hil calibrate` and `hil verify`."""
+"""The commands `hil calibrate` and `hil verify`."""

@@ -29,9 +29,9 @@ from hil.records.files import replace_file
 EXAMPLE = """\
 example:
   hil calibrate X.toml
-  hil calibrate X.toml --resume             go on after an interruption
+  hil calibrate X.toml --resume             continue after an interruption
   hil calibrate X.toml --manual typed.csv   store tables that were typed or computed elsewhere, without measuring
-  hil calibrate X.toml --new-zero           begin anew, with the zero where the drive's homing puts it now
+  hil calibrate X.toml --new-zero           start again, with a new zero by the drive's homing
   hil calibrate X.toml --record machine.csv drive and instrument, recorded together
   hil calibrate X.toml --replay machine.csv the same again from the recording: nothing is connected, no table is stored
 
@@ -40,6 +40,7 @@ Exit status 1: sections stayed outside the band, and are named; or the proof con
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil calibrate`."""
     parser = subparsers.add_parser(
         "calibrate",
         description="Calibrate an axis by system A: measure every section both ways, compute the tables, prove and store them.",
@@ -47,7 +48,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_axis_arguments(parser)
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted calibration")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted calibration")
     parser.add_argument("--manual", metavar="TABLE.csv", help="store these tables instead of measured ones")
     parser.add_argument(
         "--straightness", metavar="TABLE.csv", help="store a straightness correction too: position_mm, deviation_um"
@@ -60,7 +61,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: inside the band (or no band asked for); 1: some sections outside."""
+    """Returns 0: inside the band (or without a band); 1: some sections outside. Raises what `calibrate` and connecting
+    raise.
+    """
     axis = load_axis(args.axis)
     straightness = None if args.straightness is None else read_straightness(args.straightness)
     if args.manual is not None:
@@ -88,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _store_manual(args: argparse.Namespace, axis: AxisConfig, straightness: SingleTable | None) -> int:
-    """Manual mode: the values as they were typed, in the form the axis file asks for; nothing moves."""
+    """Manual mode: stores the typed values in the form that the axis file asks for; nothing moves."""
     if args.resume or args.report or args.record or args.replay:
         raise InputError("--manual measures nothing: neither --resume, --report, --record nor --replay goes with it")
     typed = read_manual_tables(args.manual)

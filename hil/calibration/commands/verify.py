@@ -1,4 +1,4 @@
-"""`hil verify`: measure with the correction in force at other targets than those it was made at."""
+"""`hil verify`: measure with the correction in force, at targets other than those it was computed from."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ Exit status 1: sections lie outside the band of the axis file; they are named.
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil verify`."""
     parser = subparsers.add_parser(
         "verify",
         description="Prove a calibration: measure with the stored correction in force, at targets between its own.",
@@ -47,7 +48,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_axis_arguments(parser)
     parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted verification")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted verification")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_zero_options(parser)
     add_recording_options(parser)
@@ -57,7 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: verified; 1: sections outside the band."""
+    """Returns 0: verified; 1: sections outside the band. Raises what connecting and measuring raise."""
     axis = load_axis(args.axis)
     if args.dry_run:
         print_plan(verification_plan(axis, args.seed))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hil.axis.axis_file import MeasurementConfig
-from hil.calibration.explore import Run, explore
+from hil.calibration.explore import ExploringRun, explore
 from hil.diagnosis.next.planned_run import Means, PlannedRun, Point
 from hil.machine.conditions import SET_UP
 from hil.machine.events import Listener, silent
@@ -46,9 +46,9 @@ def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
     )
 
 
-def runs_of(points: Sequence[Point]) -> list[Run]:
+def runs_of(points: Sequence[Point]) -> list[ExploringRun]:
     """Planned rows as parts of a campaign: a new part wherever something is set, the axis is warmed, or it rests."""
-    runs: list[Run] = []
+    runs: list[ExploringRun] = []
     steps: list[Step] = []
     first = points[0]
     for point in points:
@@ -56,10 +56,10 @@ def runs_of(points: Sequence[Point]) -> list[Run]:
             point.run, point.direction, point.target_mm, point.overrun_mm, point.feed_mm_s, dwell_s=point.dwell_s
         )
         if steps and (point.strokes_s or point.rest_s or point.levels != first.levels):
-            runs.append(Run(tuple(steps), first.strokes_s, first.rest_s, first.levels))
+            runs.append(ExploringRun(tuple(steps), first.strokes_s, first.rest_s, first.levels))
             steps, first = [], point
         steps.append(step)
-    runs.append(Run(tuple(steps), first.strokes_s, first.rest_s, first.levels))
+    runs.append(ExploringRun(tuple(steps), first.strokes_s, first.rest_s, first.levels))
     return runs
 
 

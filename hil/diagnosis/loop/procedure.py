@@ -20,7 +20,7 @@ import numpy as np
 from drivers.errors import InputError
 from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.explore import Exploration, Run, explore, plan_runs
+from hil.calibration.explore import Exploration, ExploringRun, explore, plan_runs
 from hil.calibration.in_motion import InMotion, check_passes, measure_in_motion, plan_passes
 from hil.calibration.latency import dated
 from hil.correction.compensation import Compensation
@@ -114,7 +114,7 @@ class Turning:
     """
 
     exploration: Exploration = field(default_factory=Exploration)
-    plan: Sequence[Run] | None = None
+    plan: Sequence[ExploringRun] | None = None
     consent: Consent | None = None
     most_further: int = MOST_RUNS
     effects: Sequence[Effect] = ALL

@@ -9,7 +9,7 @@ import pytest
 from support.toy_axis import ToyMachine, toy_session
 
 from drivers.drive import DriveState
-from hil.calibration.explore import Run, explore
+from hil.calibration.explore import ExploringRun, explore
 from hil.machine.conditions import AskedConditions
 from hil.machine.measure import Step
 from hil.records.journal import Campaign
@@ -20,7 +20,7 @@ LOADS = (0.0, 80.0, 80.0)
 
 
 def explored(path: Path, machine: ToyMachine, conditions: AskedConditions | None) -> Records:
-    runs = [Run(STEPS, 0.0, 0.0, (("load_kg", load),) if conditions else ()) for load in LOADS]
+    runs = [ExploringRun(STEPS, 0.0, 0.0, (("load_kg", load),) if conditions else ()) for load in LOADS]
     with toy_session(machine) as session:
         if conditions is not None:
             session.conditions = conditions
