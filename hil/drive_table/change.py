@@ -1,7 +1,7 @@
-"""A drive's own correction table changed as a whole or not at all.
+"""Changes of a drive's own correction table, completely or not at all.
 
-What the drive holds (contents and switch) is noted in a file before anything is touched, so that even a process that was killed can be
-made good: the next one puts it back first. Nothing counts as written that was not read back and found the same.
+The drive's contents and switch are noted in a file before the first change, so that the next process restores them even
+after this one was killed. A write counts only after it was read back unchanged.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from hil.records.zero import Zero
 
 Tell = Callable[[str], None]
 _POWERED = (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.SWITCHED_ON, DriveState.FAULT_REACTION)
-_TRIES = 3  # at putting something back
-_WRITES = 2  # of a change: there, and back where it cannot stay
+_TRIES = 3  # attempts to restore
+_WRITES = 2  # of a change: the new table, and the old one where the new cannot stay
 
 
 class NotPutBackError(SafetyError):
-    """The drive's table could not be put back; the message says where it is kept."""
+    """The drive's table could not be restored; the message names the file that holds it."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,12 @@ class Snapshot:
     enabled: bool
 
     def to_text(self) -> str:
+        """The text of a note."""
         return json.dumps({"enabled": self.enabled, **asdict(self.raw)}, indent=1) + "\n"
 
     @classmethod
     def from_file(cls, path: Path) -> Snapshot:
-        """Raises InputError for anything that `to_text` did not write."""
+        """Reads a note. Raises InputError for anything that `to_text` did not write."""
         try:
             found = json.loads(read_text(path))
             enabled = bool(found.pop("enabled"))
@@ -57,7 +58,7 @@ class Snapshot:
 
 
 def held_table(drive: ServoDrive) -> CorrectionTable:
-    """The open drive's table. Raises CapabilityError where it has none that we know of."""
+    """The open drive's table. Raises CapabilityError for a drive without a described table."""
     table = drive.correction_table
     if table is None:
         raise CapabilityError(
@@ -68,11 +69,15 @@ def held_table(drive: ServoDrive) -> CorrectionTable:
 
 
 def snapshot(table: CorrectionTable) -> Snapshot:
+    """Reads contents and switch. Raises what access to the drive raises."""
     return Snapshot(table.read(), table.enabled())
 
 
 class TableChange:
-    """One change of a drive's table, under way. Made by `changing`."""
+    """A change of a drive's table in progress. Made by `changing`.
+
+    undone: the table was restored; seconds: time for writing and reading back
+    """
 
     def __init__(self, drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None:
         self.drive = drive
@@ -82,10 +87,10 @@ class TableChange:
         self.undone = False
 
     def write(self, raw: RawTable) -> None:
-        """Switch the drive's correction off, write, read all of it back and compare.
+        """Switches the drive's correction off, writes, reads all of it back and compares.
 
-        Raises StateError under power or where the memory may not be written often enough to take it back, InputError for what the
-        table cannot hold, ProtocolError for another value read back.
+        Raises StateError under power or where the memory may not be written often enough to undo it, InputError for a
+        table that does not fit, ProtocolError for another value read back.
         """
         self._require_unpowered()
         self.table.description.check(raw)
@@ -102,12 +107,12 @@ class TableChange:
         self.seconds = (self.drive.clock.now_ns() - start_ns) / NS_PER_S
 
     def switch(self, on: bool) -> None:
-        """Switch the drive's correction; it reads back so, or ProtocolError."""
+        """Switches the drive's correction. Raises StateError under power, ProtocolError for another value read back."""
         self._require_unpowered()
         switch_table(self.drive, self.table, on)
 
     def undo(self) -> None:
-        """Contents and switch as they were found, read back. Raises what access raises."""
+        """Restores contents and switch, and reads them back. Raises what access raises."""
         if self.drive.sample().state in _POWERED:
             self.drive.disable()
         put_back(self.drive, self.table, self.found)
@@ -121,10 +126,11 @@ class TableChange:
 
 @contextmanager
 def changing(drive: ServoDrive, note: Path, tell: Tell) -> Iterator[TableChange]:
-    """Change the table inside; by whatever error one leaves, an interrupt too, the drive ends as it was found.
+    """Changes the table inside the block; after any error or interrupt the drive is restored.
 
-    note: where what was found stands meanwhile. tell: hears what could not be put back, and that an earlier change was made good.
-    Raises StateError before anything is touched while the axis is under power.
+    note: file that holds the earlier state meanwhile. tell: receives what could not be restored, and that an earlier
+    change was undone.
+    Raises StateError before the first access while the axis is under power.
     """
     table = held_table(drive)
     state = drive.sample().state
@@ -144,7 +150,7 @@ def changing(drive: ServoDrive, note: Path, tell: Tell) -> Iterator[TableChange]
 
 
 def _undo_whatever_happens(change: TableChange, note: Path, tell: Tell) -> None:
-    """The error under way matters more; an interrupt meanwhile is one more reason to go on."""
+    """Restores in spite of errors and interrupts; the error in progress is the one to report."""
     for left in reversed(range(_TRIES)):
         try:
             change.undo()
@@ -160,7 +166,7 @@ def _undo_whatever_happens(change: TableChange, note: Path, tell: Tell) -> None:
 
 
 def recover(drive: ServoDrive, note: Path) -> bool:
-    """Put back what a change that was broken off left behind; whether there was one. Raises NotPutBackError."""
+    """Restores the state before an interrupted change; returns whether there was one. Raises NotPutBackError."""
     if not note.exists():
         return False
     found = Snapshot.from_file(note)
@@ -176,7 +182,7 @@ def recover(drive: ServoDrive, note: Path) -> bool:
 
 
 def put_back(drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None:
-    """Contents first, then the switch; both read back."""
+    """Restores contents first, then the switch; both read back. Raises ProtocolError for another value."""
     present = table.read()
     if present != found.raw:
         table.switch(False)
@@ -192,14 +198,16 @@ def zero_note(directory: Path, axis: str) -> Path:
 
 
 def remember_zero(note: Path, raw: RawTable, zero: Zero | None) -> None:
-    """Note that what the drive holds from now on was made in this zero of the axis; a drive has no place for it."""
+    """Notes the axis's zero in which the drive's table was made; a drive cannot store it."""
     form = {"table": _digest(raw), "zero": None if zero is None else zero.to_json()}
     note.parent.mkdir(parents=True, exist_ok=True)
     replace_file(note, (json.dumps(form, indent=1) + "\n").encode())
 
 
 def remembered_zero(note: Path, raw: RawTable) -> Zero | None:
-    """In which zero what the drive holds was made; None where nobody noted it. Raises InputError for a note that cannot be read."""
+    """The zero in which the drive's table was made; None where none was noted. Raises InputError for a note that cannot
+    be read.
+    """
     if not note.exists():
         return None
     try:
@@ -215,7 +223,7 @@ def _digest(raw: RawTable) -> str:
 
 
 def require_same(drive: str, wanted: RawTable, kept: RawTable) -> None:
-    """Raise ProtocolError naming the first value that differs."""
+    """Raises ProtocolError naming the first value that differs."""
     if kept == wanted:
         return
     for name, value in asdict(wanted).items():

@@ -54,7 +54,7 @@ from hil.records.zero import read_zero
 
 
 def description_facts(found: TableDescription) -> dict[str, str]:
-    """What a drive's table is like."""
+    """The properties of a drive's table, as label -> text."""
     between = {"linear": "straight between nodes", "step": "the value of the node before"}[found.interpolation.value]
     return {
         "table": f"{found.name}, {found.points} points at most",
@@ -67,12 +67,12 @@ def description_facts(found: TableDescription) -> dict[str, str]:
 
 
 def found_facts(found: Snapshot) -> dict[str, str]:
-    """What the drive holds now."""
+    """The drive's present contents, as label -> text."""
     return {"holds": f"{len(found.raw.plus)} points", "corrects by it": "yes" if found.enabled else "no"}
 
 
 def made_facts(made: DriveTable) -> dict[str, str]:
-    """A table made for the drive, and how near it comes."""
+    """A table made for the drive, and its deviation, as label -> text."""
     return {
         "points": str(len(made.raw.plus)),
         "largest correction": f"{made.largest_um:.2f} µm",
@@ -81,7 +81,7 @@ def made_facts(made: DriveTable) -> dict[str, str]:
 
 
 def made_form(made: DriveTable) -> dict[str, Any]:
-    """The same as plain values."""
+    """The same as plain values, µm."""
     return {
         "points": len(made.raw.plus),
         "deviation_um": made.deviation_um,
@@ -91,9 +91,9 @@ def made_form(made: DriveTable) -> dict[str, Any]:
 
 
 def print_proof(proof: Proof | None) -> None:
-    """Place by place, and the verdict."""
+    """Prints the proof position by position, and the verdict."""
     if proof is None:
-        print("not proven: nobody asked for it (--prove-by)")
+        print("not proven: no proof was requested (--prove-by)")
         return
     cells = {(place.target_mm, place.direction): place.difference_um for place in proof.places}
     rows = [
@@ -101,11 +101,11 @@ def print_proof(proof: Proof | None) -> None:
         for target in dict.fromkeys(place.target_mm for place in proof.places if place.direction > 0)
     ]
     print_table(["position, mm", "drive − bridge going +, µm", "going −, µm"], rows)
-    print(f"{'measured' if proof.measured else 'by the drive’s own word'}: {proof.verdict}")
+    print(f"{'measured' if proof.measured else 'by the drive’s own value'}: {proof.verdict}")
 
 
 def proof_form(axis: str, proof: Proof | None) -> dict[str, Any]:
-    """Axis, verdict and every place as plain values."""
+    """Axis, verdict and every position as plain values."""
     form: dict[str, Any] = {"axis": axis, "good": proof is None or proof.good, "proof": None}
     if proof is not None:
         form["proof"] = {
@@ -126,19 +126,19 @@ EXAMPLE = """\
 example:
   hil params table show X.toml                        what the drive holds, and whether it corrects by it
   hil params table download X.toml --dry-run          what would be written, and how near it comes to the stored tables
-  hil params table download X.toml                    write, read back, prove on the machine, and leave it switched on
-  hil params table prove X.toml --prove-by drive      the same proof by what the drive says it adds, without an instrument
+  hil params table download X.toml                    write, read back, prove on the machine, and switch it on
+  hil params table prove X.toml --prove-by drive      the same proof by the value the drive reports, without an instrument
   hil params table remove X.toml                      switch it off and empty it
 
 The drive's table is described in a map: correction_table in [drive] of the axis file (CANopen), [drive.correction_table] of the
 register map (Modbus). The drive's correction and the bridge's are never in force together; calibrate, verify and close-loop refuse to
-start while the drive's is on. Whatever goes wrong, or Ctrl-C, leaves the drive as it was found. Exit status 1: not proven.
+start while the drive's is on. After any error, or Ctrl-C, the drive is restored. Exit status 1: not proven.
 """
 _SHOWN_ROWS = 24
 
 
 def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Registers `table` among the jobs of `hil params`."""
+    """Adds `table` to the jobs of `hil params`."""
     parser = jobs.add_parser(
         "table",
         help="the correction table that the drive holds itself",
@@ -169,10 +169,14 @@ def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
         "--prove-by",
         choices=("instrument", "drive", *(["nothing"] if unproven else [])),
         default="instrument",
-        help="measure it (default), or ask the drive what it adds" + (", or neither" if unproven else ""),
+        help="measure it (default), or read the value that the drive adds" + (", or neither" if unproven else ""),
     )
     job.add_argument(
-        "--positions", type=_between(2, 200), default=7, metavar="N", help="where it is proven (default 7)"
+        "--positions",
+        type=_between(2, 200),
+        default=7,
+        metavar="N",
+        help="number of positions of the proof (default 7)",
     )
     job.add_argument("--runs", type=_between(1, 100), default=2, metavar="N", help="of each block (default 2)")
     job.add_argument(
@@ -184,11 +188,11 @@ def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
             type=positive,
             default=DEVIATION_UM,
             metavar="UM",
-            help="how far the drive's table may be from the stored ones anywhere (default %(default)s)",
+            help="largest deviation of the drive's table from the stored ones (default %(default)s)",
         )
     job.add_argument("--seed", type=seed, default=1, help="chooses the positions (default 1)")
     job.add_argument(
-        "--tables-only", action="store_true", help="leave fitted effects out, which no drive's table holds"
+        "--tables-only", action="store_true", help="leave fitted effects out, which a drive's table cannot hold"
     )
     add_password_options(job, key=False)
 
@@ -276,7 +280,7 @@ def _download(args: argparse.Namespace) -> int:
 
 
 def _settle(change: TableChange, proof: Proof | None) -> None:
-    """On where it was proven (or no proof was asked for), else all as it was."""
+    """Switches the table on where it was proven (or no proof was requested), else undoes the change."""
     if proof is None or proof.good:
         change.switch(True)
     else:
@@ -284,7 +288,7 @@ def _settle(change: TableChange, proof: Proof | None) -> None:
 
 
 def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, DirectionalTable]:
-    """What the bridge corrects by, and what a drive's table would have to add in its place."""
+    """The bridge's compensation, and the table that a drive would have to hold in its place."""
     compensation = load_stored(open_store(args, axis, writing=False))
     wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
     return (
@@ -323,7 +327,9 @@ def _prove(args: argparse.Namespace) -> int:
 
 
 def _held(drive: Any, wanted: DirectionalTable, axis: AxisConfig) -> float:
-    """How far the drive's table is from the stored ones, µm. Raises ZeroError, before anything moves, for one of another zero."""
+    """Deviation of the drive's table from the stored ones, µm. Raises ZeroError, before any motion, for a table of
+    another zero.
+    """
     table = held_table(drive)
     raw = table.read()
     zero_keeper(axis).kept(tables=remembered_zero(_zero_note(axis), raw))
@@ -333,7 +339,7 @@ def _held(drive: Any, wanted: DirectionalTable, axis: AxisConfig) -> float:
 
 
 def _targets(args: argparse.Namespace, axis: AxisConfig) -> tuple[float, ...]:
-    """Spread over the measured way, off the nodes."""
+    """Positions spread over the measured travel, off the nodes."""
     where = axis.measurement.targets_mm
     return iso_targets(where[0], where[-1], args.positions, 0.3, args.seed)
 
@@ -354,7 +360,7 @@ def _by_drive(
     args: argparse.Namespace, axis: AxisConfig, moving: Supervisor, wanted: DirectionalTable, listener: Listener
 ) -> Proof:
     how = axis.measurement
-    way = Way(how.velocity_mm_s, how.overrun_mm, how.home)
+    way = ProofMotion(how.velocity_mm_s, how.overrun_mm, how.home)
     return prove_by_drive(moving, wanted, _targets(args, axis), way, listener, tolerance_um=args.tolerance_um)
 
 

@@ -1,7 +1,7 @@
-"""What a drive's own table adds, as a function at the load: from raw numbers in the drive's frame to µm in ours.
+"""The curve that a drive's own table adds at the load: from raw numbers in the drive's frame to µm in the axis's frame.
 
-What may go in: pure arithmetic on a table as it was read, by what its map says of it. Signs: an axis whose counts fall when the table
-advances (`AxisScaling.direction` -1) has the drive's curve for rising counts act in our - direction.
+Signs: on an axis whose counts fall when the table advances (`AxisScaling.direction` -1) the drive's curve for rising
+counts applies to the - direction.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from hil.correction.bound import CorrectionBound
 from hil.correction.tables import DirectionalTable
 from hil.records.rows import UM_PER_MM, Floats
 
-_BESIDE_UM = 1e-4  # so far on either side of a node a curve with steps is looked at
+_BESIDE_UM = 1e-4  # distance from a node at which a curve with steps is evaluated on either side
 
 
 @dataclass(frozen=True)
 class DriveCurve:
-    """A drive's table and what it takes to read it."""
+    """A drive's table with the description and scaling that convert it."""
 
     description: TableDescription
     raw: RawTable
@@ -31,7 +31,7 @@ class DriveCurve:
 
     @property
     def nodes_mm(self) -> Floats:
-        """Where its nodes stand at the load, mm, ascending."""
+        """Positions of its nodes at the load, mm, ascending, shape (m,)."""
         return (
             np.sort(self._nodes_um()) / UM_PER_MM
             if self.scaling.direction > 0
@@ -39,7 +39,8 @@ class DriveCurve:
         )
 
     def correction_um(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
-        """What the drive adds at nominal positions arrived at in a direction, µm at the load, broadcast together.
+        """The amount added at nominal positions (mm) arrived at in a direction (+1, -1), µm at the load, broadcast
+        together.
 
         An empty table adds nothing.
         """
@@ -50,7 +51,7 @@ class DriveCurve:
         return np.asarray(self.scaling.direction * value, dtype=np.float64)
 
     def value_um(self, raw: int) -> float:
-        """A raw value, as the drive shows what it adds at present, in µm at the load."""
+        """The raw value that a drive shows as its present correction, in µm at the load."""
         found = self.description
         return self.scaling.direction * found.sign * raw * found.value.um(self.scaling)
 
@@ -58,7 +59,7 @@ class DriveCurve:
         return np.array(self.raw.nodes, dtype=np.float64) * self.description.position.um(self.scaling)
 
     def _curves_um(self) -> tuple[Floats, Floats]:
-        """What is added at the nodes for rising and for falling counts, in the drive's frame."""
+        """The amounts at the nodes for rising and for falling counts, in the drive's frame."""
         found, raw = self.description, self.raw
         step_um = found.sign * found.value.um(self.scaling)
         plus = np.array(raw.plus, dtype=np.float64) * step_um
@@ -83,9 +84,10 @@ class DriveCurve:
 
 
 def largest_deviation_um(curve: DriveCurve, wanted: DirectionalTable, low_mm: float, high_mm: float) -> float:
-    """The largest difference between what a drive adds and what is wanted, anywhere from low to high and in either direction, µm.
+    """The largest difference between the drive's curve and the wanted one from low_mm to high_mm in either direction,
+    µm.
 
-    Both are straight between nodes, so it lies on a node of one of them, or right beside one where a curve has a step.
+    Both are piecewise linear, so it lies on a node of one of them, or directly beside one where a curve has a step.
     """
     beside_mm = _BESIDE_UM / UM_PER_MM
     nodes = curve.nodes_mm
@@ -95,7 +97,7 @@ def largest_deviation_um(curve: DriveCurve, wanted: DirectionalTable, low_mm: fl
 
 
 def check_curve(curve: DriveCurve, limits: DriveLimits, bound: CorrectionBound) -> None:
-    """Hold what a drive adds by its table, anywhere in the travel, against the axis's bound. Raises CorrectionBoundError."""
+    """Checks the drive's correction over the travel against the axis's bound. Raises CorrectionBoundError."""
     beside_mm = _BESIDE_UM / UM_PER_MM
     nodes = curve.nodes_mm
     places = np.concatenate([nodes - beside_mm, nodes, nodes + beside_mm])

@@ -1,7 +1,9 @@
-"""Proof that a drive corrects as the bridge would: the same positions with the one and with the other, never with both.
+"""Proof that a drive's table corrects as the bridge does: the same positions with one and with the other, never with
+both.
 
-Measured by the instrument, bridge – drive – drive – bridge, so that a steady drift weighs on both alike. Or, where the drive tells
-what it adds at present, by its own word; that is quick and needs no instrument, and does not show a sign that its map has wrong.
+Measured by the instrument in the order bridge, drive, drive, bridge, so that a linear drift affects both alike. Or,
+where the drive reports its present correction, by that value; this is quick and needs no instrument, but does not show
+a wrong sign in the map.
 """
 
 from __future__ import annotations
@@ -29,15 +31,16 @@ from hil.records.journal import Campaign
 from hil.records.rows import UM_PER_MM, Floats, Records
 
 TOLERANCE_UM = 1.0
-"""How far the two may be apart, their uncertainty included, unless told otherwise."""
+"""Default tolerance of the difference, its uncertainty included, µm."""
 _ORDER = ("bridge-1", "drive-1", "drive-2", "bridge-2")
 _SETTLE_S = 0.1  # after a motion, before a drive is asked what it adds
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """One position in one direction. difference_um: what the drive makes of it minus what the bridge makes of it, which adds
-    bridge_um there."""
+class PositionDifference:
+    """One position in one direction. difference_um: the drive's result minus the bridge's; bridge_um: the bridge's
+    correction there.
+    """
 
     target_mm: float
     direction: int
@@ -47,27 +50,29 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Proof:
-    """How well the two corrections agree. u95_um: of each difference, so that all of them hold together with 95 %.
+    """Agreement of the two corrections. u95_um: of each difference, so that all hold together with 95 % (Bonferroni).
 
-    measured: by the instrument, else by the drive's own word.
+    measured: by the instrument, else by the value the drive reports
     """
 
-    places: tuple[Agreement, ...]
+    places: tuple[PositionDifference, ...]
     u95_um: float
     tolerance_um: float
     measured: bool
 
     @property
-    def worst(self) -> Agreement:
+    def worst(self) -> PositionDifference:
+        """The position with the largest difference."""
         return max(self.places, key=lambda place: abs(place.difference_um))
 
     @property
     def mean_um(self) -> float:
+        """Mean difference."""
         return float(np.mean([place.difference_um for place in self.places]))
 
     @property
     def share(self) -> float:
-        """What the drive adds as a share of what the bridge adds, over all places; NaN where the bridge adds nothing."""
+        """The drive's correction as a share of the bridge's, over all positions; NaN where the bridge's is 0."""
         bridge = np.array([place.bridge_um for place in self.places])
         added = bridge + np.array([place.difference_um for place in self.places])
         size = float(bridge @ bridge)
@@ -75,11 +80,12 @@ class Proof:
 
     @property
     def good(self) -> bool:
-        """Every difference, its uncertainty added, is inside the tolerance."""
+        """Every difference plus its uncertainty is within the tolerance."""
         return abs(self.worst.difference_um) + self.u95_um <= self.tolerance_um
 
     @property
     def verdict(self) -> str:
+        """The result in one sentence."""
         worst = self.worst
         place = f"{worst.difference_um:+.3f} µm at {worst.target_mm:.3f} mm, direction {worst.direction:+d}"
         spread = f"± {self.u95_um:.3f} µm (95 %)"
@@ -109,9 +115,10 @@ def prove_by_instrument(
     runs: int = 2,
     tolerance_um: float = TOLERANCE_UM,
 ) -> Proof:
-    """Measure on an entered session; the drive's switch is afterwards as it was, the axis without power.
+    """Measures on an entered session; afterwards the drive's switch is restored and the axis is without power.
 
-    runs: of each block, up and down.
+    targets_mm: positions; runs: of each block, up and down. Raises CapabilityError for a drive without a described
+    table, and what measuring raises.
     """
     table = held_table(session.drive)
     steps = bidirectional_steps(targets_mm, runs)
@@ -125,13 +132,15 @@ def prove_by_instrument(
             session.drive.enable()
             session.come_to_reference()
             blocks[name] = measure(session, campaign, name, steps, listener)
-    return judged(blocks, tolerance_um)
+    return proof_of(blocks, tolerance_um)
 
 
 def _hand_over(
     session: AxisSession, table: CorrectionTable, compensation: Compensation | None, *, by_drive: bool
 ) -> None:
-    """The correction to the one or the other; the axis ends without power, as a drive's table is switched that way."""
+    """Puts one or the other correction into force; the axis is disabled, since a drive's table is switched without
+    power.
+    """
     session.compensation = None
     session.drive.disable()
     switch_table(session.drive, table, by_drive)
@@ -150,23 +159,25 @@ def _left_as_found(session: AxisSession, table: CorrectionTable) -> Iterator[Non
     try:
         yield
     except BaseException:
-        with suppress(BridgeError):  # the error under way says more
+        with suppress(BridgeError):  # the error in progress is the one to report
             leave()
         raise
     leave()
 
 
-def judged(blocks: dict[str, Records], tolerance_um: float) -> Proof:
-    """Differences of the means, and what they are known to: the spread of single runs, the drift between blocks in it."""
+def proof_of(blocks: dict[str, Records], tolerance_um: float) -> Proof:
+    """Differences of the means, with their uncertainty from the scatter of single runs, which includes the drift
+    between blocks.
+    """
     targets = np.unique(np.concatenate([np.round(block.target_mm, 6) for block in blocks.values()]))
-    places: list[Agreement] = []
+    places: list[PositionDifference] = []
     squares, degrees, counts = 0.0, 0, math.inf
     for target in targets:
         for direction in (1, -1):
             mine, commanded = _errors(blocks, "bridge", float(target), direction)
             theirs, _ = _errors(blocks, "drive", float(target), direction)
             difference = float(theirs.mean() - mine.mean())
-            places.append(Agreement(float(target), direction, difference, float(commanded.mean())))
+            places.append(PositionDifference(float(target), direction, difference, float(commanded.mean())))
             for found in (mine, theirs):
                 squares += float(np.sum((found - found.mean()) ** 2))
                 degrees += len(found) - 1
@@ -177,7 +188,7 @@ def judged(blocks: dict[str, Records], tolerance_um: float) -> Proof:
 
 
 def _errors(blocks: dict[str, Records], who: str, target_mm: float, direction: int) -> tuple[Floats, Floats]:
-    """Measured minus target, and command minus target, of one place in the blocks of one of the two, µm."""
+    """Measured minus target, and command minus target, at one position in the blocks of the bridge or the drive, µm."""
     errors, added = [], []
     for name, block in blocks.items():
         if name.startswith(who):
@@ -187,10 +198,10 @@ def _errors(blocks: dict[str, Records], who: str, target_mm: float, direction: i
     return np.concatenate(errors), np.concatenate(added)
 
 
-# -- by the drive's own word -------------------------------------------------------------------------------------------
+# -- by the value the drive reports ----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Way:
-    """How the axis goes from place to place while the drive is asked."""
+class ProofMotion:
+    """Motion between the positions of a proof by the drive's value."""
 
     velocity_mm_s: float
     overrun_mm: float
@@ -201,14 +212,15 @@ def prove_by_drive(
     supervisor: Supervisor,
     wanted: DirectionalTable,
     targets_mm: Sequence[float],
-    way: Way,
+    way: ProofMotion,
     listener: Listener = silent,
     *,
     tolerance_um: float = TOLERANCE_UM,
 ) -> Proof:
-    """Ask the drive at each target what it adds. The axis is supervised and disabled; the drive's switch is afterwards as it was.
+    """Reads at each target the value that the drive adds. The axis is supervised and ends disabled; the drive's switch
+    is restored.
 
-    Raises CapabilityError where the drive does not tell.
+    Raises CapabilityError where the drive does not report it, and what stops the axis.
     """
     drive = supervisor.axes[0].drive
     table = held_table(drive)
@@ -216,7 +228,7 @@ def prove_by_drive(
         raise CapabilityError(f"drive {drive.name} does not tell what it adds; prove it by the instrument")
     curve = DriveCurve(table.description, table.read(), drive.scaling)
     was_on = table.enabled()
-    places: list[Agreement] = []
+    places: list[PositionDifference] = []
     try:
         switch_table(drive, table, True)
         supervisor.get_ready(home=way.home)
@@ -228,9 +240,9 @@ def prove_by_drive(
                 supervisor.watch(_SETTLE_S)
                 added_um = curve.value_um(table.applied() or 0)
                 bridge_um = float(wanted.at(place_mm, direction))
-                places.append(Agreement(place_mm, direction, added_um - bridge_um, bridge_um))
+                places.append(PositionDifference(place_mm, direction, added_um - bridge_um, bridge_um))
     except BaseException:
-        with suppress(BridgeError):  # the error under way says more
+        with suppress(BridgeError):  # the error in progress is the one to report
             drive.disable()
             table.switch(was_on)
         raise
@@ -240,7 +252,7 @@ def prove_by_drive(
 
 
 def bidirectional_targets(targets_mm: Sequence[float], overrun_mm: float) -> list[tuple[float, int | None]]:
-    """Where to go, and the direction of arrival where the drive is asked; None on the way to the first of a direction."""
+    """The stops of the way, and the direction of arrival where the drive is read; None at the start of a direction."""
     up = sorted(targets_mm)
     way: list[tuple[float, int | None]] = [(up[0] - overrun_mm, None)]
     way += [(target, 1) for target in up]

@@ -1,7 +1,6 @@
-"""From the bridge's tables to the nearest ones that a drive can hold, and how near those are.
+"""The nearest table that a drive can hold to the bridge's tables, and its deviation.
 
-What may go in: pure functions of tables and what a drive's map says of its own. What a drive cannot hold is refused with what to
-change; nothing is clipped.
+A table that the drive cannot hold is refused with what to change; values are never clipped.
 """
 
 from __future__ import annotations
@@ -32,16 +31,16 @@ from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
 from hil.records.rows import UM_PER_MM, Floats
 
 DEVIATION_UM = 0.5
-"""How far a drive's correction may be from ours, unless told otherwise."""
+"""Default largest deviation of a drive's correction from the bridge's, µm."""
 _ROUNDING_SLACK_UM = 1e-6
 
 
 @dataclass(frozen=True)
 class DriveTable:
-    """A table for a drive, and how well it stands for ours.
+    """A table for a drive, and its deviation from the bridge's.
 
-    deviation_um: largest difference between the two corrections, anywhere in the travel and in either direction: fewer nodes and
-    rounding together. rounding_um: of the values alone. largest_um: the largest correction, beside which both are to be seen.
+    deviation_um: largest difference between the two corrections, over the travel and both directions: fewer nodes and
+    rounding together. rounding_um: of the values alone. largest_um: the largest correction, for comparison.
     """
 
     curve: DriveCurve
@@ -51,11 +50,14 @@ class DriveTable:
 
     @property
     def raw(self) -> RawTable:
+        """The numbers to be written."""
         return self.curve.raw
 
 
 def wanted_of(compensation: Compensation, *, leave_out_effects: bool = False) -> DirectionalTable:
-    """What a drive would have to add in place of the bridge. Raises InputError for what no table holds: effects, another axis."""
+    """The table that would replace the bridge's compensation. Raises InputError for parts that no table holds: effects,
+    another axis.
+    """
     return both_directions(tables_only(compensation, leave_out_effects=leave_out_effects))
 
 
@@ -68,10 +70,11 @@ def drive_table(
     deviation_um: float = DEVIATION_UM,
     bound: CorrectionBound = CAREFUL,
 ) -> DriveTable:
-    """A table for the drive that stays within `deviation_um` of ours: on our own nodes where it can, else on as few as do.
+    """A table for the drive within `deviation_um` of the bridge's: on the bridge's nodes where it fits, else on as few
+    as suffice.
 
-    Raises InputError where there is none, saying what would have to change, and CorrectionBoundError where what the drive would add
-    exceeds the axis's bound.
+    Raises InputError where there is none, naming the change needed, and CorrectionBoundError where the drive's
+    correction exceeds the axis's bound.
     """
     value_um, place_um = description.value.um(scaling), description.position.um(scaling)
     budget_um = deviation_um - value_um / 2
@@ -102,14 +105,16 @@ def drive_table(
 
 # -- into the drive's frame --------------------------------------------------------------------------------------------
 def _in_drive_frame(wanted: DirectionalTable, direction: int) -> DirectionalTable:
-    """Positions and corrections counted as the motor counts; `plus_um` is for rising counts."""
+    """Positions and corrections in the sense of the motor's counts; `plus_um` is for rising counts."""
     if direction > 0:
         return wanted
     return DirectionalTable(-wanted.position_mm[::-1], -wanted.minus_um[::-1], -wanted.plus_um[::-1])
 
 
 def _as_far_as(table: DirectionalTable, limits: DriveLimits, direction: int, place_mm: float) -> DirectionalTable:
-    """The same with nodes at the ends of the travel, where a drive that adds nothing outside would otherwise stop correcting."""
+    """The same with nodes at the ends of the travel, beyond which a drive that adds nothing outside would stop
+    correcting.
+    """
     low, high = sorted((direction * limits.travel_min_mm, direction * limits.travel_max_mm))
     ends = np.array([low - place_mm, high + place_mm])
     return on_nodes(table, np.union1d(table.position_mm, ends))
@@ -118,7 +123,7 @@ def _as_far_as(table: DirectionalTable, limits: DriveLimits, direction: int, pla
 def _directions(
     table: DirectionalTable, description: TableDescription, budget_um: float
 ) -> tuple[DirectionalTable, float]:
-    """Both curves as far as the drive tells directions apart, and the amount by which the falling one is less."""
+    """Both curves as far as the drive distinguishes directions, and the amount by which the falling one is less."""
     if description.directions is Directions.BOTH:
         return table, 0.0
     if description.directions is Directions.BACKLASH:
@@ -135,7 +140,7 @@ def _directions(
 
 
 def _off_um(curves: DirectionalTable, wanted: DirectionalTable) -> float:
-    """What telling the directions apart worse has cost already; both are on the same nodes."""
+    """Deviation already caused by distinguishing the directions less well; both are on the same nodes."""
     return max(
         float(np.max(np.abs(curves.plus_um - wanted.plus_um))), float(np.max(np.abs(curves.minus_um - wanted.minus_um)))
     )
@@ -158,7 +163,7 @@ def _sampled(
 def _stepped(
     table: DirectionalTable, description: TableDescription, place_mm: float, budget_um: float
 ) -> DirectionalTable:
-    """Equal steps; each value is that of the middle of its step, so that it is as far off at either end."""
+    """Equal steps; each value is that of the middle of its step, so that the deviation is equal at both ends."""
     first = math.floor(table.position_mm[0] / place_mm + 1e-9) * place_mm
     span = float(table.position_mm[-1]) - first
     best_um, best = math.inf, 0
@@ -182,7 +187,9 @@ def _stepped(
 
 
 def _stairs_off_um(stairs: DirectionalTable, table: DirectionalTable) -> float:
-    """How far values that hold until the next node are from straight lines; the worst is at an end of a step or on a node."""
+    """Deviation of values held until the next node from straight lines; the largest is at an end of a step or on a
+    node.
+    """
     places = np.union1d(table.position_mm, stairs.position_mm)
     worst = 0.0
     for values, sign in ((stairs.plus_um, 1), (stairs.minus_um, -1)):
@@ -196,7 +203,7 @@ def _stairs_off_um(stairs: DirectionalTable, table: DirectionalTable) -> float:
 def _rounded(
     table: DirectionalTable, backlash_um: float, description: TableDescription, scaling: AxisScaling
 ) -> tuple[RawTable, float]:
-    """The raw table, and by how much rounding its values has moved them at most, µm."""
+    """The raw table, and the largest change of a value by rounding, µm."""
     value_um, place_um = description.value.um(scaling), description.position.um(scaling)
     places = [round(place * UM_PER_MM / place_um) for place in table.position_mm]
     _require_inside(

@@ -18,7 +18,7 @@ from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableSet
 from hil.drive_table import drive_table, wanted_of
 from hil.drive_table.change import held_table
-from hil.drive_table.proof import Agreement, Proof, Way, prove_by_drive, prove_by_instrument
+from hil.drive_table.proof import PositionDifference, Proof, ProofMotion, prove_by_drive, prove_by_instrument
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import connected, connected_drive
@@ -110,7 +110,7 @@ def test_on_every_wire(face: str, tmp_path: Path) -> None:
 def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
     axis, tables = lay_out_table_axis(tmp_path, face)
     wanted = wanted_of(Compensation(tables))
-    how = Way(axis.measurement.velocity_mm_s, axis.measurement.overrun_mm, home=True)
+    how = ProofMotion(axis.measurement.velocity_mm_s, axis.measurement.overrun_mm, home=True)
     with connected_drive(axis) as drive:
         table = held_table(drive)
         made = drive_table(wanted, table.description, axis.scaling, axis.limits)
@@ -189,7 +189,7 @@ def test_the_load_stands_where_the_bridge_would_have_put_it(form: TableForm, dir
 def test_too_noisy_is_not_proven() -> None:
     tight = Proof((), 0.2, 1.0, measured=True)
 
-    near = replace(tight, places=(Agreement(1.0, 1, 0.3, 5.0), Agreement(1.0, -1, -0.7, -6.0)))
+    near = replace(tight, places=(PositionDifference(1.0, 1, 0.3, 5.0), PositionDifference(1.0, -1, -0.7, -6.0)))
     assert near.good
     assert near.mean_um == pytest.approx(-0.2)
     unsure = replace(near, u95_um=0.4)
