@@ -1,4 +1,3 @@
-"""Lost motion after a reversal as two smooth terms: the published form, the form that runs, and the fit.
-
-What may go in: pure functions and frozen values of travel and amounts. Set-points, drives and files are others' work.
+"""Lost motion after a reversal (system C): strokes measured by the instrument, a rise of two smooth terms fitted,
+proven, put into force.
 """

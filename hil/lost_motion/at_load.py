@@ -1,7 +1,9 @@
-"""A rise fitted by where the load is: for each of the motor's travels, the load's travel at which it and the rise make up the motor's.
+"""Fitting a rise to the load's position: for each travel of the motor, the load's travel that together with the rise
+makes up the motor's.
 
-Over the load's own travel a rise may be so steep that a reading says nothing of its height there (the load sticks while the motor
-moves), but the load's place under a rise is always well determined; so that is what is compared with the place measured.
+Over the load's own travel a rise may be so steep that a reading does not determine its height there (the load sticks
+while the motor moves). The load's position under a rise is always well determined, so that is compared with the
+measured position.
 """
 
 from __future__ import annotations
@@ -16,12 +18,12 @@ from scipy.optimize import least_squares
 from hil.correction.rise import Floats, Rise
 
 _HALVINGS = 16
-"""Of the motor's travel, in which the load's is sought before a straight line finds it."""
+"""Bisections of the motor's travel before the final linear interpolation."""
 
 
 @dataclass(frozen=True)
-class Reach:
-    """How far lengths may go, mm: the shortest and the longest rise, the last onset."""
+class LengthBounds:
+    """Bounds of the lengths, mm: the shortest and the longest rise, the last onset."""
 
     shortest_mm: float
     longest_mm: float
@@ -29,20 +31,20 @@ class Reach:
 
 
 @dataclass(frozen=True)
-class Places:
-    """Where motor and load were, mm since the reversal, and in which stroke; shape (n,) each."""
+class StrokePositions:
+    """Positions of motor and load, mm since the reversal, and the number of the stroke; shape (n,) each."""
 
     motor_mm: Floats
     load_mm: Floats
     stroke: NDArray[np.int64]
 
     def residual_um(self, rise: Rise) -> Floats:
-        """How much further the load was than the rise says, shape (n,)."""
+        """Measured load position less that of the rise, µm, shape (n,)."""
         return 1000.0 * (self.load_mm - load_mm(rise, self.motor_mm))
 
 
 def load_mm(rise: Rise, motor_mm: Floats) -> Floats:
-    """The load's travel at the motor's, shape (n,)."""
+    """The load's travel, mm, at the motor's travels, mm, shape (n,)."""
 
     def beyond_mm(place: Floats) -> Floats:
         return np.asarray(place + rise.along_um(place) / 1000.0 - motor_mm)
@@ -57,26 +59,30 @@ def load_mm(rise: Rise, motor_mm: Floats) -> Floats:
 
 
 class _Coordinates:
-    """A rise as the numbers that are searched: amounts, µm; rises in their logarithm, as they may be far apart; onsets."""
+    """The search vector of a rise: amounts, µm; logarithms of the rise lengths, which may differ by orders; onsets,
+    mm.
+    """
 
-    def __init__(self, first: Rise, reach: Reach, most_um: float) -> None:
+    def __init__(self, first: Rise, bounds: LengthBounds, most_um: float) -> None:
         shape = first.shape
-        self._first, self._reach = first, reach
+        self._first, self._bounds = first, bounds
         self._amounts = len(first.amounts_um)
         self.low = np.array(
-            [0.0] * self._amounts + [math.log(reach.shortest_mm)] * shape.rises + [0.0] * shape.onsets, dtype=np.float64
+            [0.0] * self._amounts + [math.log(bounds.shortest_mm)] * shape.rises + [0.0] * shape.onsets,
+            dtype=np.float64,
         )
         self.high = np.array(
-            [most_um] * self._amounts + [math.log(reach.longest_mm)] * shape.rises + [reach.onset_mm] * shape.onsets,
+            [most_um] * self._amounts + [math.log(bounds.longest_mm)] * shape.rises + [bounds.onset_mm] * shape.onsets,
             dtype=np.float64,
         )
         searched = [] if shape.knots else list(first.lengths_mm)
         start = [*first.amounts_um, *np.log(searched[: shape.rises]), *searched[shape.rises :]]
         edge = 1e-6 * (self.high - self.low)
         self.start = np.clip(start, self.low + edge, self.high - edge)
-        self.scale = np.array([most_um] * self._amounts + [1.0] * shape.rises + [reach.onset_mm] * shape.onsets)
+        self.scale = np.array([most_um] * self._amounts + [1.0] * shape.rises + [bounds.onset_mm] * shape.onsets)
 
     def rise(self, values: Floats) -> Rise:
+        """The rise of a search vector."""
         shape, split = self._first.shape, self._amounts
         if shape.knots:
             lengths = self._first.lengths_mm
@@ -86,10 +92,10 @@ class _Coordinates:
         return Rise(shape, tuple(values[:split].tolist()), lengths)
 
     def slopes(self, values: Floats, motor_mm: Floats) -> Floats:
-        """Of the load's lag, µm, by each value, at the motor's travels: shape (n, values)."""
+        """Derivatives of the load's lag, µm, by each value, at the motor's travels: shape (n, values)."""
         rise = self.rise(values)
         place = load_mm(rise, motor_mm)
-        h = 1e-2 * self._reach.shortest_mm
+        h = 1e-2 * self._bounds.shortest_mm
         steep = (rise.along_um(place + h) - rise.along_um(np.maximum(place - h, 0.0))) / (2.0 * h)
         columns = [rise.shape.columns(place, rise.lengths_mm)]
         for k in range(self._amounts, len(values)):
@@ -100,14 +106,14 @@ class _Coordinates:
         return np.asarray(np.hstack(columns) / (1.0 + steep / 1000.0)[:, None])
 
     def free(self, values: Floats) -> NDArray[np.bool_]:
-        """Which values are not held by a bound."""
+        """Which values are not at a bound."""
         edge = 1e-4 * (self.high - self.low)
         return np.asarray((values > self.low + edge) & (values < self.high - edge))
 
 
-def fit_at_load(first: Rise, places: Places, reach: Reach) -> Rise:
-    """The rise of this shape that puts the load closest to where it was, searched from one that is near."""
-    coordinates = _Coordinates(first, reach, _most_um(places))
+def fit_at_load(first: Rise, places: StrokePositions, bounds: LengthBounds) -> Rise:
+    """The rise of this shape with the least squares of the load's position, searched from a rise near it."""
+    coordinates = _Coordinates(first, bounds, _most_um(places))
     best = least_squares(
         lambda values: places.residual_um(coordinates.rise(values)),
         coordinates.start,
@@ -119,13 +125,15 @@ def fit_at_load(first: Rise, places: Places, reach: Reach) -> Rise:
     return coordinates.rise(np.asarray(best.x))
 
 
-def standard_uncertainties(rise: Rise, places: Places, reach: Reach) -> tuple[float, list[float], list[float]]:
-    """Of the whole amount, µm, of each amount, and of each length that was searched, mm.
+def standard_uncertainties(
+    rise: Rise, places: StrokePositions, bounds: LengthBounds
+) -> tuple[float, list[float], list[float]]:
+    """Standard uncertainties of the whole amount, µm, of each amount, µm, and of each searched length, mm.
 
-    By the scatter of whole strokes (the covariance of the fit with strokes as its units), so that what repeats within a stroke counts
-    once; a value that a bound holds, or of an amount of nothing, has none (0).
+    From the scatter of whole strokes (cluster-robust covariance with strokes as clusters), so that errors which repeat
+    within a stroke count once. A value at a bound, or the length of an amount of 0, has none (0).
     """
-    coordinates = _Coordinates(rise, reach, _most_um(places))
+    coordinates = _Coordinates(rise, bounds, _most_um(places))
     values = coordinates.start
     free = coordinates.free(values)
     slopes, residual = coordinates.slopes(values, places.motor_mm)[:, free], places.residual_um(rise)
@@ -143,5 +151,5 @@ def standard_uncertainties(rise: Rise, places: Places, reach: Reach) -> tuple[fl
     return whole, amounts.tolist(), lengths.tolist()
 
 
-def _most_um(places: Places) -> float:
+def _most_um(places: StrokePositions) -> float:
     return 2.0 * 1000.0 * float(np.max(places.motor_mm - places.load_mm)) + 1e-3

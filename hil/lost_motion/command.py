@@ -1,4 +1,4 @@
-"""`hil lost-motion`: system C, what is lost after a reversal, measured by the axis's instrument and put into force."""
+"""`hil lost-motion`: lost motion after a reversal (system C), measured by the axis's instrument and put into force."""
 
 from __future__ import annotations
 
@@ -40,16 +40,17 @@ example:
   hil lost-motion X.toml --dry-run                   what would move, how far, and how long it takes
   hil lost-motion X.toml --report lost-motion.html   measure, fit, prove, and store it beside the axis's tables
   hil lost-motion X.toml --only-measure              store nothing; needs no key
-  hil circle X.toml Y.toml --report circle.html      what a circle says of it
+  hil circle X.toml Y.toml --report circle.html      the circle test with it
 
 The [lost_motion] section of the axis file says where and how far: at_mm, stroke_mm, places, finest_um, runs, proof_moves,
-shortest_rise_um. Calibrate first: the tables hold what each direction needs, and the rise says how the command goes from one to the
-other after a reversal, so nothing is counted twice. Without tables the axis gets the lost motion alone. A new calibration replaces it.
-Exit status 1: the correction did not prove itself in moves of all lengths, or the strokes were too short; nothing was stored.
+shortest_rise_um. Calibrate first: the tables hold the correction of each direction, the rise is the transition from one to the
+other after a reversal. Without tables the axis gets the lost motion alone. A new calibration replaces it.
+Exit status 1: the proof in moves of all lengths failed, or the strokes were too short; nothing was stored.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil lost-motion`."""
     parser = subparsers.add_parser(
         "lost-motion",
         description="Measure how the table lags after reversals, fit its rise, put it into force, and prove it by fresh moves.",
@@ -58,7 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_axis_arguments(parser)
     parser.add_argument("--only-measure", action="store_true", help="measure, fit and prove, but store nothing")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted measurement")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted measurement")
     parser.add_argument("--seed", type=seed, default=1, help="chooses the moves of the proof (default 1)")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_zero_options(parser)
@@ -68,7 +69,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: measured, proven and stored; 1: not proven."""
+    """Returns 0: measured, proven and stored; 1: not proven. Raises what `measure_lost_motion` raises."""
     axis = load_axis(args.axis)
     how = lost_motion_config(axis)
     if args.dry_run:
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation | None, SealedStore | None]:
-    """What is in force, and where the new is to be stored; every password is asked for before anything moves."""
+    """The compensation in force, and the store for the new one; every password is asked for before any motion."""
     there = axis.tables_path.exists()
     if args.only_measure:
         readable = there and (args.password_file or os.environ.get("HIL_PASSWORD") or sys.stdin.isatty())

@@ -1,7 +1,4 @@
-"""From measured reversals to one rise with its uncertainties: shapes in competition over the load's own travel.
-
-What may go in: pure functions of reversals. How they are measured is `hil.lost_motion.procedure`'s.
-"""
+"""The estimate of one rise, with uncertainties, from measured reversals: shapes compared over the load's own travel."""
 
 from __future__ import annotations
 
@@ -13,21 +10,21 @@ from drivers.errors import InputError
 from hil.correction.rise import RUNNABLE, TWO_TANH, Rise
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, uncertainties
 
-AS_GOOD = 1.1
-"""Two tanh terms are taken unless another shape's held-out RMS is smaller by more than this ratio."""
-STILL_RISING = 0.03
-"""Share of the lost motion that may come back over the second half of what was measured."""
-SURE = 2.0
-"""A single amount or length of a sum stands for itself from so many of its own standard uncertainties on."""
+TWO_TANH_MARGIN = 1.1
+"""Two tanh terms are chosen unless another shape's held-out RMS is smaller by more than this ratio."""
+STILL_RISING_SHARE = 0.03
+"""Share of the lost motion that may come back over the second half of the travel measured."""
+DETERMINED_FROM_STD = 2.0
+"""Own standard uncertainties from which a single amount or length of a sum counts as determined."""
 LEAST_SHARE = 1e-3
-"""Of the whole, below which a single amount is none."""
-NOT_SEPARATE = "not determined one by one, only their sum"
-"""Said of single amounts."""
+"""Share of the whole below which a single amount counts as 0."""
+NOT_SEPARATELY_DETERMINED = "not determined one by one, only their sum"
+"""Phrase for single amounts of a sum."""
 
 
 @dataclass(frozen=True)
 class Uncertain:
-    """A value with its standard uncertainty."""
+    """A value with its standard uncertainty, unit as the parameter's name says."""
 
     value: float
     std: float
@@ -38,11 +35,12 @@ class Uncertain:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What some reversals come to.
+    """The result of the fit to some reversals.
 
-    rise: over the load's travel; parameters: of it, and published: of the two tanh terms, by name with standard uncertainties;
-    contenders: the best on held-out strokes first; reversals: as measured, over the motor's travel; late_um: what came back over the
-    second half of the travel measured
+    rise: over the load's travel; parameters: of it, and published: of the two tanh terms, by name with standard
+    uncertainties
+    contenders: the best on held-out strokes first; reversals: as measured, over the motor's travel
+    late_um: part of the lost motion that came back over the second half of the travel measured
     """
 
     rise: Rise
@@ -54,24 +52,26 @@ class Estimate:
 
     @property
     def amount_um(self) -> float:
+        """The whole lost motion, µm."""
         return self.rise.amount_um
 
     @property
-    def told(self) -> dict[str, Uncertain]:
-        """The parameters that are determined: see `told`."""
-        return told(self.parameters)
+    def determined(self) -> dict[str, Uncertain]:
+        """The parameters that the data determine, see `determined` below."""
+        return determined(self.parameters)
 
     @property
     def still_rising(self) -> bool:
         """Whether the strokes were too short for the whole lost motion."""
-        return self.late_um > STILL_RISING * self.amount_um
+        return self.late_um > STILL_RISING_SHARE * self.amount_um
 
     def to_json(self) -> dict[str, Any]:
+        """Plain values for a result file."""
         return {
             "rise": self.rise.to_json(),
             "amount_um": self.amount_um,
             "parameters": _plain(self.parameters),
-            "determined": sorted(self.told),
+            "determined": sorted(self.determined),
             "published": _plain(self.published),
             "late_um": self.late_um,
             "contenders": [
@@ -86,16 +86,16 @@ class Estimate:
 
 
 def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float) -> Estimate:
-    """The rise of these reversals, of which all that belongs to the place alone has been taken out.
+    """The rise of these reversals, from which the errors of position have been removed.
 
-    shortest_mm: no rise is shorter. Raises InputError with fewer than 3 reversals: one has to be left out.
+    shortest_mm: shortest rise length. Raises InputError with fewer than 3 reversals, of which one is held out.
     """
     if len(reversals) < 3:
         raise InputError(f"{len(reversals)} reversals, expected at least 3")
     by_load = [reversal.by_load() for reversal in reversals]
     contenders = compete(by_load, shortest_mm, RUNNABLE, table=False)
     two_tanh = next(one for one in contenders if one.fitted.shape is TWO_TANH)
-    chosen = two_tanh if two_tanh.held_out_rms_um <= AS_GOOD * contenders[0].held_out_rms_um else contenders[0]
+    chosen = two_tanh if two_tanh.held_out_rms_um <= TWO_TANH_MARGIN * contenders[0].held_out_rms_um else contenders[0]
     rise = chosen.fitted.rise
     published = uncertain(two_tanh.fitted.rise, by_load, shortest_mm)
     parameters = published if chosen is two_tanh else uncertain(rise, by_load, shortest_mm)
@@ -109,9 +109,10 @@ def _plain(parameters: Mapping[str, Uncertain]) -> dict[str, dict[str, float]]:
 
 
 def uncertain(rise: Rise, reversals: Sequence[MeasuredReversal], shortest_mm: float) -> dict[str, Uncertain]:
-    """Parameters under the names people use, each with its standard uncertainty; of straight pieces the whole amount alone.
+    """Parameters by their usual names (µm, mm), each with its standard uncertainty; of a piecewise linear rise the
+    whole amount only.
 
-    rise: as it was fitted to these reversals, over the load's travel; shortest_mm: no rise was to be shorter.
+    rise: as fitted to these reversals, over the load's travel; shortest_mm: shortest rise length of that fit
     """
     shape, amounts, lengths = rise.shape, rise.amounts_um, rise.lengths_mm
     u_whole, u_amounts, u_lengths = uncertainties(rise, reversals, shortest_mm)
@@ -124,22 +125,23 @@ def uncertain(rise: Rise, reversals: Sequence[MeasuredReversal], shortest_mm: fl
     return found | ({"onset_2_mm": Uncertain(lengths[-1], u_lengths[-1])} if shape.onsets else {})
 
 
-def separate(parameters: Mapping[str, Uncertain]) -> bool:
+def separately_determined(parameters: Mapping[str, Uncertain]) -> bool:
     """Whether the amounts of a sum of terms are determined one by one; True for a shape of one term.
 
-    Where one term would do, two can share its amount in any way: each is then as good as unknown, though their sum is sharp.
+    Where one term would fit as well, two can share its amount in any proportion: each is undetermined, though their sum
+    is well known.
     """
     whole_um = parameters["amount_um"].value
     singles = [each for name, each in parameters.items() if _is_single(name)]
-    return all(one.value > max(SURE * one.std, LEAST_SHARE * whole_um) for one in singles)
+    return all(one.value > max(DETERMINED_FROM_STD * one.std, LEAST_SHARE * whole_um) for one in singles)
 
 
-def told(parameters: Mapping[str, Uncertain]) -> dict[str, Uncertain]:
-    """All of them; where single amounts are not determined the whole one instead, and the lengths that are."""
-    if separate(parameters):
+def determined(parameters: Mapping[str, Uncertain]) -> dict[str, Uncertain]:
+    """All parameters; where single amounts are not determined, the whole amount instead, and the lengths that are."""
+    if separately_determined(parameters):
         return dict(parameters)
     kept = (name for name in parameters if name != "amount_um" and not _is_single(name))
-    sure = {name: each for name in kept if (each := parameters[name]).value > SURE * each.std > 0.0}
+    sure = {name: each for name in kept if (each := parameters[name]).value > DETERMINED_FROM_STD * each.std > 0.0}
     return {"amount_um": parameters["amount_um"], **sure}
 
 

@@ -1,7 +1,9 @@
-"""The shape of lost motion from measured reversals: two tanh terms, one, an exponential, a dead zone …, judged on held-out strokes.
+"""Shapes of lost motion fitted to measured reversals: two tanh terms, one, an exponential, a dead zone …, compared on
+held-out strokes.
 
-What is linear in travel over one stroke belongs to the table, not to the reversal; it is fitted beside every shape and left out of
-the result. Amounts and that slope follow by non-negative least squares for each choice of the lengths, so only those are searched.
+A part that is linear in travel over one stroke belongs to the table, not to the reversal; it is fitted beside every
+shape and left out of the result. Amounts and that slope follow by non-negative least squares for each choice of the
+lengths, so only the lengths are searched.
 """
 
 from __future__ import annotations
@@ -18,23 +20,27 @@ from scipy.optimize import least_squares, nnls
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import SHAPES, Floats, Rise, Shape
-from hil.lost_motion.at_load import Places, Reach, fit_at_load, standard_uncertainties
+from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, standard_uncertainties
 
 FOLDS = 5
+"""Folds of the cross-validation within a single reversal."""
 FIT_ROWS = 250
-"""A search sees about this many rows, evenly picked; what is reported is of all of them."""
+"""Rows, evenly thinned, that a search uses at most; the reported residuals are of all rows."""
 LEAST_WEIGHT = 0.002
-"""Of a row where the load stands still while the motor moves, where a search begins."""
+"""Weight, in the first search, of a row where the load stands still while the motor moves."""
 
 
 @dataclass(frozen=True)
 class MeasuredReversal:
-    """One stroke after a reversal, by a laser or a load encoder.
+    """One stroke after a reversal, measured by a laser or a load encoder.
 
-    direction: of the stroke, +1 or -1. travel_mm: shape (n,), ≥ 0, since the reversal. error_um: shape (n,), actual − commanded; its
-    first row is taken before the motion starts. stroke_mm: travel of the stroke before; rows beyond it are left out, as the axis is
-    back on an earlier branch there. over_load: the travel is the load's own, see `by_load`.
-    Raises InputError for anything else, and for fewer than 10 rows.
+    direction: of the stroke, +1 or -1
+    travel_mm: shape (n,), ≥ 0, since the reversal
+    error_um: shape (n,), actual − commanded; the first row is taken before the motion starts
+    stroke_mm: travel of the stroke before; rows beyond it are left out, since the axis is then back on an earlier
+    branch of the hysteresis
+    over_load: the travel is the load's own, see `by_load`
+    Raises InputError for other values, and for fewer than 10 rows.
     """
 
     direction: int
@@ -62,16 +68,17 @@ class MeasuredReversal:
 
     @property
     def rise(self) -> tuple[Floats, Floats]:
-        """Travel, mm, and how much the error has moved against the motion since the reversal, µm, both of shape (m,), m ≤ n."""
+        """Travel, mm, and change of the error against the motion since the reversal, µm, both of shape (m,), m ≤ n."""
         kept = self._kept
         risen_um = -self.direction * (self.error_um - self.error_um[0])
         return self.travel_mm[kept], risen_um[kept]
 
     def by_load(self) -> MeasuredReversal:
-        """The same over the load's own travel instead of the motor's: what a correction needs, under which the load is on its target.
+        """The same over the load's own travel instead of the motor's, which is what a correction uses.
 
-        While the load sticks, its travel tells nothing of the rise, but the rise tells where the load is: such a reversal is fitted by
-        where the load should be after each of the motor's travels. Raises InputError unless the motor's travel grows row by row.
+        While the load sticks, its travel says nothing of the rise, but the rise determines the load's position: such a
+        reversal is fitted to the load's position at each travel of the motor. Raises InputError unless the motor's
+        travel increases row by row.
         """
         if np.any(np.diff(self.travel_mm) <= 0.0):
             raise InputError("the travel has to grow from row to row to tell the load's travel")
@@ -80,7 +87,7 @@ class MeasuredReversal:
 
     @property
     def start_weights(self) -> Floats:
-        """For a first search, of the rows of `rise`, shape (m,): the load's travel per motor travel, by which errors show."""
+        """Weights of the rows of `rise` for a first search, shape (m,): the load's travel per motor travel."""
         travel_mm, risen_um = self.rise
         if not self.over_load:
             return np.ones(len(travel_mm))
@@ -90,7 +97,7 @@ class MeasuredReversal:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A rise, and what the table was off along the stroke, µm of rise per mm."""
+    """A rise, and the slope of the table's own error along the stroke, µm per mm."""
 
     rise: Rise
     table_um_per_mm: float = 0.0
@@ -100,18 +107,24 @@ class Fitted:
         return self.rise.shape
 
     def rise_um(self, travel_mm: Floats) -> Floats:
-        """What a measured reversal is expected to show, shape (n,): the lost motion come back, and the table's part."""
+        """Expected rise of a measured reversal, µm, shape (n,): the lost motion and the table's part, at travels in
+        mm.
+        """
         return np.asarray(self.rise.along_um(travel_mm) + self.table_um_per_mm * travel_mm, dtype=np.float64)
 
     @property
     def form(self) -> TwoTanh:
-        """Pc1, Pc2, a1, a2, b2. Raises InputError for a shape that is not of tanh terms."""
+        """Parameters Pc1, Pc2, a1, a2, b2 of the published form. Raises InputError for a shape that is not of tanh
+        terms.
+        """
         return self.rise.form
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A shape fitted to all rows, its RMS on them, and its RMS on rows it had not seen, µm; over the load: of its place."""
+    """A shape fitted to all rows, its RMS on them, and its RMS on held-out rows, µm; over the load's travel: of the
+    load's position.
+    """
 
     fitted: Fitted
     rms_um: float
@@ -120,7 +133,9 @@ class Contender:
 
 @dataclass(frozen=True)
 class _Rows:
-    """All rows of some reversals: travel, rise, weight for a first search, and which reversal each is of; shape (n,) each."""
+    """All rows of some reversals: travel, rise, weight for a first search, and number of the reversal; shape (n,)
+    each.
+    """
 
     travel_mm: Floats
     risen_um: Floats
@@ -144,20 +159,23 @@ class _Rows:
         return _Rows(self.travel_mm[rows], self.risen_um[rows], self.weight[rows], self.stroke[rows], self.over_load)
 
     @property
-    def places(self) -> Places:
-        return Places(self.travel_mm + self.risen_um / 1000.0, self.travel_mm, self.stroke)
+    def places(self) -> StrokePositions:
+        return StrokePositions(self.travel_mm + self.risen_um / 1000.0, self.travel_mm, self.stroke)
 
     def residual_um(self, fitted: Fitted) -> Floats:
-        """Rise less measured rise, at the same travel; over the load's travel, at the same travel of the motor."""
+        """Fitted less measured rise, µm, at the same travel; over the load's travel, at the same travel of the
+        motor.
+        """
         if self.over_load:
             return self.places.residual_um(fitted.rise)
         return np.asarray(fitted.rise_um(self.travel_mm) - self.risen_um, dtype=np.float64)
 
 
 def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True) -> Fitted:
-    """The shape that is closest to all rows of the reversals, with no rise shorter than given. Raises InputError without any.
+    """The shape closest to all rows of the reversals, with no rise shorter than shortest_mm. Raises InputError without
+    reversals.
 
-    table: whether a slope is fitted beside it; False where what belongs to the table has been taken out already.
+    table: whether a slope is fitted beside it; False where the table's part has been removed already.
     """
     return _fit(shape, _Rows.of(reversals), shortest_mm, table)
 
@@ -168,11 +186,12 @@ def compete(
     shapes: Sequence[Shape] = SHAPES,
     table: bool = True,
 ) -> tuple[Contender, ...]:
-    """The shapes, the one with the least held-out RMS first.
+    """The shapes by cross-validation, the one with the least held-out RMS first.
 
-    With several reversals each is held out in turn, whole. A single one is cut into blocks of `block_mm` of travel, and every fifth
-    block is held out in turn. A block has to be shorter than the lengths sought, as no rise shorter than it is tried: it could hide
-    where a block is missing. Raises InputError without reversals, or for blocks longer than the stroke.
+    Several reversals are held out one at a time. A single one is cut into blocks of `block_mm` of travel, and every
+    fifth block is held out in turn. A block has to be shorter than the lengths searched, and no rise shorter than it is
+    tried, as it could hide where a block is missing. Raises InputError without reversals, or for blocks longer than the
+    stroke.
     """
     rows = _Rows.of(reversals)
     if not 0.0 < block_mm < float(rows.travel_mm.max()):
@@ -189,18 +208,22 @@ def compete(
     return tuple(sorted(found, key=lambda contender: contender.held_out_rms_um))
 
 
-def reach_of(span_mm: float, shortest_mm: float = 0.0) -> Reach:
-    """How far lengths may go over a travel. Slower or later, and a rise could not be told from the table."""
+def length_bounds(span_mm: float, shortest_mm: float = 0.0) -> LengthBounds:
+    """Bounds of the lengths over a travel, mm. A longer or later rise could not be separated from the table."""
     longest = span_mm / 4.0
-    return Reach(min(shortest_mm if shortest_mm > 0.0 else span_mm / 200.0, longest / 2.0), longest, span_mm / 2.0)
+    return LengthBounds(
+        min(shortest_mm if shortest_mm > 0.0 else span_mm / 200.0, longest / 2.0), longest, span_mm / 2.0
+    )
 
 
 def uncertainties(
     rise: Rise, reversals: Sequence[MeasuredReversal], shortest_mm: float
 ) -> tuple[float, list[float], list[float]]:
-    """Standard uncertainties of a rise that was fitted to these reversals over the load's travel: see `standard_uncertainties`."""
+    """Standard uncertainties of a rise fitted to these reversals over the load's travel: see
+    `standard_uncertainties`.
+    """
     rows = _Rows.of(reversals)
-    return standard_uncertainties(rise, rows.places, reach_of(float(rows.travel_mm.max()), shortest_mm))
+    return standard_uncertainties(rise, rows.places, length_bounds(float(rows.travel_mm.max()), shortest_mm))
 
 
 def _rms(values: Floats) -> float:
@@ -212,7 +235,7 @@ def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool = True) -> F
     s, y, w = seen.travel_mm, seen.risen_um, seen.weight
     span = float(s.max())
     slope = s if table else np.zeros_like(s)
-    reach = reach_of(span, shortest_mm)
+    bounds = length_bounds(span, shortest_mm)
 
     def solved(lengths: Sequence[float]) -> tuple[Floats, Floats]:
         columns = [shape.columns(s, lengths), slope, -slope]  # the slope may have either sign
@@ -221,25 +244,27 @@ def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool = True) -> F
         return amounts, np.asarray(matrix @ amounts - w * y, dtype=np.float64)
 
     if shape.knots:
-        lengths = tuple(np.geomspace(reach.shortest_mm, span, shape.knots).tolist())
+        lengths = tuple(np.geomspace(bounds.shortest_mm, span, shape.knots).tolist())
     else:
-        lengths = _lengths(shape, solved, reach, span)
+        lengths = _lengths(shape, solved, bounds, span)
     amounts = solved(lengths)[0]
     found = Rise(shape, tuple(float(a) for a in amounts[:-2]), lengths)
     if seen.over_load:
-        return Fitted(fit_at_load(found, seen.places, reach))
+        return Fitted(fit_at_load(found, seen.places, bounds))
     return Fitted(found, float(amounts[-2] - amounts[-1]))
 
 
 def _lengths(
-    shape: Shape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], reach: Reach, span: float
+    shape: Shape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], bounds: LengthBounds, span: float
 ) -> tuple[float, ...]:
-    """The lengths with the least squares: from the best start of each onset, as there are several hollows."""
-    low = np.array([reach.shortest_mm] * shape.rises + [0.0] * shape.onsets)
-    high = np.array([reach.longest_mm] * shape.rises + [reach.onset_mm] * shape.onsets)
+    """The lengths with the least squares: searched from the best start for each onset, since there are several local
+    minima.
+    """
+    low = np.array([bounds.shortest_mm] * shape.rises + [0.0] * shape.onsets)
+    high = np.array([bounds.longest_mm] * shape.rises + [bounds.onset_mm] * shape.onsets)
     edge = 1e-6 * (high - low)
-    rises = np.geomspace(1.01 * reach.shortest_mm, 0.8 * reach.longest_mm, 6).tolist()
-    onsets = np.linspace(0.0, 0.8 * reach.onset_mm, 5).tolist()
+    rises = np.geomspace(1.01 * bounds.shortest_mm, 0.8 * bounds.longest_mm, 6).tolist()
+    onsets = np.linspace(0.0, 0.8 * bounds.onset_mm, 5).tolist()
     starts = [
         min(
             ((*lengths, *onset) for lengths in itertools.product(rises, repeat=shape.rises)),

@@ -1,4 +1,6 @@
-"""Lost motion after a reversal by the axis's instrument (system C): measured, fitted and proven; put into force when asked."""
+"""Lost motion after a reversal by the axis's instrument (system C) as jobs: measured, fitted and proven; put into force
+on request.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, compensation_in_force
-from hil.lost_motion.estimate import NOT_SEPARATE, separate
+from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, separately_determined
 from hil.lost_motion.procedure import (
     LostMotionResult,
     measure_lost_motion,
@@ -36,14 +38,14 @@ CAMPAIGN = "lost-motion"
 
 
 def lost_motion_config(axis: AxisConfig) -> LostMotionConfig:
-    """What the axis file says of it, or the defaults. Raises InputError."""
+    """The axis file's [lost_motion] section, or the defaults. Raises InputError."""
     return axis.lost_motion or default_lost_motion(axis.path, axis.limits, axis.measurement.targets_mm)
 
 
 # -- measure -------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class MeasuredLostMotion:
-    """A measurement. present: what was in force before, None for nothing; kept: the folder with its rows."""
+    """A measurement. present: the compensation in force before, None for none; kept: the folder with its rows."""
 
     how: LostMotionConfig
     result: LostMotionResult
@@ -52,7 +54,7 @@ class MeasuredLostMotion:
 
 
 def measuring_plan(axis: AxisConfig, how: LostMotionConfig, seed: int = 1, *, store: bool = False) -> Plan:
-    """What a measurement moves and writes."""
+    """The moves and writes of a measurement."""
     velocity = axis.measurement.velocity_mm_s
     moves = [Move(what, how.low_mm, how.high_mm, velocity) for what in ("strokes", "proof")]
     writes = [Write("rows", str(axis.store.directory))]
@@ -80,7 +82,11 @@ def run_lost_motion(
     resume: bool = False,
     computing: Computing = at_once,
 ) -> MeasuredLostMotion:
-    """Prepare, measure, fit and prove; `present` is what is in force until now. Nothing is stored. computing: how the fit is made."""
+    """Prepares, measures, fits and proves; stores nothing. present: the compensation in force; computing: how the fit
+    is run.
+
+    Raises what `measure_lost_motion` raises.
+    """
     axis = machine.axis
     purpose = {**axis.purpose(CAMPAIGN), "how": asdict(how), "seed": seed}
     purpose |= {} if present is None else compensation_in_force(present)
@@ -111,7 +117,7 @@ def measuring_job(
 
 
 def _named(listener: Listener) -> Listener:
-    """The passes before and after say of what they are: other procedures have such passes too."""
+    """Prefixes the stages and series of the proof, since other procedures use the same names."""
 
     def tell(event: Event) -> None:
         found = event.found
@@ -131,18 +137,20 @@ SEALED = (
 
 
 def unfinished(axis: DriveAxis) -> bool:
-    """Whether a measurement was broken off and can be gone on with."""
+    """Whether there is an interrupted measurement to resume."""
     return Campaign.unfinished(axis.store.directory, CAMPAIGN) is not None
 
 
 # -- store ---------------------------------------------------------------------------------------------------------------
 def stored_now(store: SealedStore) -> Compensation | None:
-    """What is stored; None where nothing is."""
+    """The stored compensation, None without a file. Raises what `SealedStore.load` raises."""
     return store.load() if store.path.exists() else None
 
 
 def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
-    """Put a measurement into force. Raises StateError for one that did not prove itself or that was made beside something else."""
+    """Puts a measurement into force. Raises StateError for one whose proof failed or that was measured with another
+    compensation.
+    """
     if not measured.result.good:
         raise StateError("the correction did not prove itself: it is not stored")
     now, then = stored_now(store), measured.present
@@ -158,7 +166,7 @@ def _in_force(compensation: Compensation | None) -> dict[str, Any] | None:
 
 
 def store_job(axis: AxisConfig, measured: MeasuredLostMotion) -> Job:
-    """For the desk: returns the same measurement, stored."""
+    """Job that stores a measurement and returns it."""
 
     def work(place: Workplace) -> MeasuredLostMotion:
         store_measured(place.opened_store(), measured)
@@ -170,11 +178,11 @@ def store_job(axis: AxisConfig, measured: MeasuredLostMotion) -> Job:
 
 # -- what came of it -------------------------------------------------------------------------------------------------------
 def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
-    """In a few lines. stored: where, or "nothing"."""
+    """The result in a few lines, as label -> text. stored: where, or "nothing"."""
     result, present = measured.result, measured.present
     found, proof = result.estimate, result.proof
-    parameters = {name.replace("_", " "): str(each) for name, each in found.told.items()}
-    parameters |= {} if separate(found.parameters) else {"single amounts": NOT_SEPARATE}
+    parameters = {name.replace("_", " "): str(each) for name, each in found.determined.items()}
+    parameters |= {} if separately_determined(found.parameters) else {"single amounts": NOT_SEPARATELY_DETERMINED}
     before = (
         "nothing" if present is None else "the tables" if present.rise is None else "the tables and an earlier rise"
     )
@@ -191,12 +199,12 @@ def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
 
 
 def sentences(measured: MeasuredLostMotion) -> Sequence[str]:
-    """What is not as it should be; none where everything is."""
+    """Sentences on what is wrong with the result; empty for a good one."""
     return verdict(measured.result)
 
 
 def report_html(axis: AxisConfig, measured: MeasuredLostMotion, stored: str) -> str:
-    """The report as a page."""
+    """The report as an HTML page."""
     from hil.lost_motion.report import LostMotionReport, render_lost_motion  # noqa: PLC0415  (plots are slow to import)
 
     how, result = measured.how, measured.result

@@ -1,4 +1,6 @@
-"""Lost motion by the instrument (system C): measured, five shapes fitted, proven, stored; and the circle of two axes."""
+"""Page of lost motion by the instrument (system C): measure, compare five shapes, prove, store; and the circle of two
+axes.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
-from hil.lost_motion.estimate import separate
+from hil.lost_motion.estimate import separately_determined
 from hil.lost_motion.job import MeasuredLostMotion
 from hil.lost_motion.procedure import rms
 from hil.lost_motion.screen import lost_motion_screen, proof_points, resumable, rise_curves
@@ -25,7 +27,7 @@ Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draws the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("lost_motion.no_instrument")).classes("hil-note"), "lost_motion.no_instrument")
@@ -48,7 +50,7 @@ def draw(view: View) -> None:
 
 
 def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
-    """Start, go on with what was broken off, store."""
+    """Start, resume, store."""
     t, desk, how = view.t, view.desk, lost_motion.lost_motion_config(axis)
     broken_off = Reading(view, partial(resumable, axis))
     figures = {name: t.number(value, 1) for name, value in (("stroke", how.stroke_mm), ("at", how.at_mm))}
@@ -79,7 +81,7 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
 
 
 def _draw_where(view: View) -> Refresh:
-    """Where the axis is, and the step now running."""
+    """Position of the axis, and the present step."""
     with view.card("lost_motion.where"):
         return draw_where(view, "lost_motion", lambda: lost_motion_screen(view.desk).measurement)
 
@@ -103,7 +105,7 @@ def _draw_found(view: View) -> Refresh:
 
 
 def _draw_proof(view: View) -> Refresh:
-    """What fresh moves say of it, and whether it is stored."""
+    """The proof by fresh moves, and whether the result is stored."""
     t = view.t
     with view.card("lost_motion.proof"):
         after = view.value("lost_motion.after", "µm")
@@ -124,7 +126,9 @@ def _draw_proof(view: View) -> Refresh:
 
 
 def _draw_plots(view: View) -> Refresh:
-    """While it is measured the errors at their places; then what was lost after each reversal, with the shapes laid over it."""
+    """During the measurement the errors over position; then the lost motion after each reversal with the fitted
+    shapes.
+    """
     t = view.t
     with ui.element("div").classes("hil-grid wide"):
         drawings = []
@@ -174,7 +178,7 @@ def _moves(view: View, measured: MeasuredLostMotion) -> Options:
 
 
 def _draw_fits(view: View) -> Refresh:
-    """The shapes in competition, and the parameters of the one that was taken."""
+    """The shapes compared, and the parameters of the chosen one."""
     t = view.t
     with ui.element("div").classes("hil-grid wide"):
         with view.card("lost_motion.shapes"):
@@ -207,11 +211,11 @@ def _draw_fits(view: View) -> Refresh:
         parameters.show(
             [
                 [t(f"lost_motion.parameter.{name}"), t.number(per * each.value, 2), f"± {t.number(per * each.std, 2)}"]
-                for name, each in found.told.items()
+                for name, each in found.determined.items()
                 for per in [UM_PER_MM if name.endswith("_mm") else 1.0]
             ]
         )
-        single.set_visibility(not separate(found.parameters))
+        single.set_visibility(not separately_determined(found.parameters))
 
     return refresh
 

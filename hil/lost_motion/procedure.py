@@ -1,9 +1,11 @@
 """Lost motion after a reversal, by the axis's instrument (system C): measured, fitted, put into force, proven.
 
-strokes to and fro over one stretch, uncorrected, at rest at ever wider places after each turning, and at the same places coming back
-what differs at a place between coming soon after a turning and after a long stroke is the lost motion: a place's own error is in both
-a rise fitted over the load's travel, the best of several shapes on strokes it has not seen
-moves of any length over the same stretch, with what was in force and with the rise beside it: does it prove itself?
+1. Strokes to and fro over one stretch, uncorrected, at rest at increasing distances after each turning point, and at
+the same positions on the way back.
+2. The difference at a position between arriving soon after a reversal and after a long stroke is the lost motion: the
+error of the position is in both.
+3. A rise fitted over the load's travel, the best of several shapes on held-out strokes.
+4. Moves of any length over the same stretch, with the earlier correction and with the rise added: the proof.
 """
 
 from __future__ import annotations
@@ -28,30 +30,36 @@ from hil.machine.session import AxisSession
 from hil.records.journal import Campaign
 from hil.records.rows import Floats, Records
 
-LEFT_SHARE = 0.05
-"""Of the lost motion: where more is left (RMS), or over-compensated at worst, than this and than noise explains, nothing is stored."""
-NOISE_REACH = 3.5
-"""Standard deviations of noise that the worst of some forty rows may reach."""
-SAME_SHARE = 0.15
-"""By how much of the lost motion the tables' two directions may differ from it before they are taken for another machine's."""
+RESIDUAL_SHARE = 0.05
+"""Largest residual (RMS) and largest over-compensation, as a share of the lost motion, at which the result may be
+stored, unless noise explains more.
+"""
+NOISE_FACTOR = 3.5
+"""Standard deviations of noise that the largest of about forty rows may reach."""
+TABLE_MISMATCH_SHARE = 0.15
+"""Allowed difference between the lost motion and the tables' difference of directions, as a share; beyond it the tables
+are refused.
+"""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What belongs to the places: position_mm and error_um, both (n,), of the axis half-way between its two directions; noise_um: of
-    one reading, from repeats."""
+    """The errors of position: position_mm and error_um, both (n,), of the axis half-way between its two directions;
+    noise_um: standard deviation of one reading, from repeats.
+    """
 
     position_mm: Floats
     error_um: Floats
     noise_um: float
 
     def at_um(self, position_mm: Floats) -> Floats:
+        """The error at positions in mm, linear between, µm, shape as given."""
         return np.interp(position_mm, self.position_mm, self.error_um)
 
 
 @dataclass(frozen=True)
 class Proof:
-    """The same moves before and after. residual_um: what is left of the lost motion in each row, in the axis's sign."""
+    """The same moves before and after. before_um, after_um: remaining lost motion in each row, in the axis's sign."""
 
     before: Records
     after: Records
@@ -62,17 +70,20 @@ class Proof:
 
     @property
     def over_um(self) -> float:
-        """The worst over-compensation after: too far in the direction of the last motion."""
+        """The largest over-compensation after: too far in the direction of the last motion."""
         return max(0.0, float(np.max(self.after_um * self.after.direction)))
 
     @property
     def good(self) -> bool:
-        return max(rms(self.after_um), self.over_um) <= max(LEFT_SHARE * self.amount_um, NOISE_REACH * self.noise_um)
+        """Residual and over-compensation are within `RESIDUAL_SHARE` or the noise."""
+        return max(rms(self.after_um), self.over_um) <= max(
+            RESIDUAL_SHARE * self.amount_um, NOISE_FACTOR * self.noise_um
+        )
 
 
 @dataclass(frozen=True)
 class LostMotionResult:
-    """What came of it. compensation: with the rise in force, to be stored where the proof is good."""
+    """The result. compensation: with the rise in force, to be stored where the proof is good."""
 
     records: Records
     estimate: Estimate
@@ -82,10 +93,12 @@ class LostMotionResult:
 
     @property
     def good(self) -> bool:
+        """The proof is good and the strokes were long enough."""
         return self.proof.good and not self.estimate.still_rising
 
 
 def rms(values: Floats) -> float:
+    """Root mean square, in the unit of the values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -93,14 +106,16 @@ def rms(values: Floats) -> float:
 
 
 def stroke_steps(how: LostMotionConfig) -> list[Step]:
-    """There and back over the stretch: `run` is the number of the stroke. The first comes down after a whole stroke up."""
+    """Steps to and fro over the stretch: `run` is the number of the stroke. The first goes down after a whole stroke
+    up.
+    """
     low, high = how.low_mm, how.high_mm
     near_low = [low, *(round(low + travel, 6) for travel in how.travels_mm)]
     near_high = [high, *(round(high - travel, 6) for travel in how.travels_mm)]
     up = [*near_low[1:], *reversed(near_high)]
     down = [*near_high[1:], *reversed(near_low)]
     steps = [Step(1, -1, down[0], round(down[0] - low, 6)), *(Step(1, -1, target, 0.0) for target in down[1:])]
-    # the very first turning has no measured stroke before it: what it shows is not used
+    # the first turning point has no measured stroke before it and is not used
     for stroke in range(2, 2 * how.runs + 2):
         direction, targets = (1, up) if stroke % 2 == 0 else (-1, down)
         steps += [Step(stroke, direction, target, 0.0) for target in targets]
@@ -108,7 +123,7 @@ def stroke_steps(how: LostMotionConfig) -> list[Step]:
 
 
 def proof_steps(how: LostMotionConfig, seed: int) -> list[Step]:
-    """Moves from place to place, some short, some over the whole stretch; each is a stroke or goes on with the one before it."""
+    """Moves between positions, of all lengths; each reverses or continues the one before it."""
     rng = np.random.default_rng([seed, 5])
     low, high, travels = how.low_mm, how.high_mm, how.travels_mm
     places = np.unique(np.round([low, high, *(low + np.array(travels)), *(high - np.array(travels))], 6))
@@ -128,7 +143,9 @@ def proof_steps(how: LostMotionConfig, seed: int) -> list[Step]:
 
 
 def reversals_of(records: Records, how: LostMotionConfig) -> list[MeasuredReversal]:
-    """Each turning between two measured strokes: the error at its places against that at the same places in the stroke before."""
+    """One reversal per turning point between two strokes: the error at each position against that in the stroke
+    before.
+    """
     found = []
     for stroke in range(2, int(records.run.max()) + 1):
         before, after = records.where(records.run == stroke - 1), records.where(records.run == stroke)
@@ -145,7 +162,7 @@ def reversals_of(records: Records, how: LostMotionConfig) -> list[MeasuredRevers
 
 
 def stretch_of(records: Records, how: LostMotionConfig, amount_um: float) -> Stretch:
-    """The places' own error, from the rows that came after a long stroke."""
+    """The errors of position, from the rows that came after a long stroke."""
     target, direction = np.round(records.target_mm, 6), records.direction
     long = np.where(direction > 0, target > how.at_mm, target < how.at_mm)
     middle_um = records.error_um + direction * amount_um / 2.0
@@ -162,10 +179,11 @@ def stretch_of(records: Records, how: LostMotionConfig, amount_um: float) -> Str
 def with_rise(
     present: Compensation | None, found: Estimate, how: LostMotionConfig, reach: tuple[float, float]
 ) -> Compensation:
-    """What is to be in force: the tables as they are, and the rise between their two directions.
+    """The compensation to be put into force: the present tables, and the rise between their two directions.
 
-    Without tables: the lost motion alone, as tables whose + direction is 0 (that of the datum). An effect of the same cause is left
-    out: it would count it twice. Raises InputError where the tables' directions differ by anything but the lost motion measured.
+    Without tables: the lost motion alone, as tables whose + direction is 0 (that of the datum). A fitted effect of the
+    same cause is left out, as it would count twice. Raises InputError where the tables' directions differ by something
+    else than the measured lost motion.
     """
     if present is None or _is_lost_motion_alone(present):
         nodes = np.array(reach)
@@ -173,7 +191,7 @@ def with_rise(
         zero = DirectionalTable.constant(nodes, 0.0)
         return Compensation(TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, zero, backlash), (), found.rise)
     plus, minus = (float(present.tables.correction_um([how.at_mm], sign)[0]) for sign in (1, -1))
-    if abs(plus - minus - found.amount_um) > SAME_SHARE * found.amount_um + 1.0:
+    if abs(plus - minus - found.amount_um) > TABLE_MISMATCH_SHARE * found.amount_um + 1.0:
         raise InputError(
             f"the tables in force hold a reversal of {plus - minus:.1f} µm at {how.at_mm:g} mm, measured now are"
             f" {found.amount_um:.1f} µm: calibrate again first"
@@ -183,7 +201,7 @@ def with_rise(
 
 
 def _is_lost_motion_alone(present: Compensation) -> bool:
-    """Whether these tables came of such a measurement before, and hold nothing that a new one does not."""
+    """Whether these tables came from an earlier measurement of this kind and hold nothing else."""
     tables = present.tables
     other = (tables.specified, tables.straightness)
     return (
@@ -195,7 +213,9 @@ def _is_lost_motion_alone(present: Compensation) -> bool:
 
 
 def residual_um(records: Records, stretch: Stretch, in_force: Compensation | None) -> Floats:
-    """What is left of the lost motion in each row, µm: its error, less that of its place and what the tables do there either way."""
+    """Remaining lost motion in each row, µm, (n,): its error, less that of its position and the mean correction of the
+    tables there.
+    """
     own = stretch.at_um(records.target_mm)
     if in_force is not None:
         plus, minus = (in_force.tables.correction_um(records.target_mm, sign) for sign in (1, -1))
@@ -216,11 +236,13 @@ def measure_lost_motion(
     seed: int = 1,
     computing: Computing = at_once,
 ) -> LostMotionResult:
-    """On a prepared session; `present` is what was in force until now, None for nothing. Nothing is stored here.
+    """Measures, fits and proves on a prepared session. present: the compensation in force, None for none. Stores
+    nothing.
 
-    The session has no compensation in force afterwards, on every way out. A campaign that was interrupted goes on with its first
-    missing row. computing: how the fit is made. Raises InputError where no lost motion shows above the noise, or the tables are those
-    of another machine, CorrectionBoundError where it exceeds the axis's bound.
+    Afterwards no compensation is in force in the session, also after an error. An interrupted campaign continues with
+    its first missing row. computing: how the fit is run. Raises InputError where no lost motion shows above the noise,
+    or the tables do not agree with it, CorrectionBoundError where the correction exceeds the axis's bound, and what
+    stops the axis.
     """
     try:
         session.compensation = None
@@ -229,7 +251,7 @@ def measure_lost_motion(
         reversals = reversals_of(records, how)
         found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0))
         stretch = stretch_of(records, how, found.amount_um)
-        if found.amount_um < NOISE_REACH * stretch.noise_um:
+        if found.amount_um < NOISE_FACTOR * stretch.noise_um:
             raise InputError(
                 f"no lost motion to correct: {found.amount_um:.2f} µm with a noise of {stretch.noise_um:.2f} µm"
             )
@@ -250,7 +272,7 @@ def measure_lost_motion(
 
 
 def verdict(result: LostMotionResult) -> Sequence[str]:
-    """Sentences for what is not as it should be; none where everything is."""
+    """Sentences on what is wrong with the result; empty for a good one."""
     found, proof = result.estimate, result.proof
     said = []
     if found.still_rising:

@@ -1,4 +1,4 @@
-"""The report of lost motion after reversals: the rise that was measured with every shape fitted, and the moves that prove it."""
+"""The report of lost motion after reversals: the measured rise with every fitted shape, and the moves of the proof."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from matplotlib.figure import Figure
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
-from hil.lost_motion.estimate import NOT_SEPARATE, Estimate, separate, told
+from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
 from hil.records.rows import Floats, Records
 
 NAMES = {1: "− → +", -1: "+ → −"}
 
 
 class Proven(Protocol):
-    """What is shown of the proof: its rows, and what is left of the lost motion in each, µm."""
+    """The part of the proof that is shown: its rows, and the remaining lost motion in each, µm."""
 
     @property
     def after(self) -> Records: ...
@@ -34,7 +34,7 @@ class Proven(Protocol):
 
 @dataclass(frozen=True)
 class LostMotionReport:
-    """What one measurement found; verdict: sentences, none when there is nothing to say."""
+    """The data of one report; verdict: sentences, may be empty."""
 
     title: str
     estimate: Estimate
@@ -45,7 +45,7 @@ class LostMotionReport:
 
 
 def render_lost_motion(report: LostMotionReport) -> str:
-    """The whole page. Same data, same text."""
+    """The whole page as HTML. Same data, same text."""
     found = report.estimate
     rise = inline_svg(rise_plot(found, PAGE), "rise", "Lost motion over the load's travel since the reversal")
     proof = inline_svg(proof_plot(report.proof, PAGE), "proof", "What is left in fresh moves, before and after")
@@ -77,12 +77,12 @@ def render_lost_motion(report: LostMotionReport) -> str:
 
 
 def rise_image(estimate: Estimate, kind: str = "png") -> bytes:
-    """The drawing of the rise as a file of its own, "png" or "svg"."""
+    """The plot of the rise as a file, "png" or "svg"."""
     return file_bytes(rise_plot(estimate, LIGHT), kind)
 
 
 def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
-    """Loss over the load's travel: all of it, and its beginning in µm."""
+    """Loss over the load's travel: the whole travel in mm, and its beginning in µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 4.2, top_in=0.75)
         whole, begin = figure.subplots(1, 2, sharey=True, squeeze=False)[0]
@@ -123,7 +123,7 @@ def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
 
 
 def proof_plot(proof: Proven, theme: Theme) -> Figure:
-    """What is left, move by move, before and after."""
+    """Remaining lost motion, move by move, before and after, µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 3.2, top_in=0.6)
         ax = figure.subplots()
@@ -175,10 +175,11 @@ def _contenders(estimate: Estimate) -> str:
 def _parameters(estimate: Estimate) -> str:
     rows = [
         [name.replace("_", " "), markup.significant(each.value), markup.significant(each.std, 2)]
-        for name, each in told(estimate.published).items()
+        for name, each in determined(estimate.published).items()
     ]
     head = ["two tanh terms", "value", "standard uncertainty"]
-    note = "" if separate(estimate.published) else f"<p>The amounts of the single terms are {NOT_SEPARATE}.</p>"
+    singly = separately_determined(estimate.published)
+    note = "" if singly else f"<p>The amounts of the single terms are {NOT_SEPARATELY_DETERMINED}.</p>"
     return markup.table(head, rows, css="numbers") + note
 
 

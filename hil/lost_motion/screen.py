@@ -1,4 +1,6 @@
-"""What the screen of system C shows: the reversals measured, the shapes laid over them, the proof, and the circle of two axes."""
+"""The contents of the page of system C: the reversals measured, the fitted shapes, the proof, and the circle of two
+axes.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,14 @@ from hil.records.rows import UM_PER_MM, Floats
 Points = list[tuple[float, float]]
 FIT_POINTS, BEGINNING = 160, 3.0
 MOST_POINTS = 1500
-"""Of one circle; more would not be seen."""
+"""Most points of one plotted circle."""
 
 
 @dataclass(frozen=True)
 class LostMotionScreen:
-    """measurement: the last one; number: of its job; measured: what it came to, None before its end; stored: that it is in force;
-    warnings: in English"""
+    """measurement: the last one; number: of its job; measured: its result, None before its end; stored: it is in force;
+    warnings: in English
+    """
 
     measurement: Progress | None
     number: int
@@ -39,11 +42,12 @@ class LostMotionScreen:
 
     @property
     def storable(self) -> bool:
+        """There is a good result that is not stored yet."""
         return self.measured is not None and self.measured.result.good and not self.stored
 
 
 def lost_motion_screen(desk: Desk) -> LostMotionScreen:
-    """As the desk stands."""
+    """From the present state of the desk."""
     measurement, stored = desk.last(lost_motion.MEASURE), desk.last(lost_motion.STORE)
     measured = None if measurement is None else measurement.result
     if not isinstance(measured, MeasuredLostMotion):
@@ -54,13 +58,13 @@ def lost_motion_screen(desk: Desk) -> LostMotionScreen:
 
 
 def resumable(axis: DriveAxis) -> bool:
-    """Whether a measurement was broken off and can be gone on with: looks at the axis's folder."""
+    """Whether there is an interrupted measurement to resume; reads the axis's folder."""
     return lost_motion.unfinished(axis)
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A shape as a curve; in_force: it is the one that was taken"""
+class FittedCurve:
+    """A shape as a curve; in_force: it is the chosen one"""
 
     name: str
     in_force: bool
@@ -69,15 +73,14 @@ class Fitted:
 
 @dataclass(frozen=True)
 class RiseCurves:
-    """measured: by the direction after the reversal; how far the load has fallen behind, µm, over the motor's travel since it, mm or
-    µm"""
+    """measured: by the direction after the reversal, the load's lag, µm, over the motor's travel since it, mm or µm"""
 
     measured: Mapping[int, Points]
-    fitted: Sequence[Fitted]
+    fitted: Sequence[FittedCurve]
 
 
 def rise_curves(estimate: Estimate, *, beginning: bool = False) -> RiseCurves:
-    """All of the travel in mm, or its beginning in µm: some `BEGINNING` times the lost motion."""
+    """The whole travel in mm, or its beginning in µm: `BEGINNING` times the lost motion."""
     end_mm, per_mm = max(float(one.travel_mm.max()) for one in estimate.reversals), 1.0
     if beginning:
         end_mm, per_mm = min(end_mm, BEGINNING * estimate.amount_um / UM_PER_MM), UM_PER_MM
@@ -91,33 +94,36 @@ def rise_curves(estimate: Estimate, *, beginning: bool = False) -> RiseCurves:
     for contender in estimate.contenders:
         rise = contender.fitted.rise
         behind_um = UM_PER_MM * (motor_mm - load_mm(rise, motor_mm))
-        fitted.append(Fitted(rise.shape.name, rise is estimate.rise, _points(per_mm * motor_mm, behind_um)))
+        fitted.append(FittedCurve(rise.shape.name, rise is estimate.rise, _points(per_mm * motor_mm, behind_um)))
     return RiseCurves(measured, fitted)
 
 
 def proof_points(proof: Proof) -> tuple[Points, Points]:
-    """What was left in each fresh move, µm, in the move's own direction: before, and with the correction; over its number."""
+    """Remaining lost motion of each fresh move, µm, in the move's own direction: before, and with the correction; over
+    its number.
+    """
     moves, sign = np.arange(1.0, len(proof.after_um) + 1.0), proof.after.direction
     return _points(moves, sign * proof.before_um), _points(moves, sign * proof.after_um)
 
 
 def driven_circle(desk: Desk) -> DrivenCircle | None:
-    """The last circle that was driven from this desk."""
+    """The last circle that was driven from this desk, if any."""
     last = desk.last(circle.CIRCLE)
     return last.result if last is not None and isinstance(last.result, DrivenCircle) else None
 
 
 @dataclass(frozen=True)
 class CircleCurves:
-    """ring_um: between two rings; traces: by name, deviation in µm and angle in degrees counter-clockwise, 0 to 360, None where a
-    curve goes through 0"""
+    """ring_um: between two rings; traces: by name, (deviation in µm, angle in degrees counter-clockwise, 0 to 360),
+    None where a curve passes 0
+    """
 
     ring_um: float
     traces: Mapping[str, list[tuple[float, float] | None]]
 
 
 def circle_curves(driven: DrivenCircle) -> CircleCurves:
-    """What was driven, for a drawing around the circle."""
+    """The traces for a polar plot."""
     curves: dict[str, list[tuple[float, float] | None]] = {}
     for name, trace in driven.traces.items():
         step = max(1, len(trace.angle_deg) // MOST_POINTS)

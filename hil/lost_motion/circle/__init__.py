@@ -1,1 +1,1 @@
-"""The circle of two axes: what lost motion does at the quadrants."""
+"""The circle test of two axes: lost motion at the quadrants."""

@@ -1,4 +1,4 @@
-"""`hil circle`: two axes drive a circle together, and their lost motion shows as bumps where one of them turns around."""
+"""`hil circle`: two axes drive a circle together; lost motion shows as bumps where one of them reverses."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ example:
   hil circle X.toml Y.toml --centre 120 80 --clockwise
 
 Both drives take set-points together: on one CAN bus by one SYNC, otherwise by this computer's clock. Both instruments measure. An axis
-without stored tables drives uncorrected. `hil lost-motion` makes the correction that this is to show. Readings are dated by the
-latency_s of each axis file; of instruments that are late by different times, state it: they see an ellipse.
+without stored tables drives uncorrected. `hil lost-motion` makes the correction that this test shows. Readings are dated by the
+latency_s of each axis file; instruments of different latency show an ellipse unless it is stated there.
 Exit status 1: with the correction in force the bumps fell neither to half nor to the floor.
 """
 MM_MIN = 60.0
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil circle`."""
     parser = subparsers.add_parser(
         "circle",
         description="Drive a circle with two axes, uncorrected and corrected, and read the bumps after the quadrants.",
@@ -48,7 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--feed", metavar="MM/MIN", type=_positive, default=100.0, help="default 100")
     parser.add_argument("--clockwise", action="store_true", help="instead of counter-clockwise")
     parser.add_argument("--period-ms", metavar="MS", type=_positive, default=4.0, help="of the set-points (default 4)")
-    parser.add_argument("--uncorrected", action="store_true", help="only that; needs no password")
+    parser.add_argument("--uncorrected", action="store_true", help="only the uncorrected circle; needs no password")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_zero_options(parser)
     add_password_options(parser, key=False)
@@ -74,7 +75,9 @@ def _positive(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: driven, and better with the correction where there is one; 1: not better."""
+    """Returns 0: driven, and better with the correction where there is one; 1: not better. Raises what `run_circle`
+    raises.
+    """
     axes = (load_axis(args.x), load_axis(args.y))
     first, second = args.centre or middle_of(axes)
     circle = Circle((first, second), args.radius, args.feed / MM_MIN, -1 if args.clockwise else 1)

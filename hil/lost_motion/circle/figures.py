@@ -1,7 +1,7 @@
-"""The circle that shows lost motion: its path in time, the deviation of what was driven, and the bump after each quadrant.
+"""The circle test's figures: the path over time, the radial deviation, and the bump after each quadrant.
 
-What may go in: pure functions of angles and positions. Angles are in degrees, counter-clockwise from the first axis's + direction; at
-0 and 180° the first axis turns around, at 90 and 270° the second.
+Angles are in degrees, counter-clockwise from the first axis's + direction; at 0 and 180° the first axis reverses, at 90
+and 270° the second.
 """
 
 from __future__ import annotations
@@ -19,18 +19,24 @@ Floats = NDArray[np.float64]
 
 QUADRANTS_DEG = (0.0, 90.0, 180.0, 270.0)
 BETWEEN_DEG = (45.0, 135.0, 225.0, 315.0)
-"""Where no axis turns around: the same figure there is what noise and all else make of it."""
+"""Half-way between the quadrants, where no axis reverses: the bump figure there is the noise floor."""
 BEFORE_DEG, AFTER_DEG = 12.0, 10.0
-"""The circle is called undisturbed so far before a quadrant, and its bump is looked for so far after it."""
+"""Range before a quadrant that is taken as undisturbed, and range after it in which the bump is searched."""
 NEAR_DEG = 1.0
-"""Not so close to the quadrant: the set-point's time and the samples' agree to less, and both axes' noise is in the angle."""
+"""Margin at the quadrant, covering the alignment in time of set-points and samples and the noise of the angle."""
 START_DEG, LEAD_DEG = -60.0, 30.0
-"""Where the first full turn begins, and the arc before it, on which the feed is reached and both axes wind up; as much follows it."""
+"""Start of the full turn, and length of the arc before it, on which the feed is reached and both axes wind up; the same
+arc follows.
+"""
 
 
 @dataclass(frozen=True)
 class Circle:
-    """centre_mm: of both axes; feed_mm_s along the path; sense: +1 counter-clockwise; ramp_mm_s2: tangential."""
+    """centre_mm: of both axes; feed_mm_s along the path; sense: +1 counter-clockwise; ramp_mm_s2: tangential
+    acceleration.
+
+    Raises InputError for values that are not positive, or a feed that the arc before the turn is too short for.
+    """
 
     centre_mm: tuple[float, float]
     radius_mm: float = 10.0
@@ -59,14 +65,16 @@ class Circle:
 
     @property
     def length_mm(self) -> float:
+        """Length of the path with both arcs."""
         return 2.0 * math.pi * self.radius_mm + 2.0 * self._lead_mm
 
     @property
     def duration_s(self) -> float:
+        """Duration with both ramps."""
         return self.length_mm / self.feed_mm_s + self.feed_mm_s / self.ramp_mm_s2
 
     def at(self, way_mm: float) -> tuple[float, float]:
-        """Both axes' targets after so much of the path, mm."""
+        """Targets of both axes, mm, after way_mm of the path."""
         angle = self.sense * (math.radians(START_DEG - LEAD_DEG) + way_mm / self.radius_mm)
         return (
             self.centre_mm[0] + self.radius_mm * math.cos(angle),
@@ -74,12 +82,14 @@ class Circle:
         )
 
     def starting(self) -> tuple[int, int]:
-        """Directions in which both axes set off."""
+        """Initial directions of both axes, +1 or -1."""
         here, soon = self.at(0.0), self.at(1e-3 * self.radius_mm)
         return (1 if soon[0] > here[0] else -1), (1 if soon[1] > here[1] else -1)
 
     def path(self, period_s: float) -> Iterator[tuple[tuple[float, float], float]]:
-        """Targets of both axes and the feed of every period: feed up, a turn and its arcs, feed down to rest."""
+        """Targets of both axes (mm) and feed (mm/s) of every period: acceleration, a turn and its arcs, deceleration to
+        rest.
+        """
         ramp_s = self.feed_mm_s / self.ramp_mm_s2
         for index in range(1, math.ceil(self.duration_s / period_s) + 1):
             t = min(index * period_s, self.duration_s)
@@ -94,15 +104,21 @@ class Circle:
 
 @dataclass(frozen=True)
 class Trace:
-    """What was driven: angle_deg, (n,), of each pair of positions about the fitted centre, along the sense and growing with time;
-    deviation_um, (n,): radius there less the radius commanded."""
+    """The driven circle: angle_deg, (n,), of each pair of positions about the fitted centre, increasing in the sense of
+    motion;
+
+    deviation_um, (n,): radius there less the commanded radius.
+    """
 
     angle_deg: Floats
     deviation_um: Floats
 
     def bump_um(self, at_deg: float) -> float:
-        """Peak over the undisturbed circle within `AFTER_DEG` after an angle: over the straight line through the deviations of the
-        `BEFORE_DEG` before it. Raises InputError where the trace is not there."""
+        """Largest deviation within `AFTER_DEG` after an angle from the straight line through the `BEFORE_DEG` before
+        it, µm.
+
+        Raises InputError where the trace has no samples.
+        """
         for at in (at_deg, at_deg - 360.0):
             past = self.angle_deg - at
             before = (past >= -BEFORE_DEG) & (past <= -NEAR_DEG)
@@ -114,28 +130,31 @@ class Trace:
 
     @property
     def bumps_um(self) -> tuple[float, ...]:
-        """After 0, 90, 180 and 270°."""
+        """Bumps after 0, 90, 180 and 270°, µm."""
         return tuple(self.bump_um(at) for at in QUADRANTS_DEG)
 
     @property
     def bump_mean_um(self) -> float:
+        """Mean of the four bumps."""
         return float(np.mean(self.bumps_um))
 
     @property
     def floor_um(self) -> float:
-        """The same figure half-way between the quadrants, where nothing turns around; mean of four."""
+        """The same figure half-way between the quadrants, where no axis reverses; mean of four, µm."""
         return float(np.mean([self.bump_um(at) for at in BETWEEN_DEG]))
 
     @property
     def roundness_um(self) -> float:
-        """Largest less smallest deviation."""
+        """Largest less smallest deviation, µm."""
         return float(np.ptp(self.deviation_um))
 
 
 def trace_of(first_mm: Floats, second_mm: Floats, circle: Circle) -> Trace:
-    """Positions of both axes at the same moments, (n,) each, in order of time, as deviation over angle for the turn from `START_DEG`.
+    """Positions of both axes at the same times, mm, (n,) each, in order of time, as deviation over angle for the turn
+    from `START_DEG`.
 
-    The centre is fitted: where it lies is no matter of roundness. Angles of a clockwise circle are mirrored, so that they grow.
+    The centre is fitted by least squares, as its position is no part of roundness. Angles of a clockwise circle are
+    mirrored, so that they increase.
     """
     u, v = first_mm - circle.centre_mm[0], circle.sense * (second_mm - circle.centre_mm[1])
     angle = np.degrees(np.unwrap(np.arctan2(v, u)))
@@ -152,7 +171,7 @@ def trace_of(first_mm: Floats, second_mm: Floats, circle: Circle) -> Trace:
 
 
 def ring_of(traces: Iterable[Trace]) -> float:
-    """µm per ring: 1, 2 or 5 times a power of ten, some four rings to the largest deviation."""
+    """µm per ring of a polar plot: 1, 2 or 5 times a power of ten, about four rings to the largest deviation."""
     largest = max((float(np.max(np.abs(trace.deviation_um))) for trace in traces), default=1.0)
     wanted = max(largest, 0.01) / 4.0
     power = 10.0 ** math.floor(math.log10(wanted))

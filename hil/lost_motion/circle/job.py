@@ -1,4 +1,4 @@
-"""The circle test of two axes: driven uncorrected, then with what is stored for them."""
+"""The circle test of two axes as a job: driven uncorrected, then with the stored corrections."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hil.records.journal import Campaign
 CIRCLE = "circle"
 BEFORE, AFTER = "uncorrected", "corrected"
 PERIOD_S = 0.004
-"""Of the set-points."""
+"""Period of the set-points."""
 VERDICT = "with the correction in force the bumps fell neither to half nor to the floor"
 
 Axes = tuple[AxisConfig, AxisConfig]
@@ -33,7 +33,7 @@ Axes = tuple[AxisConfig, AxisConfig]
 
 @dataclass(frozen=True)
 class DrivenCircle:
-    """What was driven. runs: by name, the uncorrected one first; kept: the folder with the positions"""
+    """The result. runs: by name, the uncorrected one first; kept: the folder with the positions"""
 
     axes: Axes
     circle: Circle
@@ -42,11 +42,12 @@ class DrivenCircle:
 
     @property
     def traces(self) -> dict[str, Trace]:
+        """The traces by name."""
         return {name: each.trace for name, each in self.runs.items()}
 
     @property
     def good(self) -> bool:
-        """Better with the correction, where there is one."""
+        """With the correction the bumps fell to half or to the floor; True without a correction."""
         if AFTER not in self.runs:
             return True
         after = self.runs[AFTER].trace
@@ -54,7 +55,7 @@ class DrivenCircle:
 
     @property
     def fallen_percent(self) -> float | None:
-        """By how much the bumps have become smaller; None without a corrected circle."""
+        """Reduction of the mean bump; None without a corrected circle."""
         if AFTER not in self.runs:
             return None
         return 100.0 * (1.0 - self.runs[AFTER].trace.bump_mean_um / self.runs[BEFORE].trace.bump_mean_um)
@@ -66,13 +67,13 @@ class DrivenCircle:
 
 
 def middle_of(axes: Axes) -> tuple[float, float]:
-    """The middles of both axes' targets, mm: where a circle is driven unless somebody says otherwise."""
+    """The middles of both axes' targets, mm: the default centre."""
     first, second = (0.5 * (min(a.measurement.targets_mm) + max(a.measurement.targets_mm)) for a in axes)
     return round(first, 3), round(second, 3)
 
 
 def circle_plan(axes: Axes, circle: Circle) -> Plan:
-    """What it moves and writes."""
+    """The moves and writes of the test."""
     moves = [
         Move(f"circle {axis.name}", low, high, max(circle.feed_mm_s, APPROACH_MM_S))
         for axis, centre in zip(axes, circle.centre_mm, strict=True)
@@ -92,7 +93,10 @@ def run_circle(
     *,
     period_s: float = PERIOD_S,
 ) -> DrivenCircle:
-    """Prepare both axes and drive it: without corrections, and where any axis has one stored, with those."""
+    """Prepares both axes and drives the circle: uncorrected, and where an axis has a stored correction, with those.
+
+    Raises what `check_axes` and `drive_circle` raise.
+    """
     axes: Axes = (machines[0].axis, machines[1].axis)
     wanted: dict[str, Sequence[Compensation | None]] = {BEFORE: [None, None]}
     wanted |= {AFTER: stored} if any(one is not None for one in stored) else {}
@@ -113,7 +117,9 @@ def run_circle(
 
 
 def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None], *, period_s: float = PERIOD_S) -> Job:
-    """For the desk of the first axis: returns a DrivenCircle. stores: of both axes as far as they were opened."""
+    """Job at the desk of the first axis, returns a DrivenCircle. stores: of both axes, None for one that is not
+    open.
+    """
 
     def work(place: Workplace) -> DrivenCircle:
         stored = [None if store is None else stored_now(store) for store in stores]
@@ -145,7 +151,7 @@ def _csv(run: CircleRun, axes: Axes) -> bytes:
 
 # -- what came of it -------------------------------------------------------------------------------------------------------
 def report_html(driven: DrivenCircle) -> str:
-    """The report as a page."""
+    """The report as an HTML page."""
     from hil.lost_motion.circle.report import CircleReport, render_circle  # noqa: PLC0415  (plots are slow to import)
 
     axes, circle = driven.axes, driven.circle

@@ -1,4 +1,4 @@
-"""The circle of two axes, a part of the page of lost motion: offered where the server has a second axis to drive it with."""
+"""The circle test, a part of the page of lost motion; shown where the server has a second axis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RADIUS_MM, FEED_MM_MIN, S_PER_MIN = 10.0, 100.0, 60.0
 
 
 def draw_circle(view: View, axis: AxisConfig) -> Refresh:
-    """Settings, start, the drawing and its figures; the refresh of it all."""
+    """Draws settings, start, plot and figures; returns their refresh."""
     others = {desk.name: desk for desk in view.desks if desk is not view.desk and isinstance(desk.axis, AxisConfig)}
     with view.card("circle.title"):
         if not others:
@@ -38,7 +38,7 @@ def draw_circle(view: View, axis: AxisConfig) -> Refresh:
 
 
 def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Refresh:
-    """With which axis, how large, how fast, which way round."""
+    """Second axis, radius, feed, and sense."""
     t = view.t
     messages = view.messages("circle.messages")
     with ui.row().classes("items-end hil-fields"):

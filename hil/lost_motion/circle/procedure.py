@@ -1,8 +1,9 @@
-"""The circle test: two axes stream one circle together, both instruments watch, and the bumps after the quadrants are read off.
+"""The circle test: two axes stream one circle together, both instruments measure, and the bumps after the quadrants are
+evaluated.
 
-both axes ready, each with its own datum, each looked after while the other moves
-to the start from below, so that both are wound up in the direction they will set off in
-the circle, every set-point of both with the correction in force
+1. Both axes ready, each with its own datum, each supervised while the other moves.
+2. To the start from the side opposite to the initial direction, so that both are wound up.
+3. The circle, every set-point of both with the correction in force.
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ from hil.machine.session import AxisSession
 from hil.records.rows import Floats
 
 RUN_IN_MM = 5.0
-"""How far before the start both axes come from: beyond what winds them up."""
+"""Length of the run-in before the start: more than the axes need to wind up."""
 APPROACH_MM_S = 10.0
 _REPORT_EVERY_S = 1.0
 
 
 @dataclass(frozen=True)
 class CircleRun:
-    """One circle as it was driven. time_s and position_mm: of the first axis's samples, (n,) and (n, 2); missed: set-points."""
+    """One driven circle. time_s and position_mm: of the first axis's samples, (n,) and (n, 2); missed: set-points that
+    came too late.
+    """
 
     trace: Trace
     time_s: Floats
@@ -41,7 +44,9 @@ class CircleRun:
 
 
 def check_axes(axes: Sequence[AxisSession], circle: Circle, period_s: float) -> None:
-    """What the drives cannot do, and where the circle does not fit, said before anything moves. CapabilityError, LimitError."""
+    """Checks drives and path before any motion. Raises CapabilityError, LimitError, or InputError for a period that is
+    too long.
+    """
     for axis, centre_mm in zip(axes, circle.centre_mm, strict=True):
         axis.drive.require(Capability.PROFILE_POSITION, Capability.STREAMING)
         reach_mm = circle.radius_mm + RUN_IN_MM
@@ -58,9 +63,9 @@ def check_axes(axes: Sequence[AxisSession], circle: Circle, period_s: float) -> 
 
 
 def prepare(axes: Sequence[AxisSession], compensations: Sequence[Compensation | None] = (None, None)) -> None:
-    """Both instruments are heard before either axis is enabled; then each in turn is homed and gets its datum.
+    """Waits for both instruments before either axis is enabled; then homes each in turn and takes its datum.
 
-    compensations: what is to be put into force. Raises ZeroError as `AxisSession.prepare`.
+    compensations: to be put into force. Raises ZeroError as `AxisSession.prepare`.
     """
     for axis in axes:
         axis.await_instrument()
@@ -78,11 +83,12 @@ def drive_circle(
     period_s: float = 0.004,
     listener: Listener = silent,
 ) -> CircleRun:
-    """One circle with these corrections in force, on prepared sessions; none is in force afterwards, on every way out.
+    """One circle with these corrections in force, on prepared sessions; afterwards none is in force, also after an
+    error.
 
-    latency_s: of each axis's instrument (`hil.figures.latency`). One that both have only turns what is seen about its centre;
-    where they differ from what is stated, an ellipse is seen, its half-axes feed × difference apart.
-    Raises CapabilityError, LimitError before anything moves, and whatever stops an axis: all stop together.
+    latency_s: of each axis's instrument (`hil.figures.latency`). A common latency rotates the measured circle about its
+    centre; a difference between them shows as an ellipse, its half-axes apart by feed × difference.
+    Raises CapabilityError, LimitError before any motion, and whatever stops an axis: all stop together.
     """
     check_axes(axes, circle, period_s)
     try:
@@ -148,6 +154,6 @@ def _stream(
 
 
 def _dated(axis: AxisSession, times: Dates, samples: list[tuple[int, Reading]]) -> tuple[Floats, Floats]:
-    """Moments, ns, and positions, mm, of the samples of one axis."""
+    """Times, ns, and positions, mm, of the samples of one axis."""
     when = np.array([times.taken_ns(number, reading) for number, reading in samples], dtype=np.float64)
     return when, np.array([axis.load_position_mm(reading) for _, reading in samples])

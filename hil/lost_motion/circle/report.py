@@ -1,4 +1,4 @@
-"""The report of a circle test: the deviation around the circle, magnified, as people know it, and unrolled over the angle."""
+"""The report of a circle test: the deviation around the circle, magnified, and unrolled over the angle."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, l
 from hil.lost_motion.circle.figures import AFTER_DEG, BEFORE_DEG, QUADRANTS_DEG, Trace, ring_of
 
 _SHARE = 0.35
-"""Of the radius on paper, that the largest deviation takes."""
+"""Share of the plotted radius that the largest deviation takes."""
 
 
 @dataclass(frozen=True)
 class CircleReport:
-    """traces: by name, the uncorrected first; names: of both axes; sense: +1 counter-clockwise; verdict: a sentence or nothing."""
+    """traces: by name, the uncorrected first; names: of both axes; sense: +1 counter-clockwise; verdict: a sentence, or
+    empty.
+    """
 
     title: str
     traces: Mapping[str, Trace]
@@ -32,7 +34,7 @@ class CircleReport:
 
 
 def render_circle(report: CircleReport) -> str:
-    """The whole page. Same data, same text."""
+    """The whole page as HTML. Same data, same text."""
     polar = inline_svg(polar_plot(report, PAGE), "polar", "Deviation around the circle, magnified")
     unrolled = inline_svg(unrolled_plot(report, PAGE), "unrolled", "Deviation over the angle")
     ring_um = ring_of(report.traces.values())
@@ -64,7 +66,7 @@ def render_circle(report: CircleReport) -> str:
 
 
 def circle_image(report: CircleReport, kind: str = "png") -> bytes:
-    """The polar drawing as a file of its own, "png" or "svg"."""
+    """The polar plot as a file, "png" or "svg"."""
     return file_bytes(polar_plot(report, LIGHT), kind)
 
 
@@ -105,7 +107,7 @@ def polar_plot(report: CircleReport, theme: Theme) -> Figure:
 
 
 def unrolled_plot(report: CircleReport, theme: Theme) -> Figure:
-    """Deviation over the angle."""
+    """Deviation over the angle, µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 3.4, top_in=0.6)
         ax = figure.subplots()

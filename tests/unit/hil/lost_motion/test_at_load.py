@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import InputError
 from hil.correction.rise import DEAD_ZONE, TANH, TWO_TANH, Floats, Rise
 from hil.lost_motion.at_load import load_mm
-from hil.lost_motion.estimate import estimate, separate, told, uncertain
+from hil.lost_motion.estimate import determined, estimate, separately_determined, uncertain
 from hil.lost_motion.fit import MeasuredReversal, fit, uncertainties
 
 MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 3.0, 24)])
@@ -88,8 +88,8 @@ def test_where_one_term_would_do_the_sum_is_told_and_not_the_amounts_that_share_
     for seed in (0, 10):
         by_load = [reversal_of(load, seed + k).by_load() for k in range(3)]
         parameters = uncertain(fit(TWO_TANH, by_load, 0.00025, table=False).rise, by_load, 0.00025)
-        assert not separate(parameters)
-        shown = told(parameters)
+        assert not separately_determined(parameters)
+        shown = determined(parameters)
         assert not {"amount_1_um", "amount_2_um"} & set(shown)
         assert shown["amount_um"].value == pytest.approx(53.0, abs=0.05)
         assert all(each.value > 2.0 * each.std for each in shown.values())
@@ -102,10 +102,10 @@ def test_two_terms_that_are_there_are_told_one_by_one() -> None:
     truth = Rise(TWO_TANH, (9.0, 5.0), (0.02, 0.3, 0.1))
     by_load = [reversal_of(load_mm(truth, MOTOR_MM), seed).by_load() for seed in range(4)]
     parameters = uncertain(fit(TWO_TANH, by_load, 0.00025, table=False).rise, by_load, 0.00025)
-    assert separate(parameters)
-    assert told(parameters) == parameters
+    assert separately_determined(parameters)
+    assert determined(parameters) == parameters
     one = Rise(TANH, (9.0,), (0.02,))
-    assert separate(uncertain(one, by_load, 0.00025))
+    assert separately_determined(uncertain(one, by_load, 0.00025))
 
 
 def test_refusals() -> None:

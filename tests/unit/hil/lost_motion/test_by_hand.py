@@ -13,10 +13,17 @@ from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, TWO_TANH, Rise
 from hil.correction.running_lost_motion import WindUp, moved_to, remembered, wound_share, wound_um
 from hil.lost_motion import estimate as choosing
-from hil.lost_motion.at_load import Places, Reach, _Coordinates, fit_at_load, load_mm, standard_uncertainties
+from hil.lost_motion.at_load import (
+    LengthBounds,
+    StrokePositions,
+    _Coordinates,
+    fit_at_load,
+    load_mm,
+    standard_uncertainties,
+)
 from hil.lost_motion.circle.figures import Circle, Trace, ring_of, trace_of
-from hil.lost_motion.estimate import Estimate, Uncertain, estimate, separate, told, uncertain
-from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, compete, fit, reach_of
+from hil.lost_motion.estimate import Estimate, Uncertain, determined, estimate, separately_determined, uncertain
+from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, compete, fit, length_bounds
 
 HALF = Rise(DEAD_ZONE, (1000.0,), (1.0,))
 """1000 µm over the load's first mm: until then the motor goes twice as far as the load."""
@@ -25,7 +32,7 @@ HALF = Rise(DEAD_ZONE, (1000.0,), (1.0,))
 def test_the_load_under_a_rise_as_long_as_it_is_high() -> None:
     motor = np.array([0.0, 0.5, 1.0, 2.0, 3.0])
     assert load_mm(HALF, motor) == pytest.approx([0.0, 0.25, 0.5, 1.0, 2.0], abs=1e-9)
-    places = Places(motor, np.array([0.0, 0.26, 0.5, 0.99, 2.0]), np.zeros(5, dtype=np.int64))
+    places = StrokePositions(motor, np.array([0.0, 0.26, 0.5, 0.99, 2.0]), np.zeros(5, dtype=np.int64))
     assert places.residual_um(HALF) == pytest.approx([0.0, 10.0, 0.0, -10.0, 0.0], abs=1e-5)
 
 
@@ -40,7 +47,7 @@ def test_the_load_under_a_rise_as_long_as_it_is_high() -> None:
 )
 def test_slopes_are_those_of_the_loads_lag(rise: Rise) -> None:
     """Against differences of the load's place itself: a µm more of lag is a µm less of load."""
-    reach = Reach(0.002, 2.0, 1.5)
+    reach = LengthBounds(0.002, 2.0, 1.5)
     coordinates = _Coordinates(rise, reach, 500.0)
     motor = np.array([0.011, 0.057, 0.19, 0.43, 1.13, 2.7])
     slopes = coordinates.slopes(coordinates.start, motor)
@@ -52,7 +59,7 @@ def test_slopes_are_those_of_the_loads_lag(rise: Rise) -> None:
 
 
 def test_bounds_of_what_is_searched() -> None:
-    reach = Reach(0.002, 2.0, 1.5)
+    reach = LengthBounds(0.002, 2.0, 1.5)
     searched = _Coordinates(Rise(TWO_TANH, (9.0, 5.0), (0.02, 0.3, 0.1)), reach, 500.0)
     assert searched.low == pytest.approx([0.0, 0.0, math.log(0.002), math.log(0.002), 0.0])
     assert searched.high == pytest.approx([500.0, 500.0, math.log(2.0), math.log(2.0), 1.5])
@@ -72,13 +79,13 @@ def test_the_uncertainty_of_an_amount_is_that_of_the_mean_of_strokes() -> None:
     """Beyond its length a dead zone of 20 µm shows its amount alone; strokes off by 1, -1 and 0 µm: s = 1, of the mean 1/√3."""
     motor = np.tile([2.0, 3.0], 3)
     off_um = np.repeat([1.0, -1.0, 0.0], 2)
-    places = Places(motor, motor - (20.0 + off_um) / 1000.0, np.repeat([0, 1, 2], 2).astype(np.int64))
+    places = StrokePositions(motor, motor - (20.0 + off_um) / 1000.0, np.repeat([0, 1, 2], 2).astype(np.int64))
     rise = Rise(DEAD_ZONE, (20.0,), (0.5,))
-    whole, amounts, lengths = standard_uncertainties(rise, places, Reach(0.01, 1.0, 1.0))
+    whole, amounts, lengths = standard_uncertainties(rise, places, LengthBounds(0.01, 1.0, 1.0))
     assert whole == pytest.approx(1 / math.sqrt(3), rel=1e-4)
     assert amounts == pytest.approx([1 / math.sqrt(3)], rel=1e-4)
     assert lengths == pytest.approx([0.0], abs=1e-6)
-    fitted = fit_at_load(replace(rise, amounts_um=(15.0,)), places, Reach(0.01, 1.0, 1.0))
+    fitted = fit_at_load(replace(rise, amounts_um=(15.0,)), places, LengthBounds(0.01, 1.0, 1.0))
     assert fitted.amount_um == pytest.approx(20.0, abs=1e-3)
     assert str(Uncertain(20.0, whole)) == "20 ± 0.58"
 
@@ -90,8 +97,10 @@ def test_the_uncertainty_of_a_length() -> None:
     motor = np.array([0.26, 2.0] * 3)
     off_um = np.array([-2.0 / 1.04, 0.0, 2.0 / 1.04, 0.0, 0.0, 0.0])  # a longer rise lags less there
     lag_um = np.array([10.0, 20.0] * 3) + off_um
-    places = Places(motor, motor - lag_um / 1000.0, np.repeat([0, 1, 2], 2).astype(np.int64))
-    whole, amounts, lengths = standard_uncertainties(Rise(DEAD_ZONE, (20.0,), (0.5,)), places, Reach(0.01, 1.0, 1.0))
+    places = StrokePositions(motor, motor - lag_um / 1000.0, np.repeat([0, 1, 2], 2).astype(np.int64))
+    whole, amounts, lengths = standard_uncertainties(
+        Rise(DEAD_ZONE, (20.0,), (0.5,)), places, LengthBounds(0.01, 1.0, 1.0)
+    )
     assert lengths == pytest.approx([0.1 / math.sqrt(3)], rel=1e-2)
     assert (whole, amounts[0]) == pytest.approx((0.0, 0.0), abs=1e-3)
 
@@ -139,9 +148,9 @@ def test_what_is_a_stroke() -> None:
 
 def test_how_far_lengths_may_go() -> None:
     """A quarter of the travel and half of it; a two-hundredth at the least, or what is given, but half the longest at most."""
-    assert reach_of(12.0) == Reach(0.06, 3.0, 6.0)
-    assert reach_of(12.0, 0.3) == Reach(0.3, 3.0, 6.0)
-    assert reach_of(12.0, 2.0) == Reach(1.5, 3.0, 6.0)
+    assert length_bounds(12.0) == LengthBounds(0.06, 3.0, 6.0)
+    assert length_bounds(12.0, 0.3) == LengthBounds(0.3, 3.0, 6.0)
+    assert length_bounds(12.0, 2.0) == LengthBounds(1.5, 3.0, 6.0)
 
 
 def test_a_fit_shows_what_a_stroke_is_expected_to_show() -> None:
@@ -174,12 +183,12 @@ def test_single_amounts_stand_for_themselves_from_two_of_their_uncertainties_on(
     lengths = {"rise_1_mm": Uncertain(0.5, 0.2), "rise_2_mm": Uncertain(0.5, 0.3), "onset_2_mm": Uncertain(0.0, 0.0)}
     for std, sure in ((2.4, True), (2.6, False)):
         both = whole | {"amount_1_um": Uncertain(5.0, 0.1), "amount_2_um": Uncertain(5.0, std)} | lengths
-        assert separate(both) is sure
-        assert set(told(both)) == (set(both) if sure else {"amount_um", "rise_1_mm"})
+        assert separately_determined(both) is sure
+        assert set(determined(both)) == (set(both) if sure else {"amount_um", "rise_1_mm"})
     for value, there in ((0.011, True), (0.009, False)):  # a thousandth of 10 µm
         both = whole | {"amount_1_um": Uncertain(5.0, 0.1), "amount_2_um": Uncertain(value, 1e-6)}
-        assert separate(both) is there
-    assert separate(whole)
+        assert separately_determined(both) is there
+    assert separately_determined(whole)
 
 
 def made_estimate(late_um: float) -> Estimate:
