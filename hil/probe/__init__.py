@@ -1,1 +1,3 @@
-"""A touch probe's run-out (system D): formulas, machine file, procedure and its faces."""
+"""A touch probe's run-out (system D, JPH08348B2): formulas, machine file, procedure, store, command, page and
+report.
+"""

@@ -1,4 +1,4 @@
-"""`hil probe`: system D, a touch probe's run-out measured on the machine and corrected."""
+"""`hil probe`: a touch probe's run-out measured on the machine and corrected (system D)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from sim_backends.probe_bench import ProbeBench
 
 
 def print_measured(measured: RunOutMeasurement, refusal: str | None, path: Path, bench: ProbeBench | None) -> None:
+    """Prints the contacts, the run-out and the verdict."""
     rows = [
         [
             str(number),
@@ -48,10 +49,12 @@ def print_measured(measured: RunOutMeasurement, refusal: str | None, path: Path,
 
 
 def run_out_text(found: RunOut) -> str:
+    """The run-out in one line."""
     return f"Δx {1000 * found.x_mm:+.2f} µm, Δy {1000 * found.y_mm:+.2f} µm, tip radius {found.tip_radius_mm:.4f} mm"
 
 
 def measured_form(config: ProbeMachineConfig, measured: RunOutMeasurement, refusal: str | None) -> dict[str, Any]:
+    """A measurement as plain values."""
     return {
         "machine": config.name,
         "good": refusal is None,
@@ -64,6 +67,7 @@ def measured_form(config: ProbeMachineConfig, measured: RunOutMeasurement, refus
 
 
 def print_measure_plan(config: ProbeMachineConfig, mode: str) -> None:
+    """Prints the moves and writes of M90."""
     block, probe = config.block, config.probe
     sign = "+" if block.facing > 0 else "−"
     by = "the drive's touch-probe function" if mode == "latch" else f"pulses of {1000 * probe.pulse_mm:g} µm"
@@ -79,6 +83,7 @@ def print_measure_plan(config: ProbeMachineConfig, mode: str) -> None:
 
 
 def print_centre(found: BoreCentre, bench: ProbeBench | None) -> None:
+    """Prints a bore's centre and the correction made."""
     centring = found.centring
     facts = {
         "half the travel": f"X {centring.middle_mm[0]:.4f} mm, Y {centring.middle_mm[1]:.4f} mm",
@@ -92,6 +97,7 @@ def print_centre(found: BoreCentre, bench: ProbeBench | None) -> None:
 
 
 def correction_facts(done: Correction) -> dict[str, str]:
+    """A correction as label -> text."""
     (x_um, y_um), (left_x, left_y) = ([1000 * mm for mm in pair] for pair in (done.driven_mm, done.counter_mm))
     return {
         done.code.value: f"driven by X {x_um:+.2f} µm, Y {y_um:+.2f} µm",
@@ -100,16 +106,17 @@ def correction_facts(done: Correction) -> dict[str, str]:
 
 
 def correction_form(done: Correction) -> dict[str, Any]:
+    """A correction as plain values, mm."""
     return {"code": done.code.value, "driven_mm": list(done.driven_mm), "counter_mm": list(done.counter_mm)}
 
 
 EXAMPLE = """\
 example:
   hil probe measure mill.toml --dry-run              what would move, and how far
-  hil probe measure mill.toml --report probe.html    M90: run-out and tip radius, put into force if the contacts close
+  hil probe measure mill.toml --report probe.html    M90: run-out and tip radius, put into force if it closes
   hil probe measure mill.toml --mode step            by pulses, where the drive latches no positions
   hil probe measure mill.toml --every 30             again every 30 minutes, until interrupted
-  hil probe correct mill.toml --code M91             drive X by the run-out in force (M92: Y, M93: both)
+  hil probe correct mill.toml --code M91             move X by the run-out in force (M92: Y, M93: both)
   hil probe centre mill.toml                         touch a bore on both sides in X and Y, go to its centre
 
 Jog the probe in front of the block (or into the bore) first: Z is not moved. hil/examples/probe_machine.toml shows a machine file.
@@ -120,6 +127,7 @@ SECONDS_PER_MINUTE = 60.0
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil probe` with its jobs."""
     parser = subparsers.add_parser(
         "probe",
         description="Measure the run-out of a touch probe on a reference block, and correct measurements by it.",
@@ -129,7 +137,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
     measure = _add_job(jobs, "measure", "M90: run-out and tip radius, from contacts at 0, 90, 180 and 270°", _measure)
     measure.add_argument("--every", metavar="MINUTES", type=_minutes, help="again at this interval, until interrupted")
-    measure.add_argument("--times", metavar="N", type=_count, help="with --every: so many times in all")
+    measure.add_argument("--times", metavar="N", type=_count, help="with --every: number of measurements")
     measure.add_argument("--report", metavar="FILE.html", help="also write a report")
     correct_ = _add_job(jobs, "correct", "M91, M92, M93: drive the axes by the run-out in force", _correct)
     correct_.add_argument("--code", choices=CODES, required=True, help="M91: X, M92: Y, M93: both")
@@ -137,7 +145,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     centre.add_argument("--code", choices=CODES, default="M93", help="M91: correct X, M92: Y, M93: both (default M93)")
     centre.add_argument("--report", metavar="FILE.html", help="also write a report")
     for touching in (measure, centre):
-        touching.add_argument("--mode", choices=MODES, help="how contacts are found (default: the machine file's)")
+        touching.add_argument(
+            "--mode", choices=MODES, help="contacts by latch or by steps (default: the machine file's)"
+        )
 
 
 def _add_job(
@@ -181,7 +191,7 @@ def _count(text: str) -> int:
 
 # -- what all jobs need --------------------------------------------------------------------------------------------------
 def _open_store(args: argparse.Namespace, config: ProbeMachineConfig, *, writing: bool) -> RunOutStore:
-    """The store, its passwords asked for before anything moves."""
+    """The store; its passwords are asked for before any motion."""
 
     def reading() -> str:
         return password(args.password_file, READING, "reading password", os.environ)
@@ -194,7 +204,7 @@ def _open_store(args: argparse.Namespace, config: ProbeMachineConfig, *, writing
 
 # -- measure -------------------------------------------------------------------------------------------------------------
 def _measure(args: argparse.Namespace) -> int:
-    """0: measured and stored; 1: refused (of a schedule: at least once)."""
+    """Returns 0: measured and stored; 1: refused (of a schedule: at least once)."""
     if args.times is not None and args.every is None:
         raise InputError("--times needs --every, expected an interval in minutes")
     config = load_probe_machine(args.machine)

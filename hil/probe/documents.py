@@ -1,4 +1,6 @@
-"""From what a probe measurement returned to its report. Imported only when a report is wanted: drawing is slow to load."""
+"""The reports of probe measurements, from their results. Imported only when one is written, since plotting loads
+slowly.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ def run_out_report(
     refusal: str | None,
     history: Sequence[Mapping[str, str]],
 ) -> str:
-    """One measurement and those before it."""
+    """Report of one measurement and its history as HTML."""
     return render_probe(
         ProbeReport(
             f"Touch probe of {config.name}",
@@ -30,7 +32,7 @@ def run_out_report(
 
 
 def centre_report(config: ProbeMachineConfig, found: BoreCentre, when: str) -> str:
-    """A bore, and the run-out it was corrected by."""
+    """Report of a bore, and of the run-out by which it was corrected, as HTML."""
     centring = found.centring
     return render_probe(
         ProbeReport(
@@ -43,7 +45,7 @@ def centre_report(config: ProbeMachineConfig, found: BoreCentre, when: str) -> s
 
 
 def identity(config: ProbeMachineConfig, mode: str, when: str) -> dict[str, str]:
-    """What a reader must know of the set-up to repeat it."""
+    """The set-up, as label -> text, as far as it is needed to repeat the measurement."""
     block, probe = config.block, config.probe
     by = "positions latched by the drive" if mode == "latch" else f"pulses of {1000 * probe.pulse_mm:g} µm"
     return {

@@ -1,4 +1,6 @@
-"""A machine with a touch probe (system D): M90 measured and stored, M91 to M93 driven, a bore centred; for terminal and screen."""
+"""Jobs of a machine with a touch probe (system D): M90 measured and stored, M91 to M93 driven, a bore centred; for
+terminal and screen.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +34,15 @@ from sim_backends.probe_bench import ProbeBench
 MEASURE, CORRECT, CENTRE = "probe measure", "probe correct", "probe centre"
 
 Ask = Callable[[], str]
-Seen = Callable[[ProbeSession], None]
-"""Is given the session as soon as it is connected."""
+OnConnected = Callable[[ProbeSession], None]
+"""Is called with the session as soon as it is connected."""
 
 
 def opened_store(config: ProbeMachineConfig, reading: Ask, key: Ask | None = None) -> RunOutStore:
-    """The store of the machine's run-out. Where it is sealed, passwords are asked for, that of the builder's key first.
+    """The store of the machine's run-out. A sealed one asks for its passwords, that of the builder's key first.
 
-    key: where something is to be written. Raises WrongPasswordError for the key's, and InputError; the reading password shows itself
-    to be wrong when something is read.
+    key: only where something is to be written. Raises WrongPasswordError for the key's, and InputError; a wrong reading
+    password shows when the store is read.
     """
     place = config.store
     if not place.sealed:
@@ -54,9 +56,9 @@ def opened_store(config: ProbeMachineConfig, reading: Ask, key: Ask | None = Non
 # -- the machine -----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class ProbePlace:
-    """A machine to work at: its file, its store, and the simulated machine behind it with its drives, if any.
+    """The machine of a job: its file, its store, and, on the bench, the simulated machine with its drives.
 
-    begun: when work at it began; waiting: through whom its clock waits
+    begun: start of the work; waiting: the object through which its clock waits
     """
 
     config: ProbeMachineConfig
@@ -68,17 +70,18 @@ class ProbePlace:
 
     @property
     def clock(self) -> Clock:
+        """The machine's clock: wall clock, or the bench's."""
         return WallClock(self.waiting) if self.bench is None else self.bench.clock
 
     def now(self) -> datetime:
-        """The date; on the bench, simulated time has passed since work began."""
+        """The date in UTC; on the bench, the start plus the simulated time since."""
         if self.bench is None:
             return _date()
         return self.begun + timedelta(seconds=self.bench.clock.now_ns() / NS_PER_S)
 
     @contextmanager
     def session(self, *touching: str, mode: str | None = None) -> Iterator[ProbeSession]:
-        """Connected for as long as it takes; real drives are let go between the turns of a schedule."""
+        """A connected session; real drives are released between the turns of a schedule. Raises as `probe_drives`."""
         with ExitStack() as stack:
             drives = self.drives or stack.enter_context(probe_drives(self.config, waiting=self.waiting))
             yield stack.enter_context(probe_session(self.config, drives, touching=touching, mode=mode))
@@ -92,7 +95,7 @@ def _date() -> datetime:
 def at_machine(
     config: ProbeMachineConfig, store: RunOutStore, *, in_bore: bool = True, waiting: Waiting | None = None
 ) -> Iterator[ProbePlace]:
-    """A place at the machine of a machine file. in_bore: on the bench, where the probe was jogged to, if there is a bore."""
+    """The machine of a machine file. in_bore: on the bench, start with the probe in the bore, if there is one."""
     if not config.on_bench:
         yield ProbePlace(config, store, None, {}, _date(), waiting)
         return
@@ -105,18 +108,23 @@ def at_machine(
 # -- the work --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class MeasuredRunOut:
-    """What M90 found. refusal: why it was not put into force, None where it was"""
+    """The result of M90. refusal: why it was not put into force, None where it was"""
 
     measurement: RunOutMeasurement
     refusal: str | None
 
 
 def measure(
-    place: ProbePlace, mode: str | None = None, listener: Listener = silent, seen: Seen = lambda _session: None
+    place: ProbePlace,
+    mode: str | None = None,
+    listener: Listener = silent,
+    on_connected: OnConnected = lambda _session: None,
 ) -> MeasuredRunOut:
-    """M90, into the history, and into force unless it is refused. mode: the machine file's by default."""
+    """M90: into the history, and into force unless it is refused. mode: the machine file's by default. Raises as
+    `measure_run_out`.
+    """
     with place.session("x", mode=mode) as session:
-        seen(session)
+        on_connected(session)
         return MeasuredRunOut(*measure_and_store(session, place.store, place.now, listener))
 
 
@@ -125,11 +133,11 @@ def drive_correction(
     known: RunOut,
     code: CorrectionCode,
     listener: Listener = silent,
-    seen: Seen = lambda _session: None,
+    on_connected: OnConnected = lambda _session: None,
 ) -> Correction:
-    """M91, M92 or M93 from where the machine stands."""
+    """M91, M92 or M93 from the machine's present position. Raises as `correct`."""
     with place.session(*(("x", "y") if code.in_y else ("x",)), mode="step") as session:
-        seen(session)
+        on_connected(session)
         return correct(session, known, code, listener)
 
 
@@ -140,17 +148,17 @@ def centre(
     *,
     mode: str | None = None,
     listener: Listener = silent,
-    seen: Seen = lambda _session: None,
+    on_connected: OnConnected = lambda _session: None,
 ) -> BoreCentre:
-    """Find the bore's middle, and go to its centre."""
+    """Finds the bore's middle and moves to its centre. Raises as `centre_bore`."""
     with place.session("x", "y", mode=mode) as session:
-        seen(session)
+        on_connected(session)
         return centre_bore(session, known, code, listener)
 
 
 # -- plans -----------------------------------------------------------------------------------------------------------------
 def measuring_plan(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> Plan:
-    """M90: to the start, from there towards the face and back at each angle of the spindle; into force if it closes."""
+    """M90: to the start, towards the face and back at each angle of the spindle; into force if it closes."""
     block, probe, spindle = config.block, config.probe, config.orientation
     moves = []
     if block.y_mm is not None:
@@ -165,12 +173,12 @@ def measuring_plan(config: ProbeMachineConfig, store: RunOutStore, mode: str) ->
 
 
 def correction_plan(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode) -> Plan:
-    """M91 to M93: by the run-out at most, whatever the spindle's angle."""
+    """M91 to M93: by the run-out at most, at any angle of the spindle."""
     return _plan(config, _corrections(config, known, code))
 
 
 def centring_plan(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode, mode: str) -> Plan:
-    """To the bore's middle as the file has it, to both sides in X and in Y, and by the run-out."""
+    """To the bore's middle by the file, to both sides in X and in Y, and by the run-out."""
     bore, y = config.require_bore(), config.require_y("centring a bore")
     moves = []
     for axis, middle_mm in ((config.x, bore.x_mm), (y, bore.y_mm)):
@@ -220,7 +228,7 @@ def _plan(
 
 # -- for the desk ----------------------------------------------------------------------------------------------------------
 def measuring_job(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> Job:
-    """Returns a MeasuredRunOut."""
+    """Job that returns a MeasuredRunOut."""
 
     def work(place: Workplace) -> MeasuredRunOut:
         with at_machine(config, store, in_bore=False, waiting=place.waiting) as there:
@@ -230,7 +238,7 @@ def measuring_job(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> 
 
 
 def correction_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, code: CorrectionCode) -> Job:
-    """Returns a Correction. known: what is in force"""
+    """Job that returns a Correction. known: the run-out in force"""
 
     def work(place: Workplace) -> Correction:
         with at_machine(config, store, waiting=place.waiting) as there:
@@ -240,25 +248,25 @@ def correction_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut
 
 
 def centring_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, code: CorrectionCode, mode: str) -> Job:
-    """Returns a BoreCentre. known: what is in force"""
+    """Job that returns a BoreCentre. known: the run-out in force"""
 
     def work(place: Workplace) -> BoreCentre:
         with at_machine(config, store, waiting=place.waiting) as there:
-            return centre(there, known, code, mode=mode, listener=place.listener, seen=_showing(config, place))
+            return centre(there, known, code, mode=mode, listener=place.listener, on_connected=_showing(config, place))
 
     return Job(CENTRE, centring_plan(config, known, code, mode), work, connects=True)
 
 
-def _showing(config: ProbeMachineConfig, place: Workplace) -> Seen:
-    """The looks at the machine's axes are shown at the desks that have them otherwise."""
+def _showing(config: ProbeMachineConfig, place: Workplace) -> OnConnected:
+    """Shows the samples of the machine's axes at the desks that otherwise have these axes."""
 
-    def seen(session: ProbeSession) -> None:
+    def on_connected(session: ProbeSession) -> None:
         for name, axis in config.axes.items():
             place.watch(axis.name, session.drives[name], None)
 
-    return seen
+    return on_connected
 
 
 def codes(config: ProbeMachineConfig) -> tuple[CorrectionCode, ...]:
-    """Those that the machine's axes can do."""
+    """The corrections that the machine's axes can make."""
     return tuple(code for code in CorrectionCode if config.y is not None or not code.in_y)

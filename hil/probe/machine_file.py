@@ -34,29 +34,31 @@ MODES = ("latch", "step")
 
 @dataclass(frozen=True)
 class SpindleConfig:
-    """Orientation of the spindle. zero_deg: the drive's position that is called 0; sense: +1 where a rising position turns it
-    counter-clockwise seen along the spindle axis."""
+    """Orientation of the spindle. zero_deg: the drive's position at spindle angle 0; sense: +1 where a rising position
+    turns it counter-clockwise seen along the spindle axis.
+    """
 
     zero_deg: Number = 0.0
     sense: Sign = 1
     velocity_deg_s: Positive = 90.0
 
     def position_deg(self, angle_deg: float) -> float:
-        """The drive's position for an angle of the spindle."""
+        """The drive's position for a spindle angle."""
         return self.zero_deg + self.sense * angle_deg
 
     def angle_deg(self, position_deg: float) -> float:
-        """The angle of the spindle at a position of the drive."""
+        """The spindle angle at a position of the drive."""
         return self.sense * (position_deg - self.zero_deg)
 
 
 @dataclass(frozen=True)
 class ProbeConfig:
-    """The probe and how to touch with it.
+    """The probe and its settings for touching.
 
-    mode: "latch" by the drive's touch-probe function, or "step" by pulses; input: of the drives, 1 or 2; normally_closed: the input
-    is active without contact; tip_radius_mm: None where nobody knows it; settle_s: rest after a pulse; overtravel_mm: how far beyond a
-    contact the ball may get; register, bit: where a Modbus drive shows the signal
+    mode: "latch" by the drive's touch-probe function, or "step" by pulses; input: of the drives, 1 or 2;
+    normally_closed: the input is active without contact; tip_radius_mm: None where it is not known; settle_s: rest
+    after a pulse; overtravel_mm: largest travel of the ball beyond a contact; register, bit: where a Modbus drive shows
+    the signal
     """
 
     mode: Annotated[str, one_of(*MODES)] = "latch"
@@ -75,10 +77,10 @@ class ProbeConfig:
 
 @dataclass(frozen=True)
 class BlockConfig:
-    """The reference block, places of X (and Y) in machine mm.
+    """The reference block, positions of X (and Y) in machine mm.
 
-    face_mm: where the spindle axis would be in the face; start_mm: where feeding begins; contact is expected after free_mm of feed and
-    before search_mm; radius_limit_um None: the radius is not checked
+    face_mm: X at which the spindle axis would be in the face; start_mm: start of feeding; contact is expected after
+    free_mm of feed and before search_mm; radius_limit_um None: the radius is not checked
     """
 
     face_mm: Number
@@ -110,7 +112,7 @@ class BlockConfig:
 
 @dataclass(frozen=True)
 class BoreConfig:
-    """A bore: roughly where its middle is, and how far from there its walls may be for the spindle."""
+    """A bore: its approximate middle, and how far the spindle may move from there to touch the walls, mm."""
 
     x_mm: Number
     y_mm: Number
@@ -119,7 +121,7 @@ class BoreConfig:
 
 @dataclass(frozen=True)
 class ProbeStoreConfig:
-    """Where values in force and their history are kept. Paths are absolute."""
+    """Where the values in force and their history are kept. Paths are absolute."""
 
     directory: Folder
     builder_key: File
@@ -163,7 +165,7 @@ class ProbeMachineConfig:
 
     @property
     def axes(self) -> dict[str, DriveAxis]:
-        """Those the machine has, by "x", "y" and "spindle"."""
+        """The machine's axes by "x", "y" and "spindle"."""
         return {"x": self.x, **({} if self.y is None else {"y": self.y}), "spindle": self.spindle}
 
     @property

@@ -1,4 +1,6 @@
-"""Touch probe (system D): M90 from start to the run-out in force, its contacts and drawing, the history; corrections and a bore."""
+"""Page of the touch probe (system D): M90 from start to the run-out in force, contacts and drawing, history,
+corrections and a bore.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from hil.app.panel.view import View
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import MODES
-from hil.probe.pages.at_probe import AtProbe
+from hil.probe.pages.at_probe import ProbePage
 from hil.probe.pages.correct import draw_corrections
 from hil.probe.pages.history import draw_history
 from hil.probe.pages.spindle_drawing import around_the_spindle
@@ -21,7 +23,7 @@ from hil.probe.runout import RunOut
 from hil.probe.screen import (
     ProbeRecord,
     angle_deg,
-    ball_places,
+    ball_positions,
     contacts,
     last_at,
     measured_at,
@@ -37,11 +39,11 @@ Kept = Reading[ProbeRecord]
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draws the page."""
     if view.probe is None:
         view.named(ui.label(view.t("probe.none")).classes("hil-note"), "probe.none")
         return
-    at = AtProbe(view, view.probe)
+    at = ProbePage(view, view.probe)
     with view.card("probe.instructions"):
         ui.markdown(view.t("probe.steps"))
     messages = view.messages("probe.messages")
@@ -71,8 +73,8 @@ def draw(view: View) -> None:
 
 
 # -- what it takes ---------------------------------------------------------------------------------------------------------
-def _draw_settings(at: AtProbe) -> tuple[ui.select, Refresh]:
-    """How contacts are found; start; whether the store is open, and which other axes have to be under this browser's control."""
+def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
+    """Mode, start, state of the store, and the other axes that must be under this browser's control."""
     view, t, sealed = at.view, at.view.t, at.config.store.sealed
     names = ", ".join(axis.name for axis in at.config.axes.values())
     modes = {mode: t(f"probe.modes.{mode}") for mode in MODES}
@@ -105,8 +107,8 @@ def _draw_settings(at: AtProbe) -> tuple[ui.select, Refresh]:
     return mode, refresh
 
 
-async def _ask_passwords(at: AtProbe) -> None:
-    """Of the probe's sealed run-out: the reading password, and that of its builder's key for whoever is to measure."""
+async def _ask_passwords(at: ProbePage) -> None:
+    """Asks for the reading password of the sealed run-out, and that of its builder's key for measuring."""
     view = at.view
     fields = ("probe.reading_password", "probe.key_password")
     given = await view.ask_passwords(*fields, yes="probe.open.yes", why="probe.open_why")
@@ -117,13 +119,13 @@ async def _ask_passwords(at: AtProbe) -> None:
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------
 def _draw_where(view: View) -> Refresh:
-    """Where this page's axis is, and the step now running."""
+    """Position of this page's axis, and the present step."""
     with view.card("probe.where"):
         return draw_where(view, "probe", lambda: last_at(view.desks))
 
 
-def _draw_contacts(at: AtProbe) -> Refresh:
-    """The contacts as they come, and whether they close."""
+def _draw_contacts(at: ProbePage) -> Refresh:
+    """The contacts as they are measured, and the closure."""
     view, t = at.view, at.view.t
     with view.card("probe.contacts", name="probe.contacts.card"):
         heads = [f"probe.head.{name}" for name in ("turn", "angle", "feed", "pulses")]
@@ -148,8 +150,8 @@ def _draw_contacts(at: AtProbe) -> Refresh:
     return refresh
 
 
-def _draw_run_out(at: AtProbe) -> Refresh:
-    """What the last measurement found."""
+def _draw_run_out(at: ProbePage) -> Refresh:
+    """The result of the last measurement."""
     view, t = at.view, at.view.t
     with view.card("probe.run_out"):
         size = view.value("probe.size", "µm")
@@ -171,7 +173,9 @@ def _draw_run_out(at: AtProbe) -> Refresh:
 
 
 def draw_values(view: View, name: str) -> Callable[[RunOut | None], None]:
-    """Δx, Δy, the angle and the radius, with names that begin with `name`; returns what fills them."""
+    """Δx, Δy, the angle and the radius, with element names that begin with `name`; returns the function that fills
+    them.
+    """
     t = view.t
     x = view.value("probe.x", "µm", small=True, name=f"{name}.x")
     y = view.value("probe.y", "µm", small=True, name=f"{name}.y")
@@ -187,7 +191,7 @@ def draw_values(view: View, name: str) -> Callable[[RunOut | None], None]:
     return fill
 
 
-def _draw_drawing(at: AtProbe) -> Refresh:
+def _draw_drawing(at: ProbePage) -> Refresh:
     """The ball about the spindle axis at the four angles."""
     view, t = at.view, at.view.t
     with view.card("probe.drawing", name="probe.drawing.card"):
@@ -198,15 +202,15 @@ def _draw_drawing(at: AtProbe) -> Refresh:
     def refresh() -> None:
         measured = measured_at(view.desks)
         if measured is not None:
-            shown = ball_places(at.config, measured.measurement)
+            shown = ball_positions(at.config, measured.measurement)
             drawing.show(measured, lambda: around_the_spindle(view, shown, names))
 
     return refresh
 
 
 # -- in force --------------------------------------------------------------------------------------------------------------
-def _draw_in_force(at: AtProbe, kept: Kept) -> Refresh:
-    """What corrections are made with, and since when."""
+def _draw_in_force(at: ProbePage, kept: Kept) -> Refresh:
+    """The run-out in force, and since when."""
     view, t = at.view, at.view.t
     with view.card("probe.in_force"):
         since = view.value("probe.since", small=True)

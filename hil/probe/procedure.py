@@ -28,7 +28,7 @@ from hil.probe.store import RunOutStore
 
 @dataclass(frozen=True)
 class RunOutMeasurement:
-    """The contacts of one M90 cycle and what they give. mode: "latch" or "step"; seconds: of the machine's time."""
+    """The contacts of one M90 cycle and their result. mode: "latch" or "step"; seconds: machine time."""
 
     turns: tuple[FourFeeds, ...]
     run_out: RunOut
@@ -41,7 +41,9 @@ class RunOutMeasurement:
         return mean_feeds(self.turns)
 
     def refusal(self, config: ProbeMachineConfig) -> str | None:
-        """Why it must not be put into force: a turn does not close, turns do not repeat, or the radius is not the ball's."""
+        """Why the result must not be put into force: a turn does not close, turns do not repeat, or the radius differs
+        from the ball's; else None.
+        """
         block, probe = config.block, config.probe
         try:
             for turn in self.turns:
@@ -57,9 +59,9 @@ class RunOutMeasurement:
 def measure_and_store(
     session: ProbeSession, store: RunOutStore, now: Callable[[], datetime], listener: Listener = silent
 ) -> tuple[RunOutMeasurement, str | None]:
-    """M90, and what it found put into force; or, where that is refused, why. Either way it goes into the history.
+    """M90; the result is put into force, or refused with the reason. Either way it is added to the history.
 
-    So do the turns that were over when something broke the cycle off, with what it was.
+    The turns completed before an error are added too, with the error. Raises as `measure_run_out`.
     """
     over: list[FourFeeds] = []
     try:
@@ -81,10 +83,12 @@ def measure_and_store(
 def measure_run_out(
     session: ProbeSession, listener: Listener = silent, keep: Callable[[FourFeeds], None] = lambda _turn: None
 ) -> RunOutMeasurement:
-    """M90: touch the block's face with the spindle at 0, 90, 180 and 270°, each time from the same start.
+    """M90: touches the block's face with the spindle at 0, 90, 180 and 270°, each time from the same start.
 
-    The probe has to stand in front of the face, beside nothing else. Afterwards the machine is where it was found. What was measured
-    is returned whether or not it closes; `RunOutMeasurement.refusal` decides. keep is given each turn as soon as it is over.
+    The probe has to be in front of the face, with nothing else in its way. Afterwards the machine is at its initial
+    position. The result is returned whether or not it closes; `RunOutMeasurement.refusal` decides. keep: receives each
+    turn when it is complete.
+    Raises ContactError, LimitError, StateError and CapabilityError as `ProbeSession` does.
     """
     config, block = session.config, session.config.block
     began_ns = session.clock.now_ns()
@@ -107,7 +111,11 @@ def measure_run_out(
         turns.append(FourFeeds(*feeds))
         keep(turns[-1])
     listener(Event("run-out", "back to where it was found", total, total))
-    for name in ("spindle", "x", "y"):  # at the start every angle is clear, elsewhere the angle it was found at
+    for name in (
+        "spindle",
+        "x",
+        "y",
+    ):  # every angle is clear at the start position; elsewhere only the initial angle is known to be
         if name in found_at:
             session.move(name, found_at[name])
     seconds = (session.clock.now_ns() - began_ns) / NS_PER_S
@@ -115,7 +123,7 @@ def measure_run_out(
 
 
 def contact_name(turn: int, angle_deg: int) -> str:
-    """What the feed to a contact of M90 is called; turns count from 1."""
+    """Name of the feed to a contact of M90; turns count from 1."""
     return f"turn {turn}, {angle_deg}°"
 
 
@@ -126,7 +134,7 @@ def _found(config: ProbeMachineConfig, turns: Sequence[FourFeeds]) -> RunOut:
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction that was driven, mm. counter_mm: what was left of it in X and Y at the end."""
+    """A correction that was driven, mm. counter_mm: its remainder in X and Y at the end."""
 
     code: CorrectionCode
     driven_mm: tuple[float, float]
@@ -134,10 +142,10 @@ class Correction:
 
 
 def correct(session: ProbeSession, known: RunOut, code: CorrectionCode, listener: Listener = silent) -> Correction:
-    """M91, M92, M93: drive X, Y or both by the run-out at the spindle's present angle.
+    """M91, M92, M93: moves X, Y or both by the run-out at the spindle's present angle.
 
-    A counter starts at the correction and ends at zero, within a pulse: the spindle axis is then where the ball's centre was. Raises
-    LimitError before anything moves, FollowingErrorError for a counter that does not end at zero.
+    A counter starts at the correction and ends at zero, within a pulse: the spindle axis is then where the ball's
+    centre was. Raises LimitError before any motion, FollowingErrorError for a counter that does not end at zero.
     """
     session.prepare()
     driven = known.correction_mm(code, session.angle_deg)
@@ -162,16 +170,19 @@ def correct(session: ProbeSession, known: RunOut, code: CorrectionCode, listener
 
 @dataclass(frozen=True)
 class BoreCentre:
-    """What centring a bore found, and the correction that was driven afterwards."""
+    """The centre of a bore, and the correction that was driven afterwards."""
 
     centring: Centring
     correction: Correction
 
 
 def centre_bore(session: ProbeSession, known: RunOut, code: CorrectionCode, listener: Listener = silent) -> BoreCentre:
-    """Touch a bore on both sides in X, then in Y through its middle, go to half the travel, and drive the correction.
+    """Touches a bore on both sides in X, then in Y through its middle, moves to half the travel, and makes the
+    correction.
 
-    The probe has to be in the bore already: Z is not moved. Afterwards the machine stands where the correction brought it.
+    The probe has to be in the bore already: Z is not moved. Afterwards the machine is where the correction moved it.
+    Raises InputError without a bore or Y axis, StateError for a probe outside the bore, and as `ProbeSession.touch` and
+    `correct`.
     """
     bore = session.config.require_bore()
     session.config.require_y("centring a bore")
@@ -198,7 +209,7 @@ def centre_bore(session: ProbeSession, known: RunOut, code: CorrectionCode, list
 
 @dataclass(frozen=True)
 class Schedule:
-    """What came of a schedule: how often it was measured, and how often that was refused."""
+    """The result of a schedule: number of measurements, and of refused ones."""
 
     done: int
     refused: int
@@ -207,10 +218,11 @@ class Schedule:
 def on_schedule(
     job: Callable[[], str | None], clock: Clock, every_s: float, times: int | None = None, listener: Listener = silent
 ) -> Schedule:
-    """Do a job now and at every multiple of `every_s` from now, `times` in all (None: until interrupted).
+    """Runs a job now and at every multiple of `every_s` from now, `times` in all (None: until interrupted).
 
-    job() returns why its measurement was refused, or None. A refusal is said and the next turn is waited for; an error ends the
-    schedule, as a machine that was stopped is not moved again unasked. A turn missed because the one before took longer is left out.
+    job() returns why its measurement was refused, or None. A refusal is reported and the schedule continues; an error
+    ends it, since a stopped machine is not moved again without an order. A time missed because the job took longer is
+    left out.
     """
     start_ns, period_ns = clock.now_ns(), round(every_s * NS_PER_S)
     done = refused = 0

@@ -1,4 +1,6 @@
-"""The report of a probe's run-out: where the ball's centre is in the spindle, how the contacts close, and how both went over time."""
+"""The report of a probe's run-out: position of the ball's centre in the spindle, closure of the contacts, and the
+history of both.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,14 @@ from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figu
 from hil.probe.runout import ANGLES_DEG, Centring, FourFeeds, RunOut, mean_feeds
 
 TIMES_SHOWN = 200
-"""Of a longer history the latest are drawn."""
+"""Most measurements that are plotted, the latest."""
 
 
 @dataclass(frozen=True)
 class ProbeReport:
-    """What one measurement found. verdict: "stored", or the sentence that refused it.
+    """The data of one report. verdict: "stored", or the sentence that refused it.
 
-    history: rows as `RunOutStore.history` gives them, the oldest first; centring: of a bore, where there was one
+    history: rows as `RunOutStore.history` gives them, the oldest first; centring: of a bore, if any
     """
 
     title: str
@@ -38,7 +40,7 @@ class ProbeReport:
 
 
 def render_probe(report: ProbeReport) -> str:
-    """The whole page. Same data, same text."""
+    """The whole page as HTML. Same data, same text."""
     parts = [
         header(report.title, report.identity.get("Measured", "")),
         _tiles(report),
@@ -99,7 +101,7 @@ def ball_plot(found: RunOut, theme: Theme) -> Figure:
 
 
 def contact_plot(turns: Sequence[FourFeeds], theme: Theme) -> Figure:
-    """Feed to contact against the spindle's angle, less the mean, with the sine that a run-out makes; µm."""
+    """Feed to contact over the spindle's angle, less the mean, with the sine of a pure run-out; µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 3.2, left_in=0.82)
         ax = figure.subplots()
@@ -110,7 +112,7 @@ def contact_plot(turns: Sequence[FourFeeds], theme: Theme) -> Figure:
         cosine, sine = (values[0] - values[2]) / 2, (values[1] - values[3]) / 2
         curve = 1000 * (cosine * np.cos(np.radians(angle)) + sine * np.sin(np.radians(angle)))
         ax.axhline(0, color=theme.muted, lw=1)
-        ax.plot(angle, curve, color=theme.accent, lw=1.6, label="a run-out and nothing else")
+        ax.plot(angle, curve, color=theme.accent, lw=1.6, label="a pure run-out")
         for number, turn in enumerate(turns):
             feeds = 1000 * (np.array([turn.n_0_mm, turn.n_90_mm, turn.n_180_mm, turn.n_270_mm]) - middle)
             ax.plot(ANGLES_DEG, feeds, "o^sDvP"[number % 6], color=theme.up, ms=5.5, mew=0, label=f"turn {number + 1}")
@@ -156,7 +158,7 @@ def _bore(centring: Centring) -> str:
 
 
 def history_plot(rows: Sequence[Mapping[str, str]], theme: Theme) -> Figure:
-    """Run-out and radius from measurement to measurement; refused ones are crosses."""
+    """Run-out and radius over the measurements; refused ones are crosses."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 3.8, left_in=0.82)
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])

@@ -1,7 +1,9 @@
-"""The formulas of a touch probe's run-out (JPH08348B2): four contacts to the ball's place in the spindle, and that to corrections.
+"""The formulas of a touch probe's run-out (JPH08348B2): from four contacts to the ball's position in the spindle, and
+to corrections.
 
-Frames: machine mm; an axis position that rises carries the probe, seen from the work, in the axis's own direction. The spindle's frame
-coincides with the machine's at its angle 0 and turns counter-clockwise seen along the spindle axis. Pure: no drive, no file.
+Frames: machine mm; a rising axis position moves the probe, seen from the work, in the axis's own direction. The
+spindle's frame coincides with the machine's at its angle 0 and turns counter-clockwise seen along the spindle axis. No
+I/O.
 """
 
 from __future__ import annotations
@@ -18,11 +20,13 @@ ANGLES_DEG = (0, 90, 180, 270)
 
 
 class MeasurementRefusedError(BridgeError):
-    """A measurement that contradicts itself, or what is known of the probe; nothing is stored."""
+    """A measurement that contradicts itself or the known data of the probe; nothing is stored."""
 
 
 class CorrectionCode(Enum):
-    """Which axes a correction drives. The table of the codes is lost; this is our reading of it."""
+    """The axes that a correction moves. The source's table of the codes is missing; this assignment is an
+    interpretation of its text.
+    """
 
     M91 = "M91"  # X
     M92 = "M92"  # Y
@@ -30,16 +34,18 @@ class CorrectionCode(Enum):
 
     @property
     def in_x(self) -> bool:
+        """The correction moves X."""
         return self is not CorrectionCode.M92
 
     @property
     def in_y(self) -> bool:
+        """The correction moves Y."""
         return self is not CorrectionCode.M91
 
 
 @dataclass(frozen=True)
 class FourFeeds:
-    """N_0, N_90, N_180, N_270: how far the axis was fed from the start until contact, mm, at each angle of the spindle."""
+    """N_0, N_90, N_180, N_270: feed of the axis from the start to the contact, mm, at each angle of the spindle."""
 
     n_0_mm: float
     n_90_mm: float
@@ -48,11 +54,11 @@ class FourFeeds:
 
     @property
     def closure_um(self) -> float:
-        """(N_0 + N_180) − (N_90 + N_270): 0 for a ball that keeps its place in the spindle and a clean face."""
+        """(N_0 + N_180) − (N_90 + N_270), µm: 0 for a ball that keeps its position in the spindle and a clean face."""
         return UM_PER_MM * ((self.n_0_mm + self.n_180_mm) - (self.n_90_mm + self.n_270_mm))
 
     def check_closure(self, limit_um: float) -> None:
-        """Raise MeasurementRefusedError, naming both sums, unless they agree within the limit."""
+        """Raises MeasurementRefusedError, naming both sums, unless they agree within the limit, µm."""
         if not abs(self.closure_um) <= limit_um:
             raise MeasurementRefusedError(
                 f"the contacts do not close: N0 + N180 = {self.n_0_mm + self.n_180_mm:.4f} mm, N90 + N270 ="
@@ -63,7 +69,7 @@ class FourFeeds:
 
 @dataclass(frozen=True)
 class RunOut:
-    """Where the ball's centre is in the spindle's frame, mm, and its radius as it measures (pre-travel taken off).
+    """The ball's centre in the spindle's frame, mm, and its effective radius, mm (pre-travel subtracted).
 
     closure_um: of the contacts it was computed from
     """
@@ -75,26 +81,30 @@ class RunOut:
 
     @property
     def size_um(self) -> float:
-        """Distance of the ball's centre from the spindle axis."""
+        """Distance of the ball's centre from the spindle axis, µm."""
         return UM_PER_MM * math.hypot(self.x_mm, self.y_mm)
 
     def at(self, spindle_deg: float) -> tuple[float, float]:
-        """The ball's centre beside the spindle axis in the machine's x and y, mm, with the spindle turned to an angle."""
+        """Offset of the ball's centre from the spindle axis in the machine's x and y, mm, at an angle of the
+        spindle.
+        """
         cos, sin = math.cos(math.radians(spindle_deg)), math.sin(math.radians(spindle_deg))
         return cos * self.x_mm - sin * self.y_mm, sin * self.x_mm + cos * self.y_mm
 
     def correction_mm(self, code: CorrectionCode, spindle_deg: float = 0.0) -> tuple[float, float]:
-        """What X and Y are driven by, so that the spindle axis comes to where the ball's centre was."""
+        """Moves of X and Y, mm, by which the spindle axis comes to where the ball's centre was."""
         x_mm, y_mm = self.at(spindle_deg)
         return (x_mm if code.in_x else 0.0), (y_mm if code.in_y else 0.0)
 
 
 def run_out(feeds: FourFeeds, distance_mm: float, *, facing: int = 1, pretravel_mm: float = 0.0) -> RunOut:
-    """Run-out and radius from four feeds.
+    """Run-out and radius from four feeds. Raises InputError for another `facing` than 1 or -1.
 
-    distance_mm: l, from the spindle axis at the start to the face; facing: +1 for a face met by feeding X in + direction, −1 for one
-    met in − direction; pretravel_mm: how far the ball is pushed before the signal comes, which feeds are longer by.
-    Source: N_0 = l − r − Δx, N_90 = l − r + Δy, N_180 = l − r + Δx, N_270 = l − r − Δy for facing +1; for −1 the signs of Δ turn.
+    distance_mm: l, from the spindle axis at the start to the face; facing: +1 for a face met by feeding X in +
+    direction, −1 for one met in − direction; pretravel_mm: travel of the ball between contact and signal, by which
+    feeds are longer
+    Source: N_0 = l − r − Δx, N_90 = l − r + Δy, N_180 = l − r + Δx, N_270 = l − r − Δy for facing +1; for −1 the signs
+    of Δ are reversed.
     """
     if facing not in (1, -1):
         raise InputError(f"facing is {facing}, expected 1 or -1")
@@ -108,7 +118,7 @@ def run_out(feeds: FourFeeds, distance_mm: float, *, facing: int = 1, pretravel_
 
 
 def mean_feeds(turns: Sequence[FourFeeds]) -> FourFeeds:
-    """The mean of several turns of the spindle."""
+    """The mean of several turns of the spindle, mm."""
     count = len(turns)
     return FourFeeds(
         sum(turn.n_0_mm for turn in turns) / count,
@@ -119,9 +129,9 @@ def mean_feeds(turns: Sequence[FourFeeds]) -> FourFeeds:
 
 
 def run_out_std_um(turns: Sequence[FourFeeds], step_mm: float) -> float | None:
-    """Standard uncertainty of Δx, and of Δy, as far as these turns show it, µm; None of one turn, which shows nothing.
+    """Standard uncertainty of Δx, and of Δy, from the scatter of these turns, µm; None of one turn.
 
-    step_mm: of the positions, which a contact is known within. The spread of the feeds about the mean of their angle, pooled over the
+    step_mm: resolution of the positions. From the scatter of the feeds about the mean of their angle, pooled over the
     four angles; each of Δx and Δy is half the difference of two means. Source: JCGM 100:2008, 4.2.3, 4.3.7 and 5.1.2.
     """
     count = len(turns)
@@ -136,7 +146,9 @@ def run_out_std_um(turns: Sequence[FourFeeds], step_mm: float) -> float | None:
 
 
 def check_repeat(turns: Sequence[FourFeeds], limit_um: float) -> None:
-    """Raise MeasurementRefusedError, naming the angle and both feeds, unless each angle's feeds agree within the limit."""
+    """Raises MeasurementRefusedError, naming the angle and both feeds, unless each angle's feeds agree within the
+    limit, µm.
+    """
     for angle_deg in ANGLES_DEG:
         feeds = [float(getattr(turn, f"n_{angle_deg}_mm")) for turn in turns]
         spread_um = UM_PER_MM * (max(feeds) - min(feeds))
@@ -148,9 +160,9 @@ def check_repeat(turns: Sequence[FourFeeds], limit_um: float) -> None:
 
 
 def check_radius(found: RunOut, nominal_mm: float, limit_um: float) -> None:
-    """Raise MeasurementRefusedError, naming both radii, unless the one found is the ball's within the limit.
+    """Raises MeasurementRefusedError, naming both radii (mm), unless the one found is the ball's within the limit, µm.
 
-    What lies under all four contacts alike closes perfectly; it shows in the radius only.
+    A layer under all four contacts alike does not affect the closure; it shows in the radius only.
     """
     off_um = UM_PER_MM * (found.tip_radius_mm - nominal_mm)
     if not abs(off_um) <= limit_um:
@@ -162,7 +174,7 @@ def check_radius(found: RunOut, nominal_mm: float, limit_um: float) -> None:
 
 @dataclass(frozen=True)
 class Centring:
-    """A bore touched on both sides, x_mm and y_mm being the spindle's places at contact (low, high).
+    """A bore touched on both sides; x_mm and y_mm: the spindle's positions at contact (low, high).
 
     pretravel_mm: of each contact
     """
@@ -175,16 +187,16 @@ class Centring:
 
     @property
     def middle_mm(self) -> tuple[float, float]:
-        """Half the travel: where the spindle is while the *ball* is in the middle of the bore."""
+        """Half the travel: position of the spindle with the *ball* in the middle of the bore, mm."""
         return sum(self.x_mm) / 2.0, sum(self.y_mm) / 2.0
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """The bore's centre: where the spindle axis has to go."""
+        """The bore's centre: where the spindle axis has to go, mm."""
         x_mm, y_mm = self.run_out.at(self.spindle_deg)
         return self.middle_mm[0] + x_mm, self.middle_mm[1] + y_mm
 
     @property
     def diameter_mm(self) -> float:
-        """The bore's diameter, from the travel in Y, which goes through the middle."""
+        """The bore's diameter, mm, from the travel in Y, which goes through the middle."""
         return self.y_mm[1] - self.y_mm[0] + 2.0 * (self.run_out.tip_radius_mm - self.pretravel_mm)

@@ -1,4 +1,6 @@
-"""What the screen of system D shows: contacts as they come, the run-out they give, what is in force, and how it went over time."""
+"""The contents of the page of system D: contacts as they are measured, the run-out, the values in force, and the
+history.
+"""
 
 from __future__ import annotations
 
@@ -22,39 +24,39 @@ from hil.records.rows import UM_PER_MM
 Points = list[tuple[float, float]]
 KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE)
 SHOWN = 200
-"""Of a long history the latest are shown."""
+"""Most measurements of the history that are shown, the latest."""
 UNITS, MOST_OF_A_UNIT = {"minutes": 60.0, "hours": 3600.0, "days": 86_400.0}, 100
 STORED, REFUSED, BROKEN_OFF = "stored", "refused", "broken off"
 
 
 # -- jobs: one machine, whichever axis's page it was started from --------------------------------------------------------------
 def last_at(desks: Iterable[Desk], kinds: Iterable[str] = KINDS) -> Progress | None:
-    """The last job of these kinds at any desk, running or over."""
+    """The last job of these kinds at any desk, running or finished."""
     kinds = tuple(kinds)
     jobs = filter(None, (desk.last_of(kinds) for desk in desks))
     return max(jobs, key=lambda job: job.number, default=None)
 
 
 def measured_at(desks: Iterable[Desk]) -> MeasuredRunOut | None:
-    """What the last M90 came to; None before its end."""
+    """The result of the last M90; None before its end."""
     job = last_at(desks, [probe.MEASURE])
     return job.result if job is not None and isinstance(job.result, MeasuredRunOut) else None
 
 
 def corrected_at(desks: Iterable[Desk]) -> Correction | None:
-    """The last correction that was driven."""
+    """The result of the last correction, if any."""
     job = last_at(desks, [probe.CORRECT])
     return job.result if job is not None and isinstance(job.result, Correction) else None
 
 
 def centred_at(desks: Iterable[Desk]) -> BoreCentre | None:
-    """The last bore that was centred."""
+    """The result of the last centring, if any."""
     job = last_at(desks, [probe.CENTRE])
     return job.result if job is not None and isinstance(job.result, BoreCentre) else None
 
 
 def lent(config: ProbeMachineConfig, desks: Iterable[Desk], own: Desk) -> list[Desk]:
-    """The other desks whose axes are the machine's too: these have to be let go for its jobs. Told by their files, or their names."""
+    """The other desks whose axes belong to the machine, by file or by name: they have to be released for its jobs."""
     files = {axis.path.resolve() for axis in config.axes.values()}
     names = {axis.name for axis in config.axes.values()}
     return [
@@ -64,20 +66,22 @@ def lent(config: ProbeMachineConfig, desks: Iterable[Desk], own: Desk) -> list[D
 
 # -- the store -------------------------------------------------------------------------------------------------------------
 def store_at(config: ProbeMachineConfig, desk: Desk) -> RunOutStore | None:
-    """The machine's store as far as it is open at a desk; None for a sealed one whose password nobody gave."""
+    """The machine's store as far as it is open at a desk; None for a sealed one without its password."""
     if not config.store.sealed:
         return RunOutStore(config.store.directory, config.name)
     return desk.rights.probe_store
 
 
 def writable(store: RunOutStore | None) -> bool:
-    """Whether values can be put into force: the store is not sealed, or its builder's key is there."""
+    """Whether values can be put into force: the store is not sealed, or its builder's key is given."""
     return store is not None and (store.sealing is None or store.sealing.builder_key is not None)
 
 
 @dataclass(frozen=True)
-class PastMeasurement:
-    """One line of the history. verdict: stored, refused or broken off; why: in English, "" for one that is stored"""
+class HistoryEntry:
+    """One measurement of the history. verdict: stored, refused or broken off; why: in English, "" for one that is
+    stored
+    """
 
     when: datetime
     mode: str
@@ -91,19 +95,20 @@ class PastMeasurement:
 
 @dataclass(frozen=True)
 class ProbeRecord:
-    """in_force: None for nothing, or where it is sealed; since: when that was measured; history: the oldest first; trouble: why it
-    cannot be read"""
+    """in_force: None for nothing, or a sealed store; since: date of its measurement; history: the oldest first;
+    trouble: why it cannot be read
+    """
 
     in_force: RunOut | None
     since: datetime | None
-    history: Sequence[PastMeasurement]
+    history: Sequence[HistoryEntry]
     trouble: str = ""
 
 
 def probe_record(config: ProbeMachineConfig, store: RunOutStore | None) -> ProbeRecord:
-    """What is kept: reads files. store: as far as it is open"""
+    """The values in force and the history; reads files. store: as far as it is open"""
     plain = store or RunOutStore(config.store.directory, config.name)
-    history = past(plain.history())
+    history = history_entries(plain.history())
     if store is None or not store.path.exists():
         return ProbeRecord(None, None, history)
     try:
@@ -113,9 +118,11 @@ def probe_record(config: ProbeMachineConfig, store: RunOutStore | None) -> Probe
     return ProbeRecord(known, _date(when), history)
 
 
-def past(rows: Sequence[Mapping[str, str]]) -> list[PastMeasurement]:
-    """The rows of `RunOutStore.history` as measurements, the latest of them; a closure is that of the worst turn."""
-    found: list[PastMeasurement] = []
+def history_entries(rows: Sequence[Mapping[str, str]]) -> list[HistoryEntry]:
+    """The rows of `RunOutStore.history` as measurements, the latest `SHOWN`; a closure is that of the worst turn,
+    µm.
+    """
+    found: list[HistoryEntry] = []
     for row in rows:
         when, closure_um = _date(row["time"]), _number(row["closure_um"])
         if when is None:
@@ -127,7 +134,7 @@ def past(rows: Sequence[Mapping[str, str]]) -> list[PastMeasurement]:
         verdict, _, why = row["verdict"].partition(": ")
         why = (why.partition(": ")[2] or why) if verdict == BROKEN_OFF else why  # its error's kind, and what that said
         x_um, y_um, radius_mm = (_number(row[name]) for name in ("x_um", "y_um", "tip_radius_mm"))
-        found.append(PastMeasurement(when, row["mode"], x_um, y_um, radius_mm, closure_um, verdict, why))
+        found.append(HistoryEntry(when, row["mode"], x_um, y_um, radius_mm, closure_um, verdict, why))
     return found[-SHOWN:]
 
 
@@ -147,8 +154,9 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class HistoryCurves:
-    """begun: of the first measurement; the others so many minutes, hours or days (unit) after it. x, y: of what was put into force,
-    µm; left_out: of what was not"""
+    """begun: date of the first measurement; the others at minutes, hours or days (unit) after it. x, y: of those put
+    into force, µm; left_out: of the others
+    """
 
     begun: datetime
     unit: str
@@ -157,8 +165,8 @@ class HistoryCurves:
     left_out: Points
 
 
-def history_curves(history: Sequence[PastMeasurement]) -> HistoryCurves | None:
-    """Run-out over time; None without any."""
+def history_curves(history: Sequence[HistoryEntry]) -> HistoryCurves | None:
+    """Run-out over time, µm; None without any."""
     if not history:
         return None
     begun = history[0].when
@@ -178,7 +186,7 @@ def history_curves(history: Sequence[PastMeasurement]) -> HistoryCurves | None:
 # -- one measurement -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Contact:
-    """How far X was fed until contact. pulses: of the machine file's size"""
+    """Feed of X until a contact. pulses: the feed in pulses of the machine file's size"""
 
     turn: int
     angle_deg: int
@@ -187,7 +195,7 @@ class Contact:
 
 
 def contacts(config: ProbeMachineConfig, job: Progress | None) -> list[Contact]:
-    """The contacts of an M90, as far as it has come."""
+    """The contacts of an M90 measured so far."""
     if job is None:
         return []
     feeds = {figure.name: figure.value for figure in job.figures if isinstance(figure, Measured)}
@@ -200,40 +208,40 @@ def contacts(config: ProbeMachineConfig, job: Progress | None) -> list[Contact]:
 
 
 def worst_closure_um(measurement: RunOutMeasurement) -> float:
-    """Of the turn that closes worst."""
+    """Closure of the turn that closes worst, µm."""
     return max((turn.closure_um for turn in measurement.turns), key=abs)
 
 
 def std_um(config: ProbeMachineConfig, measurement: RunOutMeasurement) -> float | None:
-    """Standard uncertainty of Δx and of Δy, as far as it is known: of several turns."""
+    """Standard uncertainty of Δx and of Δy, µm; None of one turn."""
     fine_mm = config.x.scaling.resolution_load_mm
     return run_out_std_um(measurement.turns, config.probe.pulse_mm if measurement.mode == "step" else fine_mm)
 
 
 def angle_deg(found: RunOut) -> float:
-    """Where the run-out points to with the spindle at 0: counter-clockwise from +X, 0 to 360."""
+    """Direction of the run-out with the spindle at 0: counter-clockwise from +X, 0 to 360."""
     return math.degrees(math.atan2(found.y_mm, found.x_mm)) % 360.0
 
 
 @dataclass(frozen=True)
-class BallPlaces:
-    """Places about the spindle axis, seen along it: distance in µm, bearing in degrees counter-clockwise from +X.
+class BallPositions:
+    """Positions about the spindle axis, seen along it: distance in µm, bearing in degrees counter-clockwise from +X.
 
-    run_out: of the ball's centre with the spindle at 0; at: for each angle of the spindle, as its contacts have it
+    run_out: of the ball's centre with the spindle at 0; at: for each angle of the spindle, from its contacts
     """
 
     run_out: tuple[float, float]
     at: Mapping[int, tuple[float, float]]
 
 
-def ball_places(config: ProbeMachineConfig, measurement: RunOutMeasurement) -> BallPlaces:
-    """Where the ball's centre was at each angle.
+def ball_positions(config: ProbeMachineConfig, measurement: RunOutMeasurement) -> BallPositions:
+    """Position of the ball's centre at each angle.
 
-    A contact at one angle tells how far the ball is off towards the face; how far across the face, the contact 90° before tells. They
-    lie on one circle as far as the contacts close.
+    A contact at one angle gives the offset towards the face; the contact 90° before gives the offset across the face.
+    The positions lie on one circle as far as the contacts close.
     """
     found, feeds = measurement.run_out, measurement.feeds
-    return BallPlaces((found.size_um, angle_deg(found)), _places(feeds, config.block.facing))
+    return BallPositions((found.size_um, angle_deg(found)), _places(feeds, config.block.facing))
 
 
 def _places(feeds: FourFeeds, facing: int) -> dict[int, tuple[float, float]]:

@@ -1,7 +1,7 @@
-"""A machine with a touch probe: X, Y, the spindle and the probe's signal together.
+"""A machine with a touch probe: X, Y, the spindle and the probe's signal, supervised together.
 
-Every motion says whether it may end in a contact. One that may not, and does, and one that should, and does not, stop the machine
-before anyone hears of it.
+Every motion states whether it may end in a contact. An unexpected contact, and a missing one, stop the machine before
+the error is raised.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from hil.probe.machine_file import ProbeMachineConfig
 
 SPINDLE = "spindle"
 ARRIVED_WITHIN = {"x": 0.01, "y": 0.01, SPINDLE: 0.05}
-"""mm, and degrees of the spindle: what an axis that says it has arrived may be off; contacts are not taken from there."""
+"""Tolerance of arrival, mm, and degrees of the spindle; contacts are not taken from the arrival."""
 PULSE_S = 2.0
-"""How long a drive may take over one pulse."""
+"""Time limit of one pulse, s."""
 POLL_S = 0.005
-"""How often axis and probe are looked at: at the speeds of touching the ball goes some µm meanwhile."""
+"""Polling interval of axis and probe, s: the ball moves some µm in it at touching speed."""
 
 
 class ContactError(SafetyError):
-    """The probe signalled, or did not, against expectation; the machine was stopped."""
+    """The probe signalled unexpectedly, or did not signal as expected; the machine was stopped."""
 
 
 class UnexpectedContactError(ContactError):
@@ -39,7 +39,7 @@ class UnexpectedContactError(ContactError):
 
 
 class NoContactError(ContactError):
-    """No contact within the stated travel."""
+    """No contact within the search travel."""
 
 
 class ProbeSignal(Protocol):
@@ -50,10 +50,11 @@ class ProbeSignal(Protocol):
 
 
 class ProbeSession:
-    """Use as a context manager; entering connects, and checks everything that can be checked before anything moves.
+    """A context manager; entering connects, and makes every check that is possible before any motion.
 
-    drives: "x", "spindle" and, where there is one, "y"; signals: of those that touch; touching: the axes that will; mode: "latch" or
-    "step", the machine file's by default.
+    drives: "x", "spindle" and, where there is one, "y"; signals: of those that touch; touching: the axes that will
+    touch; mode: "latch" or "step", the machine file's by default
+    Raises what `check` raises.
     """
 
     def __init__(
@@ -97,7 +98,9 @@ class ProbeSession:
         self._supervisor.leave(exc, *self._disarming(), *closing)
 
     def check(self) -> None:
-        """What a drive cannot do is said here, while everything stands still."""
+        """Checks capabilities and state at standstill. Raises CapabilityError for what a drive cannot do, StateError
+        for a probe that signals or an axis that is not homed.
+        """
         home = [Capability.HOMING] if self.config.home else []
         for drive in self.drives.values():
             drive.require(Capability.PROFILE_POSITION, *home)
@@ -119,7 +122,7 @@ class ProbeSession:
                 )
 
     def prepare(self) -> None:
-        """Power on, and home what says it is not homed where the machine file asks for it."""
+        """Enables, and homes axes that are not homed where the machine file asks for it. Raises what stops an axis."""
         self._supervisor.enable()
         for name, axis in self._axes.items():
             if self.config.home and axis.drive.sample().homed is not True:
@@ -128,7 +131,7 @@ class ProbeSession:
             self._latches = {name: self.drives[name].touch_probe() for name in self._signals}
 
     def _disarming(self) -> list[Step]:
-        """Of the inputs that were armed."""
+        """Steps that disarm the armed inputs."""
         latches, self._latches = self._latches, {}
         return [
             (
@@ -146,7 +149,7 @@ class ProbeSession:
     def _clear(
         self, name: str, what: str, allowed: Callable[[DriveSample], bool] = lambda _sample: False
     ) -> Callable[[DriveSample], None]:
-        """A look at the probe with every sample: a contact is an error unless it is allowed there."""
+        """Checks the probe with every sample: a contact raises an error unless it is allowed there."""
 
         def look(sample: DriveSample) -> None:
             if self.touching() and not allowed(sample):
@@ -162,7 +165,7 @@ class ProbeSession:
         return f"{self.drives[name].name} = {sample.position_load_mm:.3f}{unit}"
 
     def place(self, name: str) -> float:
-        """Where an axis is, in the unit of its axis file."""
+        """Position of an axis, in the unit of its axis file."""
         return self.drives[name].sample().position_load_mm
 
     @property
@@ -172,7 +175,9 @@ class ProbeSession:
 
     # -- moving ------------------------------------------------------------------------------------------------------
     def move(self, name: str, target: float) -> None:
-        """Go somewhere; a contact on the way is an error."""
+        """Moves an axis to a position (mm or degrees). Raises UnexpectedContactError for a contact, and what stops the
+        axis.
+        """
         if self.touching():
             raise UnexpectedContactError(
                 f"the probe touches while {self.drives[name].name} is to move to {target:.3f}; nothing was moved"
@@ -190,7 +195,7 @@ class ProbeSession:
         )
 
     def orient(self, angle_deg: float) -> None:
-        """Turn the spindle to an angle."""
+        """Turns the spindle to an angle, degrees. Raises as `move`."""
         self.move(SPINDLE, self.config.orientation.position_deg(angle_deg))
 
     def _speed(self, name: str) -> float:
@@ -199,10 +204,11 @@ class ProbeSession:
 
     # -- touching ----------------------------------------------------------------------------------------------------
     def touch(self, name: str, direction: int, search_mm: float, free_mm: float = 0.0) -> float:
-        """Feed an axis from where it stands until contact, and go back; returns its position at the contact, mm.
+        """Feeds an axis from its position until contact, and moves back; returns its position at the contact, mm.
 
-        By pulses the contact lies between the last pulse and the one before: their middle is returned. Raises LimitError before
-        anything moves, NoContactError after `search_mm`, UnexpectedContactError for a contact before `free_mm`.
+        By pulses the contact lies between the last pulse and the one before: their middle is returned. Raises
+        LimitError before any motion, NoContactError after `search_mm`, UnexpectedContactError for a contact before
+        `free_mm`.
         """
         drive = self.drives[name]
         start_mm = drive.sample().position_load_mm
@@ -255,7 +261,7 @@ class ProbeSession:
         self._no_contact(name, search_mm)
 
     def _pulse(self, name: str, target_mm: float, close_mm: float) -> None:
-        """One pulse further, until the axis is there; whether it touched is asked when it rests."""
+        """One pulse further, until the axis has arrived; the probe is checked at rest."""
         self._supervisor.move_until(
             lambda sample: sample.target_reached and abs(sample.position_load_mm - target_mm) <= close_mm,
             target_mm,
@@ -275,7 +281,7 @@ class ProbeSession:
             )
 
     def _retreat(self, name: str, start_mm: float, contact_mm: float, direction: int) -> None:
-        """Back to the start; the signal has to go on the way."""
+        """Back to the start; the signal has to disappear on the way."""
         overtravel_mm = self.config.probe.overtravel_mm
 
         def allowed(sample: DriveSample) -> bool:

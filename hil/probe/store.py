@@ -1,7 +1,8 @@
-"""Where a probe's run-out is kept: the values in force, replaced as a whole, and every measurement that was made, appended.
+"""The store of a probe's run-out: the values in force, replaced completely, and the history of all measurements,
+appended.
 
-The values in force are a small JSON file, or, where the machine file asks for it, an entry of a sealed file that only its builder can
-change. A measurement that was refused stands in the history and nowhere else.
+The values in force are a small JSON file, or, where the machine file asks for it, an entry of a sealed file that only
+its builder can change. A refused measurement is in the history only.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ HISTORY_COLUMNS = (
 
 @dataclass(frozen=True)
 class Seal:
-    """How values are sealed. builder_key: only where they are written."""
+    """Password and keys of a sealed store. builder_key: only for writing."""
 
     password: str
     builder_public: Ed25519PublicKey
@@ -42,7 +43,7 @@ class Seal:
 
 @dataclass(frozen=True)
 class RunOutStore:
-    """One machine's values and history below a directory."""
+    """The values and the history of one machine in a directory."""
 
     directory: Path
     machine: str
@@ -50,15 +51,18 @@ class RunOutStore:
 
     @property
     def path(self) -> Path:
-        """The values in force."""
+        """File of the values in force."""
         return self.directory / ("runout.json" if self.sealing is None else "runout.sealed")
 
     @property
     def history_path(self) -> Path:
+        """File of the history."""
         return self.directory / "history.csv"
 
     def save(self, run_out: RunOut, when: datetime) -> None:
-        """Put values into force. Raises StateError for a sealed store without the builder's key."""
+        """Puts values into force. Raises StateError for a sealed store without the builder's key, InputError for a file
+        that cannot be written.
+        """
         form = {"format": FORMAT, "machine": self.machine, "measured": when.isoformat(), **asdict(run_out)}
         data = (json.dumps(form, indent=1, allow_nan=False) + "\n").encode()
         self.directory.mkdir(parents=True, exist_ok=True)
@@ -97,7 +101,9 @@ class RunOutStore:
 
     # -- history -------------------------------------------------------------------------------------------------------
     def append(self, when: datetime, mode: str, turns: tuple[FourFeeds, ...], run_out: RunOut, verdict: str) -> None:
-        """Add a measurement, one line for each turn of the spindle; on return it is on disk."""
+        """Adds a measurement, one line for each turn of the spindle; on return it is on disk. Raises InputError when it
+        cannot be written.
+        """
         self.directory.mkdir(parents=True, exist_ok=True)
         text = io.StringIO()
         lines = csv.writer(text, lineterminator="\n")
@@ -105,7 +111,7 @@ class RunOutStore:
         if new:
             lines.writerow(HISTORY_COLUMNS)
         elif not read_bytes(self.history_path).endswith(b"\n"):
-            text.write("\n")  # a power cut tore the last line; what follows is whole again
+            text.write("\n")  # ends the last line, which a power cut left incomplete
         for number, turn in enumerate(turns, start=1):
             feeds = (turn.n_0_mm, turn.n_90_mm, turn.n_180_mm, turn.n_270_mm)
             row = [when.isoformat(), mode, str(number), *(f"{feed:.6f}" for feed in feeds), f"{turn.closure_um:.3f}"]
@@ -129,13 +135,13 @@ class RunOutStore:
             raise InputError(f"cannot be written: {error.strerror}", path=self.history_path) from error
 
     def history(self) -> list[dict[str, str]]:
-        """Every line of the history that is whole; empty where there is none."""
+        """The complete lines of the history; empty without a file. Raises InputError for a file that cannot be read."""
         if not self.history_path.exists():
             return []
         text = read_bytes(self.history_path).decode("utf-8", "replace")
         whole = text[: text.rfind("\n") + 1]
         rows = csv.DictReader(io.StringIO(whole))
-        return [row for row in rows if None not in row and None not in row.values()]  # not what was torn
+        return [row for row in rows if None not in row and None not in row.values()]  # complete lines only
 
 
 def _finite(form: Mapping[str, Any], name: str) -> float:

@@ -1,6 +1,6 @@
-"""From a machine file to a session with its probe: the concrete drives and the places where each shows the probe's signal.
+"""From a machine file to a session with its probe: the concrete drives, and where each shows the probe's signal.
 
-On the bench the same drives are simulated, with a probe, a block and a bore that stand where the machine file says, more or less.
+On the bench the same drives are simulated, with a probe, a block and a bore near the positions of the machine file.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ def connected_probe(
     bench: ProbeBench | None = None,
     waiting: Waiting | None = None,
 ) -> Iterator[ProbeSession]:
-    """A session on the machine of a machine file, or on a bench. Raises as `probe_drives`; arguments as of `ProbeSession`."""
+    """A session on the machine of a machine file, or on a bench. Raises as `probe_drives`; arguments as of
+    `ProbeSession`.
+    """
     with (
         probe_drives(config, bench, waiting) as drives,
         probe_session(config, drives, touching=touching, mode=mode) as session,
@@ -63,8 +65,7 @@ def probe_drives(
 ) -> Iterator[dict[str, ServoDrive]]:
     """The machine's drives, not opened; several sessions may follow each other on them. A bench is connected once.
 
-    waiting: through whom the clock of real drives waits (a bench was made with its own).
-
+    waiting: the object through which the clock of real drives waits (a bench was made with its own)
     Raises InputError while another process has connected one of the axis files, and whatever connecting raises.
     """
     with ExitStack() as stack:
@@ -81,7 +82,7 @@ def probe_session(
     touching: Sequence[str] = ("x",),
     mode: str | None = None,
 ) -> ProbeSession:
-    """A session on drives that are connected."""
+    """A session on connected drives. Raises CapabilityError for a drive that does not show the probe's signal."""
     signals = {name: _signal(drives[name], config.probe) for name in touching}
     return ProbeSession(config, drives, signals, touching=touching, mode=mode)
 
@@ -93,7 +94,7 @@ def _hardware(config: ProbeMachineConfig, stack: ExitStack, waiting: Waiting | N
 
 # -- the probe's signal --------------------------------------------------------------------------------------------------
 class _Signal:
-    """A bit of a drive's inputs. read: the word that holds it."""
+    """A bit of a drive's inputs. read: returns the word that holds it."""
 
     def __init__(self, read: Callable[[], int], bit: int, *, normally_closed: bool) -> None:
         self._read = read
@@ -117,7 +118,7 @@ def _signal(drive: ServoDrive, probe: ProbeConfig) -> ProbeSignal:
 
 
 def _canopen_inputs(drive: CanOpenDrive) -> Callable[[], int]:
-    """60FDh."""
+    """Reads object 60FDh."""
 
     def read() -> int:
         try:
@@ -129,7 +130,7 @@ def _canopen_inputs(drive: CanOpenDrive) -> Callable[[], int]:
 
 
 def _modbus_inputs(drive: ModbusDrive, register: str) -> Callable[[], int]:
-    """A register that the map names."""
+    """Reads a register of the map."""
 
     def read() -> int:
         if register not in drive.parameters.names:
@@ -153,9 +154,10 @@ def probe_bench(
     in_bore: bool = False,
     waiting: Waiting | None = None,
 ) -> ProbeBench:
-    """The simulated machine that a machine file describes, its probe jogged in front of the block, or into the bore.
+    """The simulated machine of a machine file, its probe in front of the block, or in the bore.
 
-    probe: what is in the spindle and on the table, instead of what the machine file's seed draws. waiting: who holds its time back.
+    probe: probe, block and bore instead of those drawn by the machine file's seed. waiting: the object that holds its
+    time back.
     """
     block, bore = config.block, config.bore
     y_mm = 0.0 if block.y_mm is None else block.y_mm
@@ -188,7 +190,7 @@ def probe_bench(
 
 
 def _simulated(config: ProbeMachineConfig, bench: ProbeBench, stack: ExitStack) -> dict[str, ServoDrive]:
-    """The bench's servos behind the wires that the axis files ask for; those on CANopen on one bus."""
+    """The bench's servos behind the wires of the axis files; those on CANopen on one bus."""
     drives: dict[str, ServoDrive] = {}
     channel = f"bench-{uuid.uuid4().hex}"
     bus = stack.enter_context(drives_in_turn(bench.clock, channel))
@@ -217,7 +219,9 @@ def _virtual(name: str, axis: DriveAxis, bench: ProbeBench) -> tuple[ServoDrive,
 
 
 def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:
-    """What such a drive's builder sets up: encoder, direct gear, a quick stop as hard as any move, homing on its switch."""
+    """The objects that a builder sets up: encoder, direct gear, a quick stop as hard as any move, homing on its
+    switch.
+    """
     counts = axis.scaling.encoder_counts_per_motor_rev
     ramp = axis.scaling.motor_counts_per_s(axis.limits.max_acceleration_mm_s2)
     units = {(0x608F, 1): counts, (0x608F, 2): 1, (0x6092, 1): counts, (0x6092, 2): 1}
@@ -225,7 +229,7 @@ def _objects(axis: DriveAxis) -> dict[tuple[int, int], int]:
 
 
 def _on_modbus(name: str, axis: DriveAxis, bench: ProbeBench, stack: ExitStack) -> tuple[ServoDrive, ProbeLatch | None]:
-    """None: a drive whose inputs are not to be seen from outside."""
+    """A drive on Modbus and its latch, None for a drive whose inputs cannot be read."""
     servo, unit = bench.servos[name], axis.drive.unit
     face: Face
     latch: ProbeLatch | None = None

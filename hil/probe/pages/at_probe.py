@@ -1,4 +1,6 @@
-"""What the parts of the probe's page have in common: the machine, its store as far as this browser opened it, how a job starts."""
+"""State shared by the parts of the probe's page: the machine, its store as far as this browser opened it, how a job
+starts.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +15,21 @@ from hil.probe.store import RunOutStore
 
 
 @dataclass(frozen=True)
-class AtProbe:
-    """One page of the probe."""
+class ProbePage:
+    """The probe's page in one browser."""
 
     view: View
     config: ProbeMachineConfig
 
     @property
     def store(self) -> RunOutStore | None:
-        """As far as it is open to this browser; None for a sealed one that is not."""
+        """The store as far as it is open to this browser; None for a sealed one that is not."""
         config, view = self.config, self.view
         return store_at(config, view.desk) if view.in_control or not config.store.sealed else None
 
     @property
     def lent(self) -> list[Desk]:
-        """Of the other axes that this server has, those that are the machine's."""
+        """The desks of other axes of this server that belong to the machine."""
         return lent(self.config, self.view.desks, self.view.desk)
 
     @property
@@ -38,11 +40,11 @@ class AtProbe:
 
     @property
     def can_start(self) -> bool:
-        """This browser controls every axis that has to be let go, each is there, and no job of the probe runs."""
+        """This browser controls every axis that has to be released, each is connected, and no job of the probe runs."""
         job = last_at(self.view.desks)
         idle = job is None or not job.running
         return self.view.can_start and idle and not self.not_controlled and all(one.live.connected for one in self.lent)
 
     async def ask_and_run(self, job: Job) -> None:
-        """As the view's, with the axes that have to be lent."""
+        """Asks and runs as the view does, with the axes that have to be released."""
         await self.view.ask_and_run(job, self.lent)

@@ -1,4 +1,4 @@
-"""M91 to M93 and the centring of a bore, a part of the probe's page: with the run-out in force."""
+"""M91 to M93 and the centring of a bore with the run-out in force, a part of the probe's page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nicegui import ui
 
 from hil.app.panel.pieces import Reading
 from hil.probe import job as probe
-from hil.probe.pages.at_probe import AtProbe
+from hil.probe.pages.at_probe import ProbePage
 from hil.probe.procedure import Correction
 from hil.probe.runout import CorrectionCode
 from hil.probe.screen import ProbeRecord, centred_at, corrected_at
@@ -18,8 +18,8 @@ Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]
 
 
-def draw_corrections(at: AtProbe, kept: Kept, mode: ui.select) -> Refresh:
-    """Both cards; returns the refresh. mode: where it is chosen how contacts are found"""
+def draw_corrections(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
+    """Draws both cards; returns their refresh. mode: the selection of how contacts are found"""
     with ui.element("div").classes("hil-grid"):
         parts = [_draw_correction(at, kept), _draw_bore(at, kept, mode)]
 
@@ -30,14 +30,14 @@ def draw_corrections(at: AtProbe, kept: Kept, mode: ui.select) -> Refresh:
     return refresh
 
 
-def _draw_code(at: AtProbe, name: str) -> ui.select:
-    """Which axes are corrected; the last that the machine can do is chosen."""
+def _draw_code(at: ProbePage, name: str) -> ui.select:
+    """Selection of the axes to correct; by default the last code that the machine can do."""
     choices = {code.value: at.view.t(f"probe.codes.{code.value}") for code in probe.codes(at.config)}
     return at.view.named(ui.select(choices, label=at.view.t("probe.code"), value=list(choices)[-1]), name)
 
 
-def _draw_correction(at: AtProbe, kept: Kept) -> Refresh:
-    """Drive the axes by the run-out in force."""
+def _draw_correction(at: ProbePage, kept: Kept) -> Refresh:
+    """Moves the axes by the run-out in force."""
     view = at.view
     with view.card("probe.correction"):
         with ui.row().classes("items-end hil-fields"):
@@ -58,8 +58,8 @@ def _draw_correction(at: AtProbe, kept: Kept) -> Refresh:
     return refresh
 
 
-def _draw_driven(at: AtProbe, name: str) -> Callable[[Correction | None], None]:
-    """What was driven, and what is left on the counter; returns what fills it."""
+def _draw_driven(at: ProbePage, name: str) -> Callable[[Correction | None], None]:
+    """The distances moved, and the remaining counter; returns the function that fills them."""
     view, t = at.view, at.view.t
     driven = view.value("probe.driven", "µm", small=True, name=f"{name}.driven")
     counter = view.value("probe.counter", "µm", small=True, name=f"{name}.counter")
@@ -75,8 +75,8 @@ def _draw_driven(at: AtProbe, name: str) -> Callable[[Correction | None], None]:
     return fill
 
 
-def _draw_bore(at: AtProbe, kept: Kept, mode: ui.select) -> Refresh:
-    """Touch a bore on both sides, and go to its centre."""
+def _draw_bore(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
+    """Touches a bore on both sides and moves to its centre."""
     view, t = at.view, at.view.t
     with view.card("probe.bore"):
         if at.config.bore is None:

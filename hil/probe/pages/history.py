@@ -7,14 +7,14 @@ from collections.abc import Callable
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
 from hil.app.panel.pieces import Latest, Reading, Table
 from hil.app.panel.view import View
-from hil.probe.screen import STORED, HistoryCurves, PastMeasurement, ProbeRecord, history_curves
+from hil.probe.screen import STORED, HistoryCurves, HistoryEntry, ProbeRecord, history_curves
 
 WORDS = ("when", "mode", "verdict")
 FIGURES = ("x", "y", "radius", "closure")
 
 
 def draw_history(view: View, kept: Reading[ProbeRecord]) -> Callable[[], None]:
-    """A plot and a table of what was measured, the latest first; returns the refresh."""
+    """A plot and a table of the measurements, the latest first; returns the refresh."""
     with view.card("probe.history", name="probe.history.card"):
         drawing = Drawing(view, "probe.history")
     with view.card("probe.measurements", name="probe.measurements.card"):
@@ -46,7 +46,7 @@ def _options(view: View, shown: HistoryCurves) -> Options:
     return curves(view, x, t("probe.history_y"), drawn)
 
 
-def _row(view: View, one: PastMeasurement) -> list[str]:
+def _row(view: View, one: HistoryEntry) -> list[str]:
     t = view.t
     verdict = t.known("probe.verdicts", one.verdict.replace(" ", "_"))
     return [

@@ -1,4 +1,4 @@
-"""The drawing of a run-out: the ball's centre about the spindle axis, magnified."""
+"""The plot of a run-out: the ball's centre about the spindle axis, magnified."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from typing import Any
 from hil.app.panel.drawings import Options, angle_axis, inks
 from hil.app.panel.plots import COLOURS
 from hil.app.panel.view import View
-from hil.probe.screen import BallPlaces
+from hil.probe.screen import BallPositions
 
 REACH = 1.25
-"""Of the drawing, beyond the outermost place."""
+"""Radius of the plot, as a multiple of the outermost position."""
 
 
-def around_the_spindle(view: View, shown: BallPlaces, names: Mapping[str, str]) -> Options:
-    """Seen along the spindle axis, which is in the middle; µm. names: of "run_out", "circle" and "contacts"."""
+def around_the_spindle(view: View, shown: BallPositions, names: Mapping[str, str]) -> Options:
+    """Chart options of the positions seen along the spindle axis, in µm. names: of "run_out", "circle" and
+    "contacts".
+    """
     ink, grid = inks(view)
     size_um, bearing_deg = shown.run_out
     places = [[_short(far), _short(at)] for far, at in shown.at.values()]

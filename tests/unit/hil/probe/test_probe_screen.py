@@ -16,7 +16,7 @@ from hil.probe.job import centring_plan, codes, correction_plan, measuring_plan
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import RunOutMeasurement
 from hil.probe.runout import CorrectionCode, FourFeeds, RunOut, mean_feeds, run_out
-from hil.probe.screen import PastMeasurement, ball_places, history_curves, past, std_um, worst_closure_um
+from hil.probe.screen import HistoryEntry, ball_positions, history_curves, history_entries, std_um, worst_closure_um
 from hil.probe.store import RunOutStore
 
 BALL_UM = 30.0 - 40.0j
@@ -39,7 +39,7 @@ def measured(facing: int, *off_um: float) -> RunOutMeasurement:
 @pytest.mark.parametrize("facing", [1, -1])
 def test_the_contacts_lie_where_the_ball_was(config: ProbeMachineConfig, facing: int) -> None:
     config = replace(config, block=replace(config.block, face_mm=config.block.start_mm + 4.0 * facing))
-    shown = ball_places(config, measured(facing))
+    shown = ball_positions(config, measured(facing))
     places = {angle: cmath.rect(far, radians(bearing)) for angle, (far, bearing) in shown.at.items()}
     assert places == pytest.approx({0: BALL_UM, 90: BALL_UM * 1j, 180: -BALL_UM, 270: BALL_UM * -1j})
     assert cmath.rect(shown.run_out[0], radians(shown.run_out[1])) == pytest.approx(BALL_UM)
@@ -47,7 +47,7 @@ def test_the_contacts_lie_where_the_ball_was(config: ProbeMachineConfig, facing:
 
 def test_a_chip_shows_as_contacts_off_the_circle_and_in_the_figures(config: ProbeMachineConfig) -> None:
     clean, chip = measured(1), measured(1, -20.0, 0.0, 0.0, 0.0)
-    distances = [far for far, _ in ball_places(config, chip).at.values()]
+    distances = [far for far, _ in ball_positions(config, chip).at.values()]
     assert max(distances) - min(distances) > 5.0
     assert worst_closure_um(chip) == pytest.approx(-20.0)
     assert (std_um(config, clean) or 0.0) < 0.01  # that of a position
@@ -65,8 +65,8 @@ def test_the_history_as_it_is_kept_and_drawn(tmp_path: Path) -> None:
     store.append(WHEN + timedelta(hours=5), "step", (worse,), found, "refused: the contacts do not close: N0")
     verdict = "broken off: StoppedByOperator: stopped by the operator"
     store.append(WHEN + timedelta(hours=6), "latch", (turn,), found, verdict)
-    shown = past(store.history())
-    assert shown[0] == PastMeasurement(WHEN, "latch", 30.0, -40.0, 2.0, -10.0, "stored", "")
+    shown = history_entries(store.history())
+    assert shown[0] == HistoryEntry(WHEN, "latch", 30.0, -40.0, 2.0, -10.0, "stored", "")
     assert [(one.verdict, one.why) for one in shown[1:]] == [
         ("refused", "the contacts do not close: N0"),
         ("broken off", "stopped by the operator"),
