@@ -1,4 +1,4 @@
-"""From what is left after a correction to the effect that is missing."""
+"""The diagnosis (system E): from the residual of a correction to the effect that the model lacks."""
 
 from __future__ import annotations
 

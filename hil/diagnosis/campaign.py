@@ -1,6 +1,5 @@
-"""The campaign under diagnosis: records turned into the arrays every step works on.
-
-What may go in: the frozen value and how it is made. Rows stay in the order of time; nothing is fitted here.
+"""The campaign under diagnosis: records as the arrays that every step uses. Rows stay in the order of time; nothing is
+fitted here.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 OF_A_MODEL = frozenset({"correction_um", "residual_um"})
-"""Columns that `hil apply` writes: what a model says of these rows explains nothing."""
+"""Columns that `hil apply` writes: the output of a model cannot explain the rows."""
 SHORTEST_PASS = 5
-"""Mean rows of a pass below which neighbouring rows of the run are what noise may correlate."""
+"""Mean rows of a pass below which noise is taken as correlated over neighbouring rows of the whole run."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Campaign:
 
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,)
     run: index of the run 0 … r-1, (n,); sweep: index of the one-directional pass, ascending in time, (n,)
-    basis: of the declared table; repeated: whether its knots are targets that repeat, so that nothing is known between them
+    basis: of the declared table; repeated: its knots are repeated targets, between which nothing is known
     """
 
     columns: Mapping[str, Floats]
@@ -48,29 +47,36 @@ class Campaign:
 
     @property
     def x(self) -> Floats:
+        """Targets, mm, (n,)."""
         return self.columns["target_mm"]
 
     @property
     def d(self) -> Floats:
+        """Directions, +1 or -1, (n,)."""
         return self.columns["direction"]
 
     @property
     def runs(self) -> int:
+        """Number of runs."""
         return int(np.max(self.run)) + 1
 
 
 def columns_of(records: Records) -> dict[str, Floats]:
-    """The columns of records as a diagnosis reads them, each (n,): with those of the past, without what a model says of these rows."""
+    """The columns of records for a diagnosis, each (n,): history columns added (`hil.effects.history`), columns of a
+    model removed.
+    """
     return complete({name: values for name, values in records.columns.items() if name not in OF_A_MODEL})
 
 
 def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> Campaign:
-    """Build a campaign from records. Raises InputError when there are too few rows to say anything."""
+    """Builds a campaign from records. Raises InputError for fewer than 4 rows."""
     return campaign_of(columns_of(records), records.uncorrected_error_um, pitches_mm)
 
 
 def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tuple[float, ...] = ()) -> Campaign:
-    """The same from columns that have those of the past already, each (n,), and the error of the uncorrected machine, (n,)."""
+    """Builds a campaign from completed columns, each (n,), and the error of the uncorrected machine, µm, (n,). Raises
+    InputError for fewer than 4 rows.
+    """
     if len(error_um) < 4:
         raise InputError(f"{len(error_um)} rows are too few for a fit; expected at least 4")
     direction = columns["direction"]
@@ -90,7 +96,7 @@ def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tup
 
 
 def _sweeps(run: NDArray[np.intp], direction: Floats) -> NDArray[np.intp]:
-    """Passes in the order of time; whole runs where the direction changes so often that there are no passes."""
+    """Passes in the order of time; whole runs where the direction changes too often for passes."""
     new_run = np.concatenate([[False], np.diff(run) != 0])
     turned = np.concatenate([[False], np.diff(direction) != 0])
     passes = np.cumsum(new_run | turned)

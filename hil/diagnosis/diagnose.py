@@ -1,6 +1,5 @@
-"""From records to a diagnosis: noise, search, structure outside the catalogue, held-out gain, joint refit.
-
-What may go in: the order of the steps; each step is a module of its own.
+"""From records to a diagnosis: noise, search, structure outside the catalogue, held-out gain, joint refit, in this
+order.
 """
 
 from __future__ import annotations
@@ -34,19 +33,20 @@ from hil.records.rows import Records
 Floats = NDArray[np.float64]
 
 TEMPERATURE = 2.0
-"""Log odds between effects are divided by this before they become confidences: no form is exactly right."""
+"""Divisor of the log odds between effects before they become confidences, since no form is exactly right."""
 LEAST_CONFIDENCE = 0.02
+"""Confidence below which a rival is not listed."""
 
 
 def diagnose(
     records: Records, declared: Model | None = None, *, effects: Sequence[Effect] = ALL, seed: int = 0
 ) -> Diagnosis:
-    """Find what the declared model lacks.
+    """Finds the effects that the declared model lacks.
 
-    declared: the model in force or known; without it a bidirectional table is fitted from the records themselves.
+    declared: the known model or that in force; without it a bidirectional table is fitted from the records themselves
     Raises InputError when the records are too few.
     """
-    with threadpool_limits(1, "blas"):  # many small products: threads only get in each other's way
+    with threadpool_limits(1, "blas"):  # many small products, slower with threads
         return _diagnose(records, declared, effects, seed)
 
 
@@ -120,7 +120,9 @@ def _suspicion(term: Term) -> str:
 
 
 def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
-    """Without the terms that do not help on runs left out; whether the structure found does; the effects dropped."""
+    """Removes the terms that do not improve left-out runs; also returns whether the structure found does, and the
+    effects dropped.
+    """
     last = chosen.last
     sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(SURE))}
     kept = tuple(c for c in last.choices if c.effect.id in sure or earns_its_place(left_out.gain[c.effect.id]))
@@ -159,7 +161,9 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, .
 
 
 def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
-    """Weight of each effect at the stage at which this one was taken, best first; 'unexplained' for a cause outside the catalogue."""
+    """Weight of each effect at the stage at which this one was taken, best first; 'unexplained' for a cause outside the
+    catalogue.
+    """
     for selected in chosen.selections:
         for stage in selected.stages:
             if stage.taken and stage.ranking and effect in (stage.about, stage.ranking[0].effect):
@@ -174,7 +178,9 @@ def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
 
 
 def _doubted(weights: dict[str, float], chosen: Chosen, term: Term) -> dict[str, float]:
-    """With the share of unexplained structure of the term's own columns: whatever makes that may make all of it."""
+    """Lowers the weights by the share of unexplained structure in the term's own columns, whose cause may have caused
+    all of the term.
+    """
     own = set(term.needs) | {"target_mm", "direction"}
     last = chosen.last
     columns = last.searcher.bench.campaign.columns

@@ -1,7 +1,7 @@
-"""A diagnosis with its rivals in full: those the records show, those that hide in them, and the measurement for each.
+"""A diagnosis with all its rivals, those that the records show and those hidden in them, and the measurement that
+separates each.
 
-What may go in: the way from a diagnosis to the next measurement and back. What the causes weigh is `hypotheses`, what a run is worth
-`next_measurement`.
+`hil.diagnosis.verdict.hypotheses` weighs the causes, `hil.diagnosis.next.next_measurement` the runs.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ from hil.effects.model import Model
 from hil.records.rows import Records
 
 MOST_ROWS = 3000
-"""Rows beyond which runs are left out of the weighing: rivals differ in form, not in what many more rows would add."""
+"""Rows beyond which runs are left out of the weighing: rivals differ in form, which more rows do not change."""
 MOST_FINDINGS = 3
+"""Findings whose rivals are weighed."""
 USUAL_LOAD_KG, USUAL_STEP_MM = 50.0, 100.0
 ALONE_MIN = "no measurement that this axis can make tells the two apart"
 
 
 @dataclass(frozen=True)
 class FollowUp:
-    """diagnosis: with all rivals and what separates them; finding, prospect: what is asked next and why, None when nothing is.
+    """diagnosis: with all rivals and what separates them; finding, prospect: the next measurement and the finding it is
+    for, None for none
 
     undecided: effects of the findings that still have rivals
     """
@@ -42,10 +44,11 @@ class FollowUp:
 
     @property
     def run(self) -> PlannedRun | None:
+        """The next measurement, if any."""
         return None if self.prospect is None else self.prospect.run
 
     def to_json(self) -> dict[str, Any]:
-        """The object of the contract, and the run that is asked for under `next_measurement` (null when none is)."""
+        """The JSON object of a diagnosis, with the next measurement under `next_measurement` (null for none)."""
         return {**self.diagnosis.to_json(), "next_measurement": self._asked()}
 
     def _asked(self) -> dict[str, Any] | None:
@@ -78,9 +81,9 @@ def follow_up(
     made: Sequence[str] = (),
     seed: int = 0,
 ) -> FollowUp:
-    """Weigh the rivals of each finding, and choose the next measurement for the first that has any.
+    """Weighs the rivals of each finding, and chooses the next measurement for the first finding that has rivals.
 
-    declared, effects: as the diagnosis had them; persons: whether somebody can be asked; made: runs made already
+    declared, effects: as in the diagnosis; persons: a person can be asked to help; made: names of runs made already
     """
     if not diagnosis.findings:
         return FollowUp(diagnosis, None, None, ())
@@ -114,10 +117,10 @@ def follow_up(
 def ruled_out(
     asked: FollowUp, records: Records, declared: Model | None, *, effects: Sequence[Effect] = ALL
 ) -> set[str]:
-    """The causes of the finding that was asked about which all rows together now speak against.
+    """The causes of the finding that a run was made for which all rows together now reject.
 
-    asked: what led to the run; records: all rows, those of the run among them. Nothing is ruled out where none of the causes is left:
-    then they were not the right ones to compare, and the search has to say.
+    asked: the follow-up that led to the run; records: all rows, with those of the run. Nothing is ruled out where no
+    cause remains: they were then the wrong ones to compare, and the search decides.
     """
     if asked.finding is None:
         return set()
@@ -130,7 +133,9 @@ def ruled_out(
 
 
 def _with_rivals(finding: Finding, look: Outlook) -> Finding:
-    """The finding with the weight of its effect and of every other cause that is left, and what would separate them."""
+    """The finding with the weight of its effect and of every other remaining cause, and the measurement that would
+    separate them.
+    """
     weights = {cause.id: cause.weight for cause in look.rivals}
     if finding.effect not in weights:
         return finding
@@ -151,7 +156,7 @@ def _catalogue_says(finding: Finding, rival: str) -> str:
 
 
 def thinned(records: Records) -> Records:
-    """Whole runs, evenly over the campaign, as many as are needed."""
+    """Whole runs, evenly over the campaign, up to about `MOST_ROWS` rows."""
     if len(records) <= MOST_ROWS or len(records.runs) < 2:
         return records if len(records) <= MOST_ROWS else records.where(np.arange(len(records)) < MOST_ROWS)
     runs = records.runs
@@ -160,7 +165,9 @@ def thinned(records: Records) -> Records:
 
 
 def means_of_records(records: Records, pitches_mm: tuple[float, ...] = ()) -> Means:
-    """What can be said of an axis from its records alone: where it goes, how long a row takes, what was read and what was set."""
+    """The measuring abilities of an axis as far as its records show them: travel, time per row, sensors, and set
+    columns.
+    """
     low, high = float(np.min(records.target_mm)), float(np.max(records.target_mm))
     seconds = np.diff(records["time_s"]) if "time_s" in records else np.zeros(0)
     seconds = seconds[np.isfinite(seconds) & (seconds > 0)]

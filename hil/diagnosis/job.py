@@ -1,4 +1,4 @@
-"""Diagnosis of what stands on disk, with everything that is drawn of it as plain values: kept beside the rows as JSON."""
+"""Diagnosis of stored records, with all its plots as plain values, stored beside the rows as JSON."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from hil.records.files import read_text, replace_file
 from hil.records.rows import Floats, Records, concatenate, parse_csv
 
 MOST_POINTS = 1200
-"""Of one curve: more show nothing more on a screen."""
+"""Most points of one plotted curve."""
 MOST_TURNS = 6.0
-"""A curve along x goes up and down over its range no more often."""
+"""Largest total variation of a curve along x, in units of its range, at which it is drawn as a line."""
 SIGNS = {1: "+", -1: "−"}
 
 
 def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
-    """Diagnose passes of one campaign together, as `hil diagnose` does, and write what came of it. Raises InputError."""
+    """Diagnoses passes of one campaign together, as `hil diagnose` does, and writes the result. Raises InputError."""
     effects = catalogue_with()
     with attributing_errors(effects):
         records = concatenate([parse_csv(read_text(path), path) for path in paths])
@@ -48,11 +48,11 @@ def diagnosed(
     pitches_mm: tuple[float, ...] = (),
     non_parametric: bool = False,
 ) -> FollowUp:
-    """Diagnose records, and find the measurement to make next.
+    """Diagnoses records, and finds the next measurement.
 
-    declared: the model in force, None: a table fitted from the records; pitches_mm: lengths at which the mechanics of the axis repeat;
-    non_parametric: correct what is unexplained too, its cause unknown. Raises InputError for records that cannot be diagnosed, and
-    where a correction without a cause cannot be had.
+    declared: the model in force, None: a table fitted from the records; pitches_mm: periods of the axis's mechanics;
+    non_parametric: also correct the unexplained part
+    Raises InputError for records that cannot be diagnosed, and where a correction without a cause is refused.
     """
     check_on(effects, records.columns)
     diagnosis = diagnose(records, declared, effects=effects)
@@ -64,10 +64,10 @@ def diagnosed(
 
 
 def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
-    """The contract's object, each finding with its plot, and `drawn`: the curves of a screen.
+    """The JSON object of the diagnosis, each finding with its plot, and `drawn`: the curves of a screen.
 
-    records: those that were diagnosed. `drawn` is {"position": curves, "findings": [curves or None, one for each finding], "forms":
-    [form and inputs of each finding's effect]}.
+    records: those that were diagnosed. `drawn` is {"position": curves, "findings": [curves or None, one for each
+    finding], "forms": [form and inputs of each finding's effect]}.
     """
     diagnosis = follow.diagnosis
     form = with_plots(follow.to_json(), diagnosis, records)
@@ -84,7 +84,9 @@ def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
 
 
 def _along_position(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
-    """What is laid over the position as whole curves, not at the rows alone: of effects of position and direction; {} for others."""
+    """Curves of the effects over position, evaluated between the rows too; {} where an effect reads more than position
+    and direction.
+    """
     terms = [finding.term for finding in diagnosis.findings]
     if not terms or any(set(term.needs) - {"target_mm", "direction"} for term in terms):
         return {}
@@ -101,9 +103,9 @@ def _along_position(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
 
 
 def _curves(view: View) -> dict[str, Any]:
-    """label, over: what stands at the x axis and what is laid over; residual, laid_over: by direction, points (x, µm) along x.
+    """label, over: names of the x axis and of the effect; residual, laid_over: by direction, points (x, µm) along x
 
-    smooth: what is laid over is a curve along x; else it depends on more than x, and its points are not to be joined.
+    smooth: the effect is a curve along x; else it depends on more than x, and its points are not to be joined
     """
     residual, laid_over, smooth = {}, {}, True
     for sign, name in SIGNS.items():

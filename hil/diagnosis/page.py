@@ -1,4 +1,6 @@
-"""Diagnosis (system E): what error is left in a stored campaign, the effect that makes it, its rivals; and the loop on the axis."""
+"""Page of the diagnosis (system E): the residual of a stored campaign, the effect that causes it, its rivals; and the
+loop on the axis.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,13 @@ from hil.diagnosis.screen import Curves, DiagnosisScreen, ShownDiagnosis, ShownF
 Refresh = Callable[[], None]
 Kept = Reading[DiagnosisScreen]
 MARKS = {1: (5, False), -1: (1, True)}
-"""Colour of a direction, and whether its triangle stands upside down."""
+"""Colour of a direction, and whether its triangle is inverted."""
 SURE = 0.999
+"""Largest confidence that is shown as a number."""
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draws the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("diagnosis.no_instrument")).classes("hil-note"), "diagnosis.no_instrument")
@@ -62,7 +65,7 @@ def draw(view: View) -> None:
 
 
 def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
-    """Which measurement; diagnose it, or give up."""
+    """Selection of the measurement; start and cancel."""
     t, desk = view.t, view.desk
 
     def choose(key: object) -> None:
@@ -108,7 +111,7 @@ def _words(view: View, one: Measurement) -> str:
 
 
 def _draw_figures(view: View, kept: Kept) -> Refresh:
-    """What is left before and after, on rows that were not fitted, and the noise floor."""
+    """Residual before and after, on rows that were not fitted, and the noise floor."""
     t = view.t
     with view.card("diagnosis.figures"):
         after = view.value("diagnosis.after", "µm")
@@ -128,7 +131,7 @@ def _draw_figures(view: View, kept: Kept) -> Refresh:
 
 
 def _draw_verdict(view: View, kept: Kept) -> Refresh:
-    """What was found in a word; what is unexplained and what carries it."""
+    """The findings; the unexplained part and the columns that it follows."""
     t = view.t
     with view.card("diagnosis.verdict"):
         found = view.value("diagnosis.found", small=True)
@@ -160,7 +163,7 @@ def _draw_verdict(view: View, kept: Kept) -> Refresh:
 
 
 def _draw_next(view: View, kept: Kept) -> Refresh:
-    """What would be measured next."""
+    """The next measurement."""
     t = view.t
     with view.card("diagnosis.next"):
         run = view.value("diagnosis.next_run", small=True)
@@ -176,7 +179,7 @@ def _draw_next(view: View, kept: Kept) -> Refresh:
 
 
 def _options(view: View, drawn: Curves) -> Options:
-    """The residual as points, the effect laid over it as a line of the same direction."""
+    """The residual as points, the effect as a line of the same direction."""
     t = view.t
     over = _effect(view, t.said(drawn.over))
     points = [
@@ -200,7 +203,7 @@ def _options(view: View, drawn: Curves) -> Options:
 
 
 def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
-    """One effect: how sure, what to do, its parameters and rivals, and what it looks like along its own column."""
+    """One effect: confidence, action, parameters, rivals, and its curve along its own column."""
     t, name = view.t, f"diagnosis.finding.{number}"
     with ui.element("div").classes("hil-grid wide").style("margin-bottom: 1rem"):
         with view.named(ui.element("section").classes("hil-card"), name):
@@ -238,7 +241,7 @@ def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
 
 
 def _draw_rest(view: View, kept: Kept) -> Refresh:
-    """What this campaign cannot show, and remarks."""
+    """What this campaign cannot show, and notes."""
     t = view.t
     with ui.element("div").classes("hil-grid wide"):
         with view.card("diagnosis.blind", name="diagnosis.blind.card"):

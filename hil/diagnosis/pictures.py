@@ -1,7 +1,7 @@
-"""What a diagnosis looks like: for each finding, the residual and the effect over the column it follows; what the table left; and
-what the extended model leaves.
+"""The plot data of a diagnosis: for each finding, the residual and the effect over the column it follows; the residuals
+of both models.
 
-Added to the JSON form of a diagnosis, so that a report made of it later draws the same as one made at once.
+Added to the JSON form of a diagnosis, so that a later report draws the same plots.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from hil.effects.survey import varies
 from hil.records.rows import Floats, Records
 
 MOST_ROWS = 2000
-"""Of longer records every so manieth row: a mean curve and a spectrum are as good with these."""
+"""Longer records are thinned evenly: mean curves and spectra do not need more."""
 DECIMALS = 4
 
 
 def left_over(diagnosis: Diagnosis, columns: Mapping[str, Floats]) -> dict[str, Any]:
-    """{"left_um": [...], "columns": {name: [...]}, "every": 1}: what the extended model leaves of each (or every so manieth) row.
+    """{"left_um": [...], "columns": {name: [...]}, "every": k}: the extended model's residual of every k-th row.
 
-    columns: of the rows that were diagnosed, with those of the past, each (n,). Beside `run`: position, direction, time, velocity,
-    travel since the reversal and the columns that carry what is unexplained, as far as they are there and vary.
+    columns: of the diagnosed rows, completed, each (n,). Besides `run`: position, direction, time, velocity, travel
+    since the reversal, and the columns that the unexplained part follows, as far as they are there and vary.
     """
     every = -(-len(diagnosis.residual_um) // MOST_ROWS)
     shown = {name: columns[name] for name in ("run", *_wanted(diagnosis, columns))}
@@ -50,16 +50,16 @@ def _plain(values: Floats) -> list[float]:
 
 
 MOST_POINTS = 4000
-"""Of a drawing: more of them show nothing more; of longer records rows are taken evenly."""
+"""Most points of a plot; longer records are thinned evenly."""
 NM = 3
-"""Decimals of a µm."""
+"""Decimals of a value in µm."""
 
 
 def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
-    """The form with a `plot` in each finding, `left` (`left_over`), and `residual_um`: what the declared model leaves of each row, not
-    fitted to it.
+    """The form with a `plot` in each finding, `left` (`left_over`), and `residual_um`: the declared model's held-out
+    residual of each row.
 
-    records: those that were diagnosed. Longer ones than are drawn have no `residual_um`.
+    records: those that were diagnosed. Records longer than a plot have no `residual_um`.
     """
     columns = columns_of(records)
     shown = np.arange(0, len(records), -(-len(records) // MOST_POINTS))
@@ -82,7 +82,7 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
 
 
 def _column(needs: Sequence[str], columns: Mapping[str, Floats]) -> str:
-    """The column that tells most: the first the effect reads beyond position and direction, else the position."""
+    """The column of the plot: the first that the effect reads beyond position and direction, else the position."""
     for name in needs:
         if name not in ("target_mm", "direction") and name in columns:
             return name

@@ -1,7 +1,4 @@
-"""What a diagnosis says: frozen values, and the JSON of the contract.
-
-What may go in: results only, with everything a report needs to plot them; no statistics.
-"""
+"""The result of a diagnosis as frozen values, and its JSON form."""
 
 from __future__ import annotations
 
@@ -19,12 +16,14 @@ Floats = NDArray[np.float64]
 
 
 OUTSIDE = "unexplained"
-"""Stands among the rivals for a dependence on other columns that no effect of the catalogue has."""
+"""Name among the rivals for a dependence on other columns that no effect of the catalogue has."""
 
 
 @dataclass(frozen=True)
 class RivalFound:
-    """An effect that explains the same almost as well: its share of the weight, and what would tell them apart."""
+    """An effect that explains the residual almost as well: its share of the weight, and the measurement that separates
+    them.
+    """
 
     effect: str
     confidence: float
@@ -35,8 +34,7 @@ class RivalFound:
 class Finding:
     """An effect the declared model lacks.
 
-    rms_um: of the effect over the rows of the campaign, beside what the table absorbs
-    gain_um2: mean fall of the squared held-out error it brings; gain_std_um2: its standard error over the runs left out
+    confidence: share of the weight among all causes, 0 … 1; rms_um: of the effect over the rows of the campaign
     """
 
     term: Term
@@ -47,6 +45,7 @@ class Finding:
 
     @property
     def effect(self) -> str:
+        """Id of the effect."""
         return self.term.effect.id
 
     @property
@@ -56,18 +55,21 @@ class Finding:
 
     @property
     def action(self) -> Action:
+        """What to do about it."""
         return self.term.effect.action
 
     @property
     def parameters(self) -> dict[str, Estimate]:
+        """The effect's parameters by name."""
         return self.term.parameters
 
 
 @dataclass(frozen=True)
 class Carrier:
-    """Columns that carry a residual nothing in the catalogue explains, and the chance of seeing as much in noise.
+    """Columns that an unexplained residual follows, and the probability of as much in noise.
 
-    rms: of what follows them over the rows, µm: as far as a smooth function of the columns shows it, beside table and effects
+    rms: of the part that follows them over the rows, µm: as far as a smooth function of the columns represents it,
+    beside table and effects
     """
 
     columns: tuple[str, ...]
@@ -78,6 +80,7 @@ class Carrier:
         return f"{' × '.join(self.columns)} ({self.rms} µm RMS)"
 
     def to_json(self) -> dict[str, Any]:
+        """Plain values."""
         return {
             "columns": list(self.columns),
             "rms_um": self.rms.value,
@@ -95,6 +98,7 @@ class Figures:
 
     @classmethod
     def of(cls, error_um: Floats) -> Figures:
+        """Of errors in µm, shape (n,)."""
         return cls(float(np.sqrt(np.mean(error_um**2))), float(np.max(np.abs(error_um))))
 
 
@@ -108,14 +112,15 @@ class Blind:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The outcome.
+    """The result.
 
     noise_floor: repeatability of the machine and instrument, standard deviation in µm with its uncertainty
-    declared: the model before (fitted from the records or given); extended: with what was found, refitted jointly
+    declared: the model before (fitted from the records or given); extended: with the effects found, refitted jointly
     before_um, after_um: held-out residual of each row with either model, shape (n,)
-    setup_um: after, with the instrument effects taken out too
+    setup_um: after, with the instrument effects removed too
     residual_um: of the extended model and the instrument effects on the rows it was fitted to, shape (n,)
-    non_parametric: the same with a correction of what is unexplained, its cause unknown, for who asks for it; or why there is none
+    non_parametric: the diagnosis with a correction of the unexplained part, used only on request; or the reason why
+    there is none
     """
 
     noise_floor: Estimate
@@ -137,14 +142,16 @@ class Diagnosis:
 
     @property
     def before(self) -> Figures:
+        """Figures of the held-out residual with the declared model."""
         return Figures.of(self.before_um)
 
     @property
     def after(self) -> Figures:
+        """Figures of the held-out residual with the extended model."""
         return Figures.of(self.after_um)
 
     def to_json(self) -> dict[str, Any]:
-        """The object of the contract, plain values."""
+        """The JSON object of `hil diagnose`, plain values."""
         return {
             "noise_floor_um": self.noise_floor.value,
             "noise_floor_std_um": self.noise_floor.std,

@@ -1,4 +1,6 @@
-"""What the screen of a diagnosis shows: the stored one of a measurement, as frozen values; what a file does not hold is left out."""
+"""The contents of the page of a diagnosis: the stored one of a measurement, as frozen values; a missing key is left
+out.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,9 @@ SIGNS = {1: "+", -1: "−"}
 
 @dataclass(frozen=True)
 class Curves:
-    """A residual along a column, and what is laid over it; points by direction, µm. label, over: in English
+    """A residual along a column, and the effect; points by direction, µm. label, over: in English
 
-    smooth: the points that are laid over make a curve along the column
+    smooth: the points of the effect are a curve along the column
     """
 
     label: str
@@ -37,7 +39,8 @@ class Curves:
 class ShownFinding:
     """parameters: name, value, standard error; rivals: effect, weight, what separates it; texts in English.
 
-    form, inputs: of the effect, and the columns it reads, "" and () in a file of before these were kept; rms_um: over the rows
+    form, inputs: of the effect, and the columns it reads, "" and () in files written before these were stored; rms_um:
+    over the rows
     """
 
     effect: str
@@ -54,10 +57,10 @@ class ShownFinding:
 
 @dataclass(frozen=True)
 class ShownDiagnosis:
-    """rms_um, peak_um: "before", "after" and "after_setup_fixed" -> the figure, on rows that were not fitted; carriers: columns, their
-    RMS in µm and its standard error; blind: effect, reason; next_run: what is best measured next, "" for nothing
+    """rms_um, peak_um: "before", "after" and "after_setup_fixed" -> the figure, on rows that were not fitted; carriers:
+    columns, their RMS in µm and its standard error; blind: effect, reason; next_run: the next measurement, "" for none
 
-    current: made of the rows that are there now
+    current: of the rows that are there now
     """
 
     current: bool
@@ -77,8 +80,9 @@ class ShownDiagnosis:
 
 @dataclass(frozen=True)
 class DiagnosisScreen:
-    """choices: what can be diagnosed; shown: the stored diagnosis of the chosen one, None without; unfinished: how the loop that can
-    be gone on with explores, at rest and in motion; loop: the last one; None where there is none"""
+    """choices: measurements that can be diagnosed; shown: the stored diagnosis of the chosen one, None without;
+    unfinished: exploration and passes of the interrupted loop; loop: the last one; None where there is none
+    """
 
     choices: tuple[Measurement, ...]
     chosen: Measurement | None
@@ -92,7 +96,9 @@ class DiagnosisScreen:
 
 
 def diagnosis_screen(axis: AxisConfig, key: str = "") -> DiagnosisScreen:
-    """key: of the chosen measurement, "" for the newest that has a diagnosis, or else the newest. Reads files."""
+    """key: of the chosen measurement, "" for the newest that has a diagnosis, or else the newest. Reads files. Raises
+    InputError for a damaged diagnosis.
+    """
     folder = axis.store.directory
     choices = tuple(measurements(folder))
     by_itself = next((one for one in choices if one.diagnosis.exists()), choices[0] if choices else None)
@@ -102,7 +108,7 @@ def diagnosis_screen(axis: AxisConfig, key: str = "") -> DiagnosisScreen:
 
 
 def read_shown(of: Measurement) -> ShownDiagnosis:
-    """Raises InputError for a file that holds none."""
+    """The stored diagnosis of a measurement. Raises InputError for a file that holds none."""
     form = read_stored(of.diagnosis)
     drawn = object_of(form.get("drawn"))
     along = drawn.get("findings")

@@ -1,7 +1,8 @@
-"""The declared pitch table as columns of a linear model: natural cubic splines on knots, split into a free and a penalised part.
+"""The pitch table as columns of a linear model: natural cubic splines on knots, split into a free and a penalised part.
 
-What may go in: bases of a smooth function of position per direction, f(x) + d·g(x). The penalised columns are scaled so that a normal
-prior of one common variance on them is the smoothing spline (Green & Silverman 1994, ch. 2; Ruppert, Wand & Carroll 2003, ch. 4).
+The columns are bases of a smooth function of position per direction, f(x) + d·g(x). The penalised columns are scaled so
+that a normal prior of one common variance on them is the smoothing spline (Green & Silverman 1994, ch. 2; Ruppert, Wand
+& Carroll 2003, ch. 4).
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ Floats = NDArray[np.float64]
 SAME_TARGET = 0.05
 """Targets nearer than this fraction of the mean spacing of a pass count as one target repeated."""
 MOST_KNOTS = 60
+"""Most knots of a table."""
 KNOTS_PER_TARGET = 1.5
 
 
 def clusters(target_mm: Floats, spacing_mm: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Near-equal targets as one: their mean positions, ascending, and the index of each row's cluster, shape (n,)."""
+    """Groups near-equal targets: their mean positions (mm), ascending, and the index of each row's group, shape
+    (n,).
+    """
     order = np.argsort(target_mm, kind="stable")
     ordered = target_mm[order]
     starts = np.concatenate([[True], np.diff(ordered) > SAME_TARGET * spacing_mm])
@@ -34,13 +38,13 @@ def clusters(target_mm: Floats, spacing_mm: float) -> tuple[Floats, NDArray[np.i
 
 
 def mean_spacing(target_mm: Floats, rows_per_pass: int) -> float:
-    """Travel over the steps of one pass, in mm; never zero."""
+    """Travel over the steps of one pass, mm; never zero."""
     travel = float(np.ptp(target_mm))
     return max(travel / max(rows_per_pass - 1, 1), 1e-9)
 
 
 def choose_knots(target_mm: Floats, rows_per_pass: int) -> tuple[Floats, bool]:
-    """Knots for the table, and whether the targets repeat (then the knots are the targets themselves)."""
+    """Knots for the table, mm, and whether the targets repeat (then the knots are the targets themselves)."""
     centres, _ = clusters(target_mm, mean_spacing(target_mm, rows_per_pass))
     most = int(min(MOST_KNOTS, max(6, round(KNOTS_PER_TARGET * rows_per_pass))))
     repeated = len(centres) <= 1.3 * rows_per_pass and len(target_mm) >= 1.5 * len(centres)
@@ -51,13 +55,16 @@ def choose_knots(target_mm: Floats, rows_per_pass: int) -> tuple[Floats, bool]:
 
 @dataclass(frozen=True)
 class TableBasis:
-    """Knots (K,) in mm and the directions there are; columns are even (f) and odd (d·g) functions of direction."""
+    """Knots (K,) in mm and whether both directions are present; columns are even (f) and odd (d·g) functions of
+    direction.
+    """
 
     knots_mm: Floats
     both_directions: bool
 
     @property
     def parts(self) -> int:
+        """Number of parts: 2 (even, odd), or 1 for one direction."""
         return 2 if self.both_directions else 1
 
     def at(self, x_mm: Floats) -> Floats:
@@ -102,7 +109,7 @@ class TableBasis:
 
 
 def cardinal(knots_mm: Floats, x_mm: Floats) -> Floats:
-    """Value at x of the natural spline through 1 at one knot and 0 at the others, shape (n, K)."""
+    """Natural spline functions that are 1 at one knot and 0 at the others, at x, shape (n, K)."""
     K = len(knots_mm)
     if K == 1:
         return np.ones((len(x_mm), 1))

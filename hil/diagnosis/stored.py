@@ -1,4 +1,4 @@
-"""A diagnosis that is kept beside the rows it was made of, as JSON."""
+"""Diagnoses stored as JSON beside the rows they are of."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from drivers.errors import InputError
 from hil.records.files import read_bytes, read_text
 
 STORED = ".diagnosis.json"
-"""After the name of the pass, or of the passes, that was diagnosed."""
+"""Suffix after the name of the diagnosed pass or passes."""
 
 
 def measurement_of(stem: str) -> str:
-    """Passes of one exploring campaign are runs of one measurement: before-1, before-2 … are "before", any other is its own."""
+    """Name of the measurement of a pass: before-1, before-2 … are "before"; any other pass is its own measurement."""
     match = re.fullmatch(r"((?:motion-)?(?:before|after)|next-\d+)-\d+", stem)
     return stem if match is None else match[1]
 
 
 def stored_beside(paths: Sequence[Path]) -> Path:
-    """Where the diagnosis of these passes of one campaign is kept."""
+    """Path of the diagnosis of these passes of one campaign."""
     return paths[0].parent / f"{measurement_of(paths[0].stem)}{STORED}"
 
 
 def sources(paths: Sequence[Path]) -> dict[str, str]:
-    """SHA-256 of each file by its name."""
+    """SHA-256 of each file by its name. Raises InputError for a file that cannot be read."""
     return {path.name: hashlib.sha256(read_bytes(path)).hexdigest() for path in paths}
 
 
 def read_stored(path: Path) -> dict[str, Any]:
-    """A diagnosis that was kept. Raises InputError for a file that holds none."""
+    """A stored diagnosis. Raises InputError for a file that holds none."""
     try:
         form = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:

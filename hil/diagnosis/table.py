@@ -1,7 +1,7 @@
-"""The table part of a fit: the columns that stand for it, and its way back into a table.
+"""The table part of a fit: its columns, and the conversion of its coefficients into a table.
 
-Two shapes: a spline fitted from the records themselves, and a declared table that is known with an uncertainty and may only move as
-far as that allows. What may go in: columns and tabulation; no statistics.
+Two shapes: a spline fitted from the records themselves, and a declared table that may only change within its stated
+uncertainty.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from hil.effects.model import PitchTable
 Floats = NDArray[np.float64]
 
 FINE = 8
-"""Linear pieces per knot interval that stand for the spline."""
+"""Linear pieces per knot interval that approximate the spline."""
 MOST_NODES = 20
-"""Knots that carry the table's uncertainty in a model."""
+"""Most nodes that carry the table's uncertainty in a model."""
 UNKNOWN_SHARE = 0.5
-"""Standard deviation, over the noise's, of the nodes of a declared table that does not state any."""
+"""Standard deviation, over the noise's, of the nodes of a declared table that states none."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,18 @@ class ShapeColumns:
 
     @property
     def stacked(self) -> Floats:
+        """All columns side by side, shape (n, w)."""
         return np.asarray(np.hstack([self.free, self.even, self.odd, self.given]), dtype=np.float64)
 
 
 class Shape(Protocol):
-    """What stands for the table in a fit."""
+    """The table's representation in a fit."""
 
     def columns(self, x_mm: Floats, direction: Floats) -> ShapeColumns:
         """Columns at positions and directions, shape (n, …)."""
 
     def tabulate(self, coefficients: Floats, covariance: Floats | None = None) -> PitchTable:
-        """The table of some coefficients (w,), with their covariance (w, w) in µm² where it is wanted."""
+        """The table of some coefficients (w,), with their covariance (w, w) in µm² where it is given."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class SplineShape:
 
 @dataclass(frozen=True)
 class DeclaredShape:
-    """A declared table that may move by a constant, and by its own uncertainty.
+    """A declared table that may change by a constant, and within its own uncertainty.
 
     root: (2k, v), square root of the covariance of (forward, backward) at the table's nodes over the noise variance
     """
@@ -126,13 +127,15 @@ class DeclaredShape:
 
 @dataclass(frozen=True)
 class StaticPart:
-    """What a table can hold of further columns: their spline fit, one column of coefficients each, shape (w, q)."""
+    """The part of further columns that a table can hold: their spline fit, one column of coefficients each, shape (w,
+    q).
+    """
 
     shape: SplineShape
     coefficients: Floats
 
     def at(self, x_mm: Floats, direction: Floats) -> Floats:
-        """Shape (n, q)."""
+        """Values of the columns' static part, shape (n, q)."""
         return np.asarray(self.shape.columns(x_mm, direction).stacked @ self.coefficients, dtype=np.float64)
 
     def added_to(self, table: PitchTable, share: Floats) -> PitchTable:

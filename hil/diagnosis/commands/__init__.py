@@ -1,1 +1,1 @@
-"""The verbs on records: `hil diagnose`, `fit`, `apply`, `campaign`."""
+"""The commands on records: `hil diagnose`, `fit`, `apply`, `campaign`."""

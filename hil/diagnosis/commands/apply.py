@@ -1,4 +1,4 @@
-"""`hil apply`: the correction of a model for each row of records, and what it would leave."""
+"""`hil apply`: the correction of a model for each row of records, and the residual it would leave."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ known when the row is commanded; residual_um, the error of the uncorrected machi
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil apply`."""
     parser = subparsers.add_parser(
         "apply",
         description="Apply a model of `hil fit` or `hil diagnose` to records.",
@@ -47,7 +48,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Apply and write. Raises InputError when the records lack a column the model needs."""
+    """Applies the model and writes the records. Returns 0. Raises InputError when the records lack a column the model
+    needs.
+    """
     effects = read_effects(args.effects)
     with attributing_errors(effects):
         model = read_model(args.model, effects)

@@ -1,4 +1,4 @@
-"""`hil campaign`: design a campaign that makes effects visible, and check what a measured one can never show."""
+"""`hil campaign`: design a campaign that makes effects visible, and list what a measured one cannot show."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ example:
   hil close-loop X.toml --plan plan.csv
   hil campaign check records.csv --axis X.toml --json check.json
 
-check exits with 1 when there is something that the campaign can never show.
+Exit status 1: check found effects that the campaign cannot show.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil campaign` with its jobs."""
     parser = subparsers.add_parser(
         "campaign",
-        description="Plan measurements that make effects visible, or say what a campaign that was measured can never show.",
+        description="Plan measurements that make effects visible, or list what a measured campaign cannot show.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -45,28 +46,26 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     plan.add_argument("axis", metavar="AXIS.toml", help="the axis file")
     plan.add_argument("--out", metavar="PLAN.csv", required=True, help="the plan; `hil close-loop --plan` measures it")
-    plan.add_argument("--minutes", type=_minutes, default=120.0, help="machine time it may take (default 120)")
-    plan.add_argument("--seed", type=seed, default=0, help="another number, other targets and another order")
+    plan.add_argument("--minutes", type=_minutes, default=120.0, help="limit of the machine time (default 120)")
+    plan.add_argument("--seed", type=seed, default=0, help="determines targets and order (default 0)")
     add_json_option(plan)
     plan.set_defaults(run=run_design)
     check = jobs.add_parser(
         "check",
-        help="what a campaign can never show",
+        help="list what a campaign cannot show",
         description="Too few repeats, targets in step with a pitch, effects that hide in the table or go together, missing columns.",
         epilog="example:\n  hil campaign check records.csv --axis X.toml",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_records_argument(check)
-    check.add_argument(
-        "--axis", metavar="AXIS.toml", help="the axis file: its pitch is looked at, instead of usual ones"
-    )
+    check.add_argument("--axis", metavar="AXIS.toml", help="the axis file: its pitch is checked, instead of usual ones")
     add_effects_option(check)
     add_json_option(check)
     check.set_defaults(run=run_check)
 
 
 def run_design(args: argparse.Namespace) -> int:
-    """Write the plan. Raises InputError for a bad axis file or too few minutes."""
+    """Writes the plan. Returns 0. Raises InputError for a bad axis file or too few minutes."""
     axis = load_axis(args.axis)
     means = means_of_axis(axis)
     points = design(means, args.minutes, args.seed)
@@ -80,7 +79,7 @@ def run_design(args: argparse.Namespace) -> int:
 
 
 def run_check(args: argparse.Namespace) -> int:
-    """Print the gaps. 0: none; 1: there are some. Raises InputError for bad records."""
+    """Prints the gaps. Returns 0: none; 1: some. Raises InputError for bad records."""
     effects = read_effects(args.effects)
     pitches = (load_axis(args.axis).scaling.feed_mm_per_shaft_rev,) if args.axis else ()
     with attributing_errors(effects):
@@ -97,7 +96,7 @@ def run_check(args: argparse.Namespace) -> int:
 
 
 def means_of_axis(axis: AxisConfig) -> Means:
-    """What an axis file says of what the axis can do."""
+    """The measuring abilities of an axis by its axis file."""
     bench = axis.drive.backend == "bench"
     return replace(
         means_of_measurement(axis.measurement),
@@ -108,7 +107,7 @@ def means_of_axis(axis: AxisConfig) -> Means:
 
 
 def plan_facts(points: tuple[Point, ...], minutes: float) -> dict[str, float | int]:
-    """What a plan comes to."""
+    """Figures of a plan: runs, rows, repeats, minutes."""
     targets = {(point.target_mm, point.direction, point.run) for point in points}
     return {
         "runs": len({point.run for point in points}),
@@ -119,7 +118,7 @@ def plan_facts(points: tuple[Point, ...], minutes: float) -> dict[str, float | i
 
 
 def print_check(check: CampaignCheck) -> None:
-    """The outcome for people."""
+    """Prints the result of a check."""
     print_facts(
         {
             "rows": f"{check.rows} in {check.runs} runs, {check.repeats} of them repeats",
@@ -127,7 +126,7 @@ def print_check(check: CampaignCheck) -> None:
         }
     )
     if check.gaps:
-        print_table(["gap", ("what it can never show", "left")], [[gap.kind, gap.what] for gap in check.gaps])
+        print_table(["gap", ("what it cannot show", "left")], [[gap.kind, gap.what] for gap in check.gaps])
 
 
 def _minutes(text: str) -> float:

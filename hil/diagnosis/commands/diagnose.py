@@ -1,4 +1,4 @@
-"""`hil diagnose`: trace what a correction leaves to the effect that the model lacks."""
+"""`hil diagnose`: trace the residual of a correction to the effect that the model lacks."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ example:
   hil diagnose records.csv --json diagnosis.json --out extended.json
   hil diagnose check.csv --model model.json --json diagnosis.json --out extended.json
   hil diagnose records.csv --effects coolant_level.py
-  hil diagnose records.csv --out extended.json --non-parametric     corrects what is unexplained too, its cause unknown
+  hil diagnose records.csv --out extended.json --non-parametric     corrects the unexplained part too
 
-Without --model the declared model (a table per direction) is fitted from the records themselves. Exit 0: what is left is
-explained or within the noise; 1: structure is left that nothing in the catalogue explains.
+Without --model the declared model (a table per direction) is fitted from the records themselves. Exit 0: the residual is
+explained or within the noise; 1: structure remains that no effect of the catalogue explains.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil diagnose`."""
     parser = subparsers.add_parser(
         "diagnose",
         description="Find the effect that the declared model lacks, name what it could be confused with, and extend the model.",
@@ -45,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--out", metavar="EXTENDED", help="write the extended model; `hil apply` uses it")
     parser.add_argument(
-        "--axis", metavar="AXIS.toml", help="the axis file: its pitch decides where the next measurement looks"
+        "--axis", metavar="AXIS.toml", help="the axis file: its pitch is used in planning the next measurement"
     )
     parser.add_argument(
         "--non-parametric",
@@ -59,7 +60,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose, print, write. Returns 1 when something is left unexplained. Raises InputError for bad records or model."""
+    """Diagnoses, prints, writes. Returns 1 when structure remains unexplained. Raises InputError for bad records or
+    model.
+    """
     if args.non_parametric and not args.out:
         raise InputError("--non-parametric is about the extended model, expected --out EXTENDED with it")
     effects = read_effects(args.effects)
@@ -84,12 +87,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _pitches(axis: str | None) -> tuple[float, ...]:
-    """Lengths at which the mechanics of an axis repeat."""
+    """Periods of an axis's mechanics, mm."""
     return () if axis is None else (load_axis(axis).scaling.feed_mm_per_shaft_rev,)
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """The outcome for people, on standard output."""
+    """Prints the result on standard output."""
     before, after = diagnosis.before, diagnosis.after
     print_facts(
         {

@@ -20,12 +20,13 @@ example:
   hil fit records.csv --with velocity_lag --out model.json
   hil fit records.csv --with coolant_level --effects coolant_level.py --out model.json
 
-The model is a table of the error per direction of arrival, smoothed as far as the repeats allow, and the effects that are known to be
-there. `hil apply` uses it; `hil diagnose` finds out which effects there are.
+The model is a table of the error per direction of arrival, smoothed as far as the repeats allow, and the effects named by --with.
+`hil apply` uses it; `hil diagnose` determines which effects there are.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil fit`."""
     parser = subparsers.add_parser(
         "fit",
         description="Fit the bidirectional error table of an axis to measurement records.",
@@ -40,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="EFFECT",
         action="append",
         default=[],
-        help="an effect that the model shall hold beside the table, by its id; may be repeated",
+        help="id of an effect to be fitted beside the table; may be repeated",
     )
     add_effects_option(parser)
     add_json_option(parser)
@@ -48,7 +49,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit, write the model, print what is left. Raises InputError for records that cannot be fitted."""
+    """Fits and writes the model, prints the residual. Returns 0. Raises InputError for records that cannot be
+    fitted.
+    """
     known = {effect.id: effect for effect in read_effects(args.effects)}
     for name in args.wanted:
         if name not in known:

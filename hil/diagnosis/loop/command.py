@@ -1,4 +1,4 @@
-"""`hil close-loop`: calibrate, verify in another regime, diagnose, add what is missing, measure again."""
+"""`hil close-loop`: calibrate, explore, diagnose, add the missing effect, measure again."""
 
 from __future__ import annotations
 
@@ -47,23 +47,24 @@ example:
   hil close-loop X.toml --record machine.csv      drive and instrument, recorded together; --replay plays them again
   hil close-loop X.toml --feeds 20,60,110 --stretch 60
 
-Where two causes could have made what is left, the measurement that tells them apart best for its time is made next: by itself
-where the axis can, after asking where somebody has to lend a hand. With --feeds, a second turn is made in motion, for what cannot
+Where two causes fit the residual, the measurement that separates them best for its time is made next: automatically
+where the axis can, after asking where a person has to help. With --feeds, a second turn is made in motion, for effects that cannot
 be seen at rest; the drive must take set-points in its cycle. Where the axis file does not state the instrument's latency
-(latency_s), it is measured before. Exit status 1: structure is left that nothing in the
-catalogue explains, a measurement is waiting for a person, or the axis came out no better.
+(latency_s), it is measured before. Exit status 1: structure remains that no effect of the
+catalogue explains, a measurement waits for a person, or the axis did not improve.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil close-loop`."""
     parser = subparsers.add_parser(
         "close-loop",
-        description="Find what error a calibration leaves, trace it to an effect, add that effect, and prove it on the machine.",
+        description="Trace the residual error of a calibration to an effect, add that effect, and prove it on the machine.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_axis_arguments(parser)
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted loop")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted loop")
     parser.add_argument("--runs", type=int, default=8, help="runs of each exploring campaign (default 8)")
     parser.add_argument("--rows", type=int, default=42, help="positions of each run (default 42)")
     parser.add_argument(
@@ -76,7 +77,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--person",
         choices=("ask", "none"),
-        help="whether somebody at the machine can be asked for a measurement that needs a hand; default: ask on a terminal",
+        help="whether to ask a person at the machine for measurements that need one; default: ask on a terminal",
     )
     _add_in_motion(parser)
     add_zero_options(parser)
@@ -92,7 +93,7 @@ def _add_in_motion(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: what is left is within the noise or explained; 1: not."""
+    """Returns 0: the residual is within the noise or explained; 1: not. Raises what `run_loop` raises."""
     axis = load_axis(args.axis)
     effects = read_effects(args.effects)
     plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
@@ -167,7 +168,7 @@ def _measured_latency(loop: Loop) -> dict[str, Any] | None:
 
 
 def _asked(axis: AxisConfig) -> Conditions | None:
-    """Loads and the like are brought about by whoever sits at the terminal."""
+    """Conditions (loads and the like) that are set by the person at the terminal."""
     levels = axis.conditions.levels
     if axis.drive.backend == "bench":
         return None
@@ -185,7 +186,7 @@ def _asked(axis: AxisConfig) -> Conditions | None:
 
 
 def _consent(person: str | None) -> Consent | None:
-    """Asks on the terminal whether a run that needs a person shall be made; None where nobody is there."""
+    """Asks on the terminal whether to make a run that needs a person; None without a person."""
     if person == "none" or (person is None and not sys.stdin.isatty()):
         return None
 
@@ -200,7 +201,7 @@ def _consent(person: str | None) -> Consent | None:
 
 
 def print_runs(turn: Turn) -> None:
-    """Which measurements the loop asked for, what is still undecided, and what would decide it."""
+    """Prints the further measurements of the loop, the undecided rivals, and what would decide between them."""
     for run in turn.further:
         print(f"measured to tell causes apart: {run.describe()}")
     follow = turn.follow

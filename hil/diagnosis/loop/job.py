@@ -1,4 +1,4 @@
-"""The loop on one axis: calibrate, explore, diagnose, add what is missing, measure again (system E)."""
+"""The loop on one axis as a job: calibrate, explore, diagnose, add the missing effect, measure again (system E)."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from hil.machine.wiring import Machine
 from hil.records.journal import Campaign
 
 CONSENT_S, BRING_S = 600.0, 3600.0
-"""How long an answer is waited for: whether a run shall be made, and until a load, an optic … is as it was asked for."""
+"""Time limits of answers, s: to whether a run shall be made, and until a condition (load, optics …) is set."""
 RUN, CONDITION = "run", "condition"
 """Kinds of question."""
 
 
 class Person:
-    """Who is at the machine of one job. After a question about a run that nobody answered nobody is asked for another."""
+    """The person at the machine during one job. After one unanswered question about a run no further one is asked."""
 
     def __init__(self, place: Workplace) -> None:
         self._place = place
         self._gone = False
 
     def consents(self, run: PlannedRun) -> bool:
-        """Whether a run that needs a person is to be made; no answer in time is a no, and is told."""
+        """Whether to make a run that needs a person; no answer in time counts as no, and is reported."""
         said = run.describe()
         if not self._gone:
             answer = self._place.ask(Question(RUN, {"run": said}, CONSENT_S))
@@ -55,7 +55,7 @@ class Person:
         return False
 
     def brings(self, name: str, value: float) -> None:
-        """Returns once the condition is as asked for. Raises StateError where it is not, or nobody answers in time."""
+        """Returns once the condition is set. Raises StateError where it is not, or without an answer in time."""
         unit = label_of(name).partition(", ")[2]
         figures = {"condition": name, "value": f"{value:g} {unit}".rstrip()}
         answer = self._place.ask(Question(CONDITION, figures, BRING_S))
@@ -64,14 +64,14 @@ class Person:
             raise StateError(f"{name} was not brought to {value:g}: {why}; what was measured is kept")
 
     def conditions(self, axis: AxisConfig, there: Conditions) -> Conditions:
-        """Who brings about loads and the like: the bench does so itself, on a machine this person does."""
+        """The object that sets loads and the like: the bench's own, or on a machine this person."""
         if axis.drive.backend == "bench":
             return there
         return AskedConditions(axis.conditions.levels, self.brings)
 
 
 def loop_purpose(axis: AxisConfig, turning: Turning) -> dict[str, Any]:
-    """What decides which rows a loop measures."""
+    """The purpose of a loop's campaign: everything that decides which rows are measured."""
     plan, in_motion = turning.plan, turning.in_motion
     exploration = vars(turning.exploration) if plan is None else {"plan": repr(list(plan))}
     purpose = {**axis.purpose(CLOSE_LOOP), "exploration": exploration}
@@ -89,9 +89,12 @@ def run_loop(
     resume: bool = False,
     recording: str = "",
 ) -> Loop:
-    """Prepare and turn the loop; every compensation is sealed before it is used, and the diagnosis kept beside the rows.
+    """Prepares and closes the loop; every compensation is sealed before it is used, and the diagnosis stored beside the
+    rows.
 
-    recording: file name of what is replayed, if anything is; store: None then, what comes of a recording is kept nowhere.
+    recording: file name of a replayed recording, "" for a real machine; store: None for a recording, whose results are
+    not stored
+    Raises what `close_loop` raises.
     """
     axis = machine.axis
     purpose = loop_purpose(axis, turning)
@@ -128,7 +131,7 @@ def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: 
 
 
 def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
-    """The measured stages of a loop with their figures."""
+    """The measured stages of a loop with their figures, µm."""
     stages = {
         "uncorrected": error_figures(loop.calibration.before),
         "table": error_figures(loop.calibration.rounds[-1].records),
@@ -142,7 +145,7 @@ def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
 
 
 def loop_is_good(loop: Loop) -> bool:
-    """Everything found, no measurement left that needs a person, and the axis measured no worse than before."""
+    """Everything is explained, no measurement waits for a person, and the axis measured no worse than before."""
     follow = loop.turn.follow
     waits = follow is not None and follow.run is not None and bool(follow.run.person)
     turns = [loop.turn] if loop.in_motion is None else [loop.turn, loop.in_motion]

@@ -1,4 +1,4 @@
-"""Making the measurement that a diagnosis asks for, on the machine: what the axis can do, and a planned run as steps."""
+"""Making the next measurement of a diagnosis on the machine: the axis's abilities, and a planned run as steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from hil.records.rows import Records
 
 
 def means_of_measurement(how: MeasurementConfig) -> Means:
-    """What the targets and times of an axis file allow; conditions, sensors and persons are for whoever knows of them."""
+    """The measuring abilities given by the targets and times of an axis file; conditions, sensors and persons are added
+    by the caller.
+    """
     return Means(
         min(how.targets_mm),
         max(how.targets_mm),
@@ -29,9 +31,9 @@ def means_of_measurement(how: MeasurementConfig) -> Means:
 
 
 def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
-    """What an axis can do: its session's targets and times, its conditions, the sensors it reads.
+    """The measuring abilities of a session: its targets and times, conditions, and sensors.
 
-    With a person at hand the optics can be set up anew; new sensors cannot be read while the axis is connected.
+    With a person the optics can be set up anew; sensors cannot be added while the axis is connected.
     """
     how, conditions = session.how, session.conditions
     asked = conditions.by_hand
@@ -47,7 +49,7 @@ def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
 
 
 def runs_of(points: Sequence[Point]) -> list[ExploringRun]:
-    """Planned rows as parts of a campaign: a new part wherever something is set, the axis is warmed, or it rests."""
+    """Planned rows as parts of a campaign: a new part wherever a condition is set, the axis is warmed, or it rests."""
     runs: list[ExploringRun] = []
     steps: list[Step] = []
     first = points[0]
@@ -66,5 +68,5 @@ def runs_of(points: Sequence[Point]) -> list[ExploringRun]:
 def measure_run(
     session: AxisSession, campaign: Campaign, name: str, run: PlannedRun, listener: Listener = silent
 ) -> Records:
-    """Measure a planned run with the compensation now in force."""
+    """Measures a planned run with the compensation now in force. Raises what `explore` raises."""
     return explore(session, campaign, name, runs_of(run.points), listener)

@@ -1,4 +1,4 @@
-"""The loop, a part of the page of the diagnosis: calibrate, explore, diagnose, extend, measure again, on this axis."""
+"""The loop, a part of the page of the diagnosis: calibrate, explore, diagnose, extend, measure again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FIGURES = ("rms_um", "peak_um", "A_um", "R_um", "B_um", "M_um")
 
 
 def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> Refresh:
-    """Settings, start, what is measured, and the figures of each stage; the refresh of it all."""
+    """Draws settings, start, live plot and the figures of each stage; returns their refresh."""
     with view.card("loop.title", name="loop").classes("w-full"):
         ui.markdown(view.t("loop.steps"))
         messages = view.messages("loop.messages")
@@ -50,7 +50,7 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
 
 
 def _as_one(series: str) -> str:
-    """Passes of one exploring campaign are drawn as one."""
+    """Series name under which all passes of one exploring campaign are drawn."""
     name, comma, way = series.partition(",")
     return f"{measurement_of(name)}{comma}{way}"
 
@@ -93,7 +93,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
 
 
 def _draw_stages(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
-    """The axis after each stage of the last loop, as it stands on disk."""
+    """Figures of the axis after each stage of the last loop, from its files."""
     t = view.t
     with ui.element("div"):
         verdict = view.value("loop.verdict", small=True)

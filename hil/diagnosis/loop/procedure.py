@@ -1,12 +1,14 @@
-"""The loop: calibrate, explore with the correction in force, diagnose what is left, add the missing effect, explore again.
+"""The loop: calibrate, explore with the correction in force, diagnose the residual, add the missing effect, explore
+again.
 
-Where two causes could have made what is left, the measurement that tells them apart best for its time is made next, and the diagnosis
-is made anew from all rows together. It stops when one cause is left, when no run that can be made here separates them, or when what is
-left is within the noise or unexplained.
+Where two causes fit the residual, the measurement that separates them best for its time is made next, and the diagnosis
+is repeated with all rows. This ends when one cause remains, when no possible run separates them, or when the residual
+is within the noise or unexplained.
 
-What only shows in motion is found in a second turn, of passes at feed, where the drive takes set-points in its cycle.
+Effects of motion are found in a second turn, of passes at feed, where the drive takes set-points in its cycle.
 
-Before and after are both measured, in campaigns of the same kind at other targets; nothing is reported from rows that were fitted.
+Before and after are both measured, in campaigns of the same kind at other targets; no reported figure is of rows that
+were fitted.
 """
 
 from __future__ import annotations
@@ -42,9 +44,9 @@ from hil.records.rows import REQUIRED, Floats, Records
 
 
 def compensation_of(model: Model, like: TableSet) -> Compensation:
-    """What a fitted model comes to as tables and terms; mode, specified accuracy and straightness stay those of `like`.
+    """A fitted model as tables and terms; mode, specified accuracy and straightness are those of `like`.
 
-    The straightness table of `like` is part of the same command, so its share is taken out of the pitch table.
+    The straightness table of `like` is part of the same command, so its share is subtracted from the pitch table.
     """
     nodes = np.array(model.table.positions_mm)
     share = _straightness_share_um(like, nodes)
@@ -56,9 +58,10 @@ def compensation_of(model: Model, like: TableSet) -> Compensation:
 
 
 def bounded(session: AxisSession, model: Model, like: TableSet, rows: Records) -> Compensation:
-    """`compensation_of`, held against the axis's bound: along the axis, and in the rows that the model was fitted to.
+    """`compensation_of`, checked against the axis's bound: along the axis, and in the rows that the model was fitted
+    to.
 
-    Raises CorrectionBoundError naming the worst place.
+    Raises CorrectionBoundError naming the largest excess.
     """
     extended, what = compensation_of(model, like), "extended correction not used"
     extended.check(session.steering.bound, what)
@@ -67,9 +70,9 @@ def bounded(session: AxisSession, model: Model, like: TableSet, rows: Records) -
 
 
 def model_of(compensation: Compensation) -> Model:
-    """What a compensation in force comes to as a declared model: the opposite of `compensation_of`.
+    """A compensation in force as a declared model: the inverse of `compensation_of`.
 
-    A deliberate deviation (specified accuracy) is not an error of the machine and stays out.
+    A deliberate deviation (specified accuracy) is not an error of the machine and is left out.
     """
     tables = compensation.tables
     nodes = tables.pitch.position_mm
@@ -79,16 +82,16 @@ def model_of(compensation: Compensation) -> Model:
 
 
 def _straightness_share_um(tables: TableSet, nodes_mm: Floats) -> Floats:
-    """What the straightness table adds to the axis's own command at the nodes; nothing where it corrects another axis."""
+    """The straightness table's part of the axis's own command at the nodes; 0 where it corrects another axis."""
     if tables.straightness is None or tables.straightness_axis:
         return np.zeros(len(nodes_mm))
     return tables.straightness.at(nodes_mm)
 
 
 def issuable(session: AxisSession, records: Records) -> Records:
-    """The records without what is only known after a motion (motor position and torque at the capture).
+    """The records without columns that are only known after a motion (motor position and torque at the capture).
 
-    An effect that reads such a column could be fitted, and never be put into force.
+    An effect that reads such a column could be fitted, but not put into force.
     """
     known = {*session.known(), *REQUIRED, "command_mm", "since_reversal_mm", "stroke_mm"}
     return Records.of({name: values for name, values in records.columns.items() if name in known})
@@ -96,21 +99,21 @@ def issuable(session: AxisSession, records: Records) -> Records:
 
 Store = Callable[[Compensation], None]
 Consent = Callable[[PlannedRun], bool]
-"""Asked before a run that needs a person: whether somebody is there and does it."""
+"""Called before a run that needs a person: whether a person is there and does it."""
 
 MOST_RUNS = 2
-"""Further measurements asked for in one turn."""
+"""Most further measurements in one turn."""
 SURE = 0.95
-"""A name of such a confidence stands; below it the set of rivals does."""
+"""Confidence of the first finding from which no further run is made."""
 
 
 @dataclass(frozen=True)
 class Turning:
-    """How a loop is turned.
+    """Settings of a loop.
 
-    exploration, or instead of it plan: what is measured before and after; consent: asks for a person where a run needs one, without
-    it only runs that the axis makes alone are made; most_further: runs to tell causes apart; effects: the catalogue, and what stands
-    beside it; in_motion: passes of a second turn, at feed, where they are wanted; computing: how the diagnosis is made
+    exploration, or instead of it plan: the campaigns before and after; consent: asks for a person where a run needs
+    one, None: only automatic runs are made; most_further: most runs to separate causes; effects: the catalogue and user
+    effects; in_motion: passes of a second turn, at feed; computing: how the diagnosis is run
     """
 
     exploration: Exploration = field(default_factory=Exploration)
@@ -126,10 +129,10 @@ class Turning:
 class Turn:
     """One turn of the loop.
 
-    before: explored with the old compensation in force; after: explored anew with the extended one
-    diagnosed: the rows that the diagnosis is of, those before and those of the further runs
-    further: runs that were made to tell causes apart; follow: the last diagnosis with the rivals left and what would separate
-    them, None where rivals were not looked into; latency: of the instrument, where it was measured for this turn
+    before: explored with the old compensation in force; after: explored again with the extended one
+    diagnosed: the rows of the diagnosis, those before and those of the further runs
+    further: runs made to separate causes; follow: the last diagnosis with the remaining rivals and what would separate
+    them, None where rivals were not examined; latency: of the instrument, where it was measured for this turn
     """
 
     before: Records
@@ -144,7 +147,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class Loop:
-    """A calibration, the turn after it at rest, and that in motion where it was asked for."""
+    """A calibration, the turn after it at rest, and that in motion if requested."""
 
     calibration: Calibration
     turn: Turn
@@ -160,9 +163,10 @@ def close_loop(
     *,
     turning: Turning | None = None,
 ) -> Loop:
-    """Calibrate and turn the loop, on a prepared session; leaves the extended compensation in force and stored.
+    """Calibrates and closes the loop on a prepared session; leaves the extended compensation in force and stored.
 
-    Raises CapabilityError before anything moves where passes in motion are asked of a drive that takes no set-points in its cycle.
+    Raises CapabilityError before any motion where passes in motion are requested of a drive that takes no set-points in
+    its cycle, and what `calibrate` and `turn_loop` raise.
     """
     turning = turning or Turning()
     if turning.in_motion is not None:
@@ -186,11 +190,11 @@ def turn_loop(
     *,
     turning: Turning | None = None,
 ) -> Turn:
-    """Explore, diagnose, extend, explore again, on a prepared session with a compensation in force.
+    """Explores, diagnoses, extends, and explores again, on a prepared session with a compensation in force.
 
-    What is fitted is the whole machine (measured - command), so that the new compensation replaces the old one. It is put into
-    force only when the diagnosis recommends it: not where it would make runs it has not seen worse. Raises CorrectionBoundError for
-    one beyond the axis's bound, before it is stored.
+    The whole machine is fitted (measured - command), so that the new compensation replaces the old one. It is put into
+    force only when the diagnosis recommends it, that is, not where it would make left-out runs worse. Raises
+    CorrectionBoundError for one beyond the axis's bound, before it is stored.
     """
     how = turning or Turning()
     runs = [how.plan or plan_runs(session, how.exploration, seed) for seed in (1, 2)]
@@ -215,10 +219,10 @@ def turn_in_motion(
     effects: Sequence[Effect] = ALL,
     computing: Computing = at_once,
 ) -> Turn:
-    """The same with passes at feed, for what no campaign at rest can see; with a compensation in force.
+    """The same with passes at feed, for effects that no campaign at rest shows; with a compensation in force.
 
-    Rows in motion are few and say little of the table, so that the compensation in force is what is declared here: only what it lacks
-    is added.
+    Rows in motion are few and determine the table badly, so the compensation in force is the declared model, and only
+    missing effects are added. Raises InputError without a compensation in force, and as `turn_loop` and `dated`.
     """
     compensation = session.compensation
     if compensation is None:
@@ -241,11 +245,11 @@ def turn_in_motion(
 def _decide(
     session: AxisSession, campaign: Campaign, before: Records, how: Turning, listener: Listener
 ) -> tuple[Diagnosis, Records, tuple[PlannedRun, ...], FollowUp | None]:
-    """Diagnose; as long as causes are left that a run can tell apart, make the run and diagnose all rows together.
+    """Diagnoses; while a run can separate remaining causes, makes the run and diagnoses all rows together.
 
-    Rows of unlike campaigns weigh differently on every cause, so a search over all of them anew could change its mind for no good
-    reason. What a run was made for is therefore decided first, by the weights of just the causes it was to tell apart; those that lose
-    are not looked for again.
+    Rows of unlike campaigns weigh differently on every cause, so a new search over all of them could change its result
+    without reason. The question of a run is therefore decided first, by the weights of just the causes it was to
+    separate; rejected causes are excluded from the next search.
     """
     parts = [issuable(session, before)]
     means = means_of(session)
@@ -277,8 +281,9 @@ def _decide(
 
 
 def _in_doubt(diagnosis: Diagnosis) -> bool:
-    """Whether what makes most of the error could be something else.
+    """Whether the largest part of the error could have another cause.
 
-    A small companion in doubt is not worth a run: rows of another kind weigh on everything that is fitted to all of them together.
+    A small further finding in doubt does not justify a run, since rows of another kind affect everything fitted to all
+    of them together.
     """
     return bool(diagnosis.findings) and diagnosis.findings[0].confidence < SURE

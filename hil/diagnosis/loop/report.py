@@ -1,4 +1,4 @@
-"""The report and the picture of a loop. Imported only when one is wanted: drawing is slow to load."""
+"""The report and the figure of a loop. Imported only when one is written, since plotting loads slowly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.diagnosis.pictures import with_plots
 
 
 def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
-    """The whole loop, with the diagnosis and what its effects look like over the rows it was made on."""
+    """The whole loop as HTML, with the diagnosis and plots of its effects over the diagnosed rows."""
     turn = loop.turn
     data = replace(
         of_axis(axis, "Closed loop on", loop_campaigns(loop), turn.extended.tables),
@@ -26,11 +26,12 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
 
 
 def loop_image(loop: Loop) -> bytes:
-    """The picture of the loop: the same axis uncorrected, with its table, explored, and explored with the extended model, as PNG."""
+    """The axis uncorrected, with its table, explored, and explored with the extended model, as PNG."""
     return before_after_image(loop_campaigns(loop))
 
 
 def loop_campaigns(loop: Loop) -> tuple[NamedCampaign, ...]:
+    """The measured stages of a loop, named."""
     campaigns = [
         NamedCampaign("uncorrected", loop.calibration.before, "cold, no correction in force"),
         NamedCampaign("table", loop.calibration.rounds[-1].records, "cold, at the table's own targets"),
@@ -46,7 +47,7 @@ def loop_campaigns(loop: Loop) -> tuple[NamedCampaign, ...]:
 
 
 def _in_motion_notes(turn: Turn | None) -> Iterator[str]:
-    """What was found in motion, a sentence each."""
+    """The findings in motion, one sentence each."""
     if turn is None:
         return
     if turn.latency is not None:

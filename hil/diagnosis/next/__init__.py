@@ -1,1 +1,1 @@
-"""The next measurement: campaigns designed, checked, and chosen to tell causes apart."""
+"""The next measurement: campaigns designed, checked, and chosen to separate causes."""

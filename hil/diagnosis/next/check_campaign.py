@@ -1,7 +1,8 @@
-"""What a measured campaign can never show: too few repeats, targets in step with a pitch, columns that go together, sensors not there.
+"""What a measured campaign cannot show: too few repeats, targets in step with a pitch, collinear columns, missing
+sensors.
 
-What may go in: properties of the design alone - where, when, with what - never of the error that was measured. Columns are taken
-beside the declared table, which is free in both directions, and beside an offset of each run.
+Only the design is used - where, when, with what - never the measured error. Columns are taken beside the declared
+table, which is free in both directions, and beside an offset of each run.
 """
 
 from __future__ import annotations
@@ -28,22 +29,22 @@ Floats = NDArray[np.float64]
 LEAST_REPEATS = 8
 """Degrees of freedom of the noise floor below which it is uncertain by more than a quarter."""
 NEAR_MM = 0.02
-"""Targets that near are one target repeated."""
+"""Targets closer than this are one target repeated."""
 BLIND = 0.01
 """Share of an effect's norm beside the table below which the campaign cannot show it."""
 ALIKE = 0.95
-"""Canonical correlation above which two effects cannot be told apart."""
+"""Canonical correlation above which two effects cannot be separated."""
 IN_STEP = 0.9
-"""Length of the mean phase vector of the targets above which they all sit at one phase of a pitch."""
+"""Length of the mean phase vector of the targets above which they are all at one phase of a pitch."""
 MOST_POINTS = 7
-"""Points of a form's grid that stand for it."""
+"""Points of a form's grid that are evaluated."""
 MOST_ROWS = 2000
 MOTION = "velocity_mm_s"
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Something the campaign cannot show. kind: repeats | pitch | blind | alike | missing | order."""
+    """An effect or figure that the campaign cannot show. kind: repeats | pitch | blind | alike | missing | order."""
 
     kind: str
     effects: tuple[str, ...]
@@ -53,7 +54,9 @@ class Gap:
 
 @dataclass(frozen=True)
 class CampaignCheck:
-    """rows, runs; repeats: degrees of freedom of the noise floor; gaps: what cannot be shown; visible: effects that can."""
+    """rows, runs; repeats: degrees of freedom of the noise floor; gaps: what cannot be shown; visible: effects that
+    can.
+    """
 
     rows: int
     runs: int
@@ -76,7 +79,7 @@ class CampaignCheck:
 def check_campaign(
     records: Records, pitches_mm: tuple[float, ...] = (), effects: Sequence[Effect] = ALL
 ) -> CampaignCheck:
-    """What these records can never show. Raises InputError for too few rows."""
+    """The gaps of these records. Raises InputError for too few rows."""
     if len(records) > MOST_ROWS:
         records = records.where(np.arange(len(records)) % (-(-len(records) // MOST_ROWS)) == 0)
     with threadpool_limits(1, "blas"):
@@ -97,7 +100,7 @@ def check_campaign(
 
 
 def repeats_of(campaign: Campaign) -> int:
-    """Degrees of freedom for pure error: rows at a target and from a side that were measured before."""
+    """Degrees of freedom for pure error: rows at a target and direction that were measured before."""
     keys = np.round(campaign.x / NEAR_MM) * campaign.d + 1e-3 * campaign.d
     return len(keys) - len(np.unique(keys))
 
@@ -110,7 +113,7 @@ def _frame(campaign: Campaign) -> Frame:
 
 @dataclass(frozen=True)
 class _Part:
-    """An effect beside the table: the share of its norm that is left, at best, and its columns there by form."""
+    """An effect beside the table: the largest remaining share of its norm, and its remaining columns by form."""
 
     share: float
     forms: tuple[tuple[Form, Floats], ...]
@@ -137,7 +140,7 @@ def _parts(campaign: Campaign, frame: Frame, effect: Effect) -> _Part | None:
 
 
 def _beside(frame: Frame, columns: Floats) -> tuple[Floats, float]:
-    """What is left of columns (n, k) beside the table, orthonormal, and the largest share of a column's norm."""
+    """Columns (n, k) with the table projected out, orthonormal, and the largest remaining share of a column's norm."""
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     w = frame.prepared(columns / scale)
     design = np.hstack([frame.whitened.table, frame.beside])
@@ -156,7 +159,7 @@ def _repeat_gap(repeats: int) -> list[Gap]:
 
 
 def _pitch_gaps(campaign: Campaign, likely: Sequence[float], given: Sequence[float]) -> list[Gap]:
-    """Pitches with which all targets are in step, and pairs of pitches that look the same at these targets."""
+    """Pitches with which all targets are in step."""
     span = 2 * campaign.survey.half_span_mm
     found = []
     for pitch in sorted({p for base in likely for p in (base, base / 2)} if given else set(likely)):
@@ -222,7 +225,7 @@ def _why(campaign: Campaign, column: str) -> str:
 
 
 def _alike_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
-    """Pairs of effects of which some forms cannot be told apart in this design, each with its closest forms."""
+    """Pairs of effects of which some forms cannot be separated in this design, each with its closest forms."""
     gaps = []
     for (first, a), (second, b) in itertools.combinations(parts.items(), 2):
         if a is None or b is None:

@@ -1,6 +1,6 @@
-"""How each cause would continue the records in a run that has not been made, and how well its rivals could follow.
+"""Predictions of each cause in a run that has not been made, and how well its rivals could be fitted to them.
 
-What may go in: predicted errors and refits under a known noise; nothing random, nothing measured.
+Errors are predicted and refitted under a known noise; nothing is random or measured.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 
 TYPICAL_OFFSET = 0.25
-"""Offset between runs beside the white noise, in its standard deviations, where the records cannot say."""
+"""Offset between runs, in standard deviations of the white noise, where the records do not determine it."""
 TYPICAL_ARM_MM = 150.0
 WARMING_S, WANDER_S = 900.0, 1800.0
-"""Time constant with which an axis takes up the heat of strokes, and period in which its surroundings change."""
+"""Time constant with which strokes warm an axis, and period of changes in its surroundings, s."""
 HEAT = 2.0
-"""How much farther strokes drive a temperature than it went by itself."""
+"""Temperature change by strokes over that seen in the records."""
 LEAST_WANDER = 0.5
-"""How far something that stood off its usual value all the time will wander, as a share of that."""
+"""Least assumed drift of a quantity that was constantly off its usual value, as a share of that."""
 HIDDEN = 1e-7
-"""Share of a column's squared norm that is not told from rounding."""
+"""Share of a column's squared norm below rounding."""
 SAME = 0.1
-"""Share of an error that a form may miss and still stand for it."""
+"""Share of an error that a form may miss and still represent it."""
 
 
 class Drawing:
-    """The records, and what each cause made of them; `discrimination` draws a run behind them."""
+    """The records, and the error by each cause in them; `discrimination` predicts a run after them."""
 
     def __init__(self, records: Records, declared: Model | None, causes: Sequence[Hypothesis], means: Means) -> None:
         self.declared, self.means = declared, means
@@ -93,7 +93,9 @@ class Drawing:
         self.apart_so_far = self._misfits(self.base, np.column_stack(self.so_far), None)
 
     def discrimination(self, run: PlannedRun) -> Floats:
-        """Σ(f_i - f_j)²/σ² that the run adds when i is the cause and j is fitted anew to everything, shape (causes, causes)."""
+        """Σ(f_i - f_j)²/σ² that the run adds when i is the cause and j is refitted to everything, shape (causes,
+        causes).
+        """
         plan = self._planned(run)
         whole = prepare(Records.of(self._together(plan)))
         n = len(self.base)
@@ -109,7 +111,7 @@ class Drawing:
 
     # -- columns of the run ------------------------------------------------------------------------------------------------
     def _planned(self, run: PlannedRun) -> dict[str, Floats]:
-        """The columns of a run as far as they can be known: what follows from its rows, and sensors as they usually go."""
+        """The predictable columns of a run: those that follow from its rows, and typical courses of sensors."""
         base = self.base.columns
         timed = time_column(base) == "time_s"
         start = float(base["time_s"][-1]) + 60.0 if timed else 0.0
@@ -133,7 +135,7 @@ class Drawing:
 
     @staticmethod
     def _warmth(since_s: Floats, strokes_s: Floats) -> Floats:
-        """How warm the axis is row by row, in units of what it did by itself: taken up in strokes, given off with time."""
+        """Warmth of the axis row by row, in units of its change in the records: gained in strokes, lost with time."""
         out, state, before = np.empty(len(since_s)), 0.0, 0.0
         for i, (now, fast) in enumerate(zip(since_s, strokes_s, strict=True)):
             for duration, aim in ((now - before - fast, 0.0), (fast, 3.0 * HEAT)):
@@ -142,7 +144,7 @@ class Drawing:
         return np.asarray(out + 0.3 * np.sin(2 * np.pi * since_s / (0.7 * WANDER_S)))
 
     def _together(self, plan: Columns) -> dict[str, Floats]:
-        """Records and run as one; what is set and was not written down stood at its usual level, sensors not in both are left out."""
+        """Records and run as one; a set column without values had its usual level, sensors not in both are left out."""
         base, m = self.base.columns, len(plan["run"])
         whole: dict[str, Floats] = {}
         for name in {*base, *plan}:
@@ -160,7 +162,7 @@ class Drawing:
 
     # -- what the cause would do -------------------------------------------------------------------------------------------
     def _continued(self, index: int, whole: Campaign, later: Columns, plan: Columns, varied: Sequence[str]) -> Floats:
-        """Error that a cause would make in the run, µm, shape (m,)."""
+        """Error by a cause in the run, µm, shape (m,)."""
         cause, so_far = self.causes[index], self.so_far[index]
         drawn = self._through_new(cause.effect, whole, varied, so_far)
         if drawn is None:
@@ -168,7 +170,9 @@ class Drawing:
         return drawn
 
     def _as_seen(self, index: int, later: Columns, plan: Columns) -> Floats:
-        """A cause that the records show: its term goes on, and what wanders goes on wandering as it did, back in time."""
+        """A cause that the records show: its term is evaluated on the run; a random drift continues as its own past,
+        reversed in time.
+        """
         term = self.terms[index]
         if term is None or term.form.shrunk:
             time = self.base.columns[time_column(self.base.columns)]
@@ -188,7 +192,9 @@ class Drawing:
         return np.asarray(_constant(unseen, later) @ coefficients)
 
     def _through_new(self, effect: Effect, whole: Campaign, varied: Sequence[str], so_far: Floats) -> Floats | None:
-        """By a form of the effect that reads a column which the run varies for the first time, if one was the same so far."""
+        """By a form of the effect that reads a column which the run varies for the first time, if such a form fits the
+        records.
+        """
         n = len(so_far)
         best: tuple[float, Floats] | None = None
         for form in effect.forms(whole.survey) if varied else ():
@@ -207,7 +213,9 @@ class Drawing:
         return best[1]
 
     def _wandering(self, unseen: Unseen, so_far: Floats, later: Columns, plan: Columns) -> Floats:
-        """The column goes on from where it was last, and wanders as far as it did: by strokes where it is warmth."""
+        """The column continues from its last value and varies as far as it did, by strokes where it is a
+        temperature.
+        """
         coefficients = np.linalg.lstsq(unseen.design, so_far, rcond=1e-9)[0]
         course = unseen.courses @ coefficients
         level, last, size = float(np.mean(course)), float(course[-1]), float(np.std(course))
@@ -226,7 +234,9 @@ class Drawing:
 
     # -- how well rivals could follow --------------------------------------------------------------------------------------
     def _misfits(self, campaign: Campaign, drawn: Floats, logged: Columns | None) -> Floats:
-        """Σ(f_i - f_j)²/σ² with j fitted to what i (a column of `drawn`) does, beside table and offsets, shape (causes, causes)."""
+        """Σ(f_i - f_j)²/σ² with j fitted to the error by i (a column of `drawn`), beside table and offsets, shape
+        (causes, causes).
+        """
         shape = SplineShape(campaign.basis) if self.shape is None else self.shape
         bench = Bench(campaign, shape)
         frame = bench.frame(self.noise, drawn)
@@ -247,7 +257,7 @@ class Drawing:
             free = [u for u in imagined(campaign, [cause.effect]) if u.wanders and u.column.split("_")[0] not in read]
             if loose and free:
                 out[:, j] = np.minimum(out[:, j], out[:, loose[0]])
-        out -= np.diag(out)[:, None]  # what a cause misses of its own course tells nothing
+        out -= np.diag(out)[:, None]  # the misfit of a cause to its own prediction is no information
         return np.asarray(np.maximum(out, 0.0) / self.noise_um**2)
 
     def _designs(self, campaign: Campaign, effect: Effect, logged: Columns) -> list[Floats]:
@@ -274,9 +284,8 @@ class Drawing:
 
 
 def _as_in(base: Campaign, cause: Hypothesis) -> Hypothesis:
-    """A cause as it is in these rows: what other rows of the records said of it may have been by a column that is not there here.
-
-    Without any form where these rows say nothing of it.
+    """A cause as it applies to these rows, which may lack the column of its form in other rows; without a form where
+    none applies.
     """
     choice, unseen = cause.choice, cause.unseen
     if choice is not None and all(name in base.columns for name in choice.form.inputs):
@@ -292,7 +301,7 @@ def _as_in(base: Campaign, cause: Hypothesis) -> Hypothesis:
 
 
 def _apart(before: Floats, after: Floats) -> Floats:
-    """Columns for the records and columns for the run, neither with a say in the other's rows."""
+    """Block-diagonal columns: those for the records are 0 in the run, and the reverse."""
     (n, k), (m, q) = before.shape, after.shape
     return np.block([[before, np.zeros((n, q))], [np.zeros((m, k)), after]])
 
@@ -311,7 +320,7 @@ def _refreshed(cause: Hypothesis, campaign: Campaign) -> Form:
 
 
 def _left(frame: Frame, designs: Sequence[Floats]) -> Floats:
-    """Share of the squared errors (b,) of a frame that the best of some designs (n, k) leaves, shape (b,)."""
+    """Remaining share of the squared errors (b,) after the best of some designs (n, k), shape (b,)."""
     least = np.ones(np.shape(frame.rss))
     for width in sorted({design.shape[1] for design in designs}):
         alike = [design for design in designs if design.shape[1] == width]

@@ -1,9 +1,9 @@
-"""Campaigns that make effects visible: what to measure before anything is known of the error.
+"""The design of a campaign before anything is known of the error.
 
-Targets off any grid, random in each part of the travel; order random, so that position stands neither for time nor for temperature;
-turns at all distances; some targets twice in each run for the noise floor; feeds, dwells and levels shuffled; runs cold, warm and
-rested. What may go in: the plan and its machine time. Measuring it is a procedure's; what a measured one can show is
-`check_campaign`.
+Targets lie off any grid, random in each part of the travel. Their order is random, so that position is not confounded
+with time or temperature. Reversals occur at all distances. Some targets are measured twice in each run for the noise
+floor. Feeds, dwells and levels are shuffled. Runs are cold, warm and rested. `check_campaign` checks a measured
+campaign.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from hil.diagnosis.next.planned_run import Means, Point, motion_columns
 
 REPEATS = 4
 SIZES = ((12, 60), (10, 50), (8, 42), (8, 32), (6, 32), (6, 24), (5, 20), (4, 20), (4, 16), (3, 16), (3, 12))
-"""Runs and rows of each; the first that fits the budget is taken."""
+"""Runs and rows of each; the first that fits the time is taken."""
 FEEDS = (0.25, 0.5, 1.0)
-"""Feeds of approach, over the usual one."""
+"""Feeds of approach, as shares of the usual one."""
 LONG_DWELL_S = 5.0
 HEAT_S = (120.0, 360.0)
 LONGEST_TRAVEL_MM = 60.0
@@ -31,7 +31,7 @@ GRID_SHARE = 0.02
 
 
 def design(means: Means, minutes: float, seed: int = 0) -> tuple[Point, ...]:
-    """The rows of a campaign that takes at most `minutes`. Raises InputError when that is too short for any that is worth it."""
+    """The rows of a campaign of at most `minutes`. Raises InputError when that is too short for the smallest."""
     for runs, rows in SIZES:
         points = _drawn(means, runs, rows, seed)
         least = plan_minutes(points, means)
@@ -41,7 +41,9 @@ def design(means: Means, minutes: float, seed: int = 0) -> tuple[Point, ...]:
 
 
 def plan_minutes(points: Sequence[Point], means: Means) -> float:
-    """Machine time of a plan, min: motion, dwells, strokes, rests, and waiting while somebody changes what is set."""
+    """Machine time of a plan, min: motion, dwells, strokes, rests, and waiting for changes of conditions by a
+    person.
+    """
     time = float(motion_columns(points, means)["time_s"][-1]) / 60.0
     waits = 0.0
     before: dict[str, float] = {}
@@ -74,7 +76,7 @@ def _drawn(means: Means, runs: int, rows: int, seed: int) -> tuple[Point, ...]:
 def _run(
     rng: np.random.Generator, means: Means, number: int, rows: int, levels: tuple[tuple[str, float], ...]
 ) -> list[Point]:
-    """Targets all over the travel in random order from random sides, some of them twice with others in between."""
+    """Targets over the whole travel in random order and direction, some of them twice with others in between."""
     count = rows - REPEATS
     edges = np.linspace(means.low_mm, means.high_mm, count + 1)
     targets = [_off_pitch(rng, means, float(a), float(b)) for a, b in itertools.pairwise(edges)]

@@ -1,6 +1,5 @@
-"""The measurements that an axis could make next, in a list: each looks at it in another way.
-
-What may go in: where rows lie, in which order, after what; minutes that people take. Nothing is weighed here.
+"""The list of measurements that an axis could make next: rows, order, preparation, and minutes of a person. Nothing is
+weighed here.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ Floats = NDArray[np.float64]
 THERMOMETER = "temp_screw_c"
 AIR = ("air_temp_c", "air_pressure_hpa", "air_humidity_percent")
 MOUNT_MIN, CHANGE_MIN, REALIGN_MIN, CROSS_MIN = 15.0, 5.0, 20.0, 2.0
-"""Minutes the machine waits while a person mounts sensors, changes a load, moves or realigns the optics, moves another axis."""
+"""Waiting times for a person, min: to mount sensors, change a load, move or realign the optics, move another axis."""
 START_MIN = 4.0
-"""Minutes until a run has begun: homing, datum, and whatever came before."""
+"""Minutes before a run: homing, datum, preparation."""
 ABBE_STEP_MM = 150.0
 WARM_S = REST_S = 300.0
 LONGEST_PITCH_MM = 20.0
@@ -28,7 +27,7 @@ STEPS_PER_PERIOD = 11.3
 
 
 def feasible_runs(means: Means, *, first_run: int = 1, seed: int = 0) -> tuple[PlannedRun, ...]:
-    """Everything this axis could measure next, its rows counted on from run `first_run`."""
+    """Every measurement that this axis could make next, its runs numbered from `first_run`."""
     maker = _Maker(means, np.random.default_rng([seed, 17]), first_run)
     runs = [maker.repeat(), maker.shifted(), maker.fine(), maker.dense(), maker.reversals(), maker.returns()]
     runs.append(maker.warm_and_cool())
@@ -41,21 +40,21 @@ def feasible_runs(means: Means, *, first_run: int = 1, seed: int = 0) -> tuple[P
 
 
 class _Maker:
-    """Makes the runs of one list."""
+    """Builds the runs of one list."""
 
     def __init__(self, means: Means, rng: np.random.Generator, first_run: int) -> None:
         self.means, self.rng, self.first_run = means, rng, first_run
 
     # -- parts of runs -----------------------------------------------------------------------------------------------------
     def scattered(self, count: int) -> Floats:
-        """Targets anywhere, one in each of `count` equal parts of the travel, whole µm, ascending."""
+        """One random target in each of `count` equal parts of the travel, whole µm, ascending."""
         edges = np.linspace(self.means.low_mm, self.means.high_mm, count + 1)
         return np.asarray(np.round(self.rng.uniform(edges[:-1], edges[1:]), 3))
 
     def point(
         self, index: int, direction: int, target_mm: float, overrun_mm: float | None = None, *levels: tuple[str, float]
     ) -> Point:
-        """A row of run `index` of this measurement; its turn no farther out than the usual overrun."""
+        """A row of run `index` of this measurement; its reversal no farther out than the usual overrun."""
         means = self.means
         wanted = means.overrun_mm if overrun_mm is None else overrun_mm
         room = (target_mm - means.low_mm if direction > 0 else means.high_mm - target_mm) + means.overrun_mm
@@ -107,7 +106,7 @@ class _Maker:
         return self.planned("fine", words, self.there_and_back(self.scattered(count), 1))
 
     def dense(self) -> PlannedRun:
-        """Fine steps that no usual pitch divides, over two of the longest periods, at three places."""
+        """Fine steps that no usual pitch divides, over two of the longest periods, at three positions."""
         low, high = self.means.low_mm, self.means.high_mm
         longest = max((*self.means.pitches_mm, min(LONGEST_PITCH_MM, self.means.span_mm / 8)))
         window, step = min(2 * longest, self.means.span_mm), round(longest / STEPS_PER_PERIOD, 3)
@@ -121,7 +120,7 @@ class _Maker:
         return self.planned("dense", words, points)
 
     def reversals(self) -> PlannedRun:
-        """The same targets after travels of very different length since the turn."""
+        """The same targets after travels of very different length since the reversal."""
         travels = np.geomspace(min(self.means.overrun_mm, 0.5), 0.45 * self.means.span_mm, 4)
         targets = self.scattered(6)
         rows = [self.point(0, d, float(x), float(s)) for x in targets for d in (1, -1) for s in travels]
@@ -132,7 +131,7 @@ class _Maker:
         return self.planned("reversals", words, [rows[i] for i in self.rng.permutation(len(rows))])
 
     def returns(self) -> PlannedRun:
-        """One reference point again and again between two ends."""
+        """One reference point repeatedly between two ends."""
         low, high = self.means.low_mm, self.means.high_mm
         middle = round((low + high) / 2, 3)
         once = [(1, middle), (1, high), (-1, middle), (-1, low)]
@@ -157,7 +156,7 @@ class _Maker:
 
     # -- runs that need a person, or may ------------------------------------------------------------------------------------
     def levels(self, column: str, values: tuple[float, ...]) -> PlannedRun:
-        """By turns at the usual level and at the one farthest from it, so that level and time stay apart."""
+        """Alternately at the usual level and at the one farthest from it, so that level and time are not confounded."""
         usual = values[0]
         other = max(values, key=lambda value: abs(value - usual))
         targets = self.scattered(max(self.means.targets // 2, 5))
@@ -175,7 +174,7 @@ class _Maker:
         return self.planned(f"levels of {column}", words, points, person=person, wait_min=wait_min, adds=(column,))
 
     def logged(self) -> list[PlannedRun]:
-        """Warm and cool with sensors that are not there yet."""
+        """Warming and cooling with sensors to be added."""
         sensors, mountable = self.means.sensors, self.means.mountable
         wanted: list[tuple[str, tuple[str, ...], str]] = []
         if "thermometers" in mountable and not any(name.startswith("temp_") for name in sensors):
@@ -200,7 +199,7 @@ class _Maker:
         ]
 
     def other_optics(self) -> list[PlannedRun]:
-        """Another set-up of the measuring line: what moves with it is not the axis's."""
+        """Another set-up of the measuring line: an error that changes with it is not the axis's."""
         passes = "measure there and back twice"
         wanted = (
             (

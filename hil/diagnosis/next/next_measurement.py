@@ -1,9 +1,9 @@
-"""Which measurement to make next, when the records leave more than one cause: the one that sets them apart best for its machine time.
+"""The choice of the next measurement when the records leave more than one cause: the one that separates them best for
+its machine time.
 
-Every cause predicts what it would do in every feasible run; every rival is then fitted anew to that prediction together with the rows
-there are, and what it cannot follow counts, Σ(f₁ - f₂)²/σ² (T-optimality: Atkinson & Fedorov, Biometrika 62 (1975) 57). With more than
-two causes the pairs are weighted by how likely they are (Box & Hill, Technometrics 9 (1967) 57). What may go in: pure functions of
-records and means; nothing is measured here.
+Every cause predicts the error in every feasible run; every rival is then refitted to that prediction together with the
+existing rows, and the misfit counts, Σ(f₁ - f₂)²/σ² (T-optimality: Atkinson & Fedorov, Biometrika 62 (1975) 57). With
+more than two causes the pairs are weighted by how likely they are (Box & Hill, Technometrics 9 (1967) 57).
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from hil.effects.model import Model
 from hil.records.rows import Records
 
 DECIDED = 0.95
-"""Weight of a cause from which nothing more is asked."""
+"""Weight of a cause from which no further measurement is made."""
 LEAST = 0.02
 """Weight below which a cause no longer counts as a rival."""
 ENOUGH = 30.0
-"""Discrimination Σ(f₁ - f₂)²/σ² beyond which a cause is as good as told from another; more of it is worth nothing."""
+"""Discrimination Σ(f₁ - f₂)²/σ² beyond which two causes are separated and more has no value."""
 WORTHLESS = 6.0
-"""Discrimination below which a run does not tell a pair apart."""
+"""Discrimination below which a run does not separate a pair."""
 
 
 @dataclass(frozen=True)
 class Prospect:
-    """What a run is expected to tell.
+    """The expected information of a run.
 
     pairs: discrimination of each pair of causes, the likelier first; worth: of all pairs together, per minute
     """
@@ -51,28 +51,30 @@ class Prospect:
 
 @dataclass(frozen=True)
 class Outlook:
-    """The causes left, likeliest first, and the runs by their worth; `best` is None when no run tells them apart."""
+    """The remaining causes, likeliest first, and the runs by their worth; `best` is None when no run separates them."""
 
     causes: tuple[Hypothesis, ...]
     prospects: tuple[Prospect, ...]
 
     @property
     def decided(self) -> bool:
+        """One cause has enough weight."""
         return bool(self.causes) and self.causes[0].weight >= DECIDED
 
     @property
     def rivals(self) -> tuple[Hypothesis, ...]:
-        """Every cause that still counts, the likeliest first."""
+        """Every cause of at least `LEAST` weight, the likeliest first."""
         return tuple(cause for cause in self.causes if cause.weight >= LEAST)
 
     @property
     def best(self) -> Prospect | None:
+        """The run of most worth, if any."""
         if self.decided or not self.prospects or self.prospects[0].worth <= 0.0:
             return None
         return self.prospects[0]
 
     def best_for(self, first: str, second: str) -> Prospect | None:
-        """The run that is worth most for one pair of causes."""
+        """The run of most worth for one pair of causes."""
         usable = [p for p in self.prospects if p.tells(first, second) >= WORTHLESS]
         return max(usable, key=lambda p: p.tells(first, second) / p.run.minutes, default=None)
 
@@ -88,10 +90,11 @@ def outlook(
     made: Sequence[str] = (),
     seed: int = 0,
 ) -> Outlook:
-    """Weigh the causes, and every run that could be made next.
+    """Weighs the causes, and every run that could be made next.
 
-    beside: effects that are there anyway; persons: whether somebody can be asked; made: names of runs that were made already and
-    are not asked for again. Raises InputError for too few rows.
+    beside: effects known to be there; persons: a person can be asked to help; made: names of runs made already, which
+    are left out
+    Raises InputError for too few rows.
     """
     with threadpool_limits(1, "blas"):
         causes = weigh(records, declared, effects, beside)

@@ -1,7 +1,7 @@
-"""A measurement before it is made: its rows, what surrounds them, how long it takes, and who must act.
+"""A measurement before it is made: its rows, conditions, duration, and the person it needs.
 
-What may go in: runs as data, and the pure kinematics of point-to-point moves, so that travel since a reversal and time are known
-before anything moves. Which runs there are is `feasible`; which of them is worth its time, `next_measurement`.
+The kinematics of point-to-point moves give travel since a reversal and time before any motion. `feasible` lists runs,
+`next_measurement` chooses one.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Means:
-    """What an axis can do and what is there to watch it.
+    """The measuring abilities of an axis and its sensors.
 
-    low_mm, high_mm: outermost targets; feed_mm_s: of positioning; reading_s: at rest for each row; overrun_mm: beyond a turn
+    low_mm, high_mm: outermost targets; feed_mm_s: of positioning; reading_s: at rest for each row; overrun_mm: beyond a
+    reversal
     levels: column -> values it can be set to, the usual one first; by_itself: columns that no person has to set
-    assumed: columns whose usual level nobody wrote down, so that the one here only stands for it
+    assumed: columns whose usual level was not recorded, so that the one here is assumed
     sensors: columns that are read already; mountable: sensors and changes of the set-up that a person can be asked for
-    feeds_mm_s: at which positions can be captured in motion; none where the axis is read at rest only
+    feeds_mm_s: feeds at which positions can be captured in motion; empty where the axis is read at rest only
     """
 
     low_mm: float
@@ -43,15 +44,17 @@ class Means:
 
     @property
     def span_mm(self) -> float:
+        """Distance of the outermost targets."""
         return self.high_mm - self.low_mm
 
 
 @dataclass(frozen=True)
 class Point:
-    """One row to be measured: reached in a direction, after a turn `overrun_mm` beyond it where the axis has to turn.
+    """One row to be measured: reached in a direction, after a reversal `overrun_mm` before it where the axis has to
+    reverse.
 
-    strokes_s, rest_s: fast strokes, or standing still, just before it; feed_mm_s: how fast it is approached, None as usual
-    dwell_s: standing still at it before the usual dwell; levels: column -> what it is set to
+    strokes_s, rest_s: fast strokes, or standstill, just before it; feed_mm_s: of the approach, None: the usual one
+    dwell_s: standstill at it before the usual dwell; levels: column -> value it is set to
     """
 
     run: int
@@ -69,8 +72,8 @@ class Point:
 class PlannedRun:
     """A measurement that could be made next.
 
-    words: what is to be done, in plain words and figures; person: what somebody must do for it, '' where nobody is needed
-    adds: columns it brings that the records before lack; minutes: machine time, waiting for the person included
+    words: what is to be done, in words and figures; person: what a person must do for it, '' for none
+    adds: columns it adds to those of the records; minutes: machine time, with the waiting for a person
     """
 
     name: str
@@ -87,9 +90,10 @@ class PlannedRun:
 
 
 def motion_columns(points: Sequence[Point], means: Means, *, start_s: float = 0.0) -> dict[str, Floats]:
-    """The columns that follow from the rows alone, each (n,): run, direction, target, time, travel since the turn, stroke, levels.
+    """The columns that follow from the rows alone, each (n,): run, direction, target, time, travel since the reversal,
+    stroke, levels.
 
-    The axis turns only where it must: where it came the wrong way, or the target lies behind it.
+    The axis reverses only where it must: where it came from the other side, or the target is behind it.
     """
     here, heading, turned_at, stroke, now = means.low_mm, 1, means.low_mm - means.overrun_mm, means.span_mm, start_s
     rows: list[tuple[float, ...]] = []

@@ -44,7 +44,9 @@ def to_plan(points: Sequence[Point], comment: str = "") -> str:
 
 
 def read_plan(path: str | Path, limits: DriveLimits) -> tuple[Point, ...]:
-    """The rows of a plan file, each inside the limits with its turn. Raises InputError naming file, line and value."""
+    """The rows of a plan file, each inside the limits with its reversal. Raises InputError naming file, line and
+    value.
+    """
     lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:

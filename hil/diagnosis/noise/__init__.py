@@ -1,1 +1,1 @@
-"""The noise of a campaign: its model, the evidence under it, and how large chance gets."""
+"""The noise of a campaign: its model, the evidence under it, and the rows it is fitted to."""

@@ -1,12 +1,13 @@
-"""The noise model and the evidence for columns under it: everything the search compares is computed here.
+"""The noise model and the evidence for columns under it; every comparison of the search uses these.
 
-error = table + run offsets + effects + correlated noise (AR(1) within a pass) + white noise. The table's roughness and the run
-offsets are normal random effects, so the marginal likelihood (REML; Patterson & Thompson 1971, Harville 1974) says how rough, how
-offset and how correlated the campaign is; a block of effect columns has Zellner's g-prior with unit information (Liang et al.
-2008), so that blocks of different width compare. All variances are relative to the white noise's.
+error = table + run offsets + effects + correlated noise (AR(1) within a pass) + white noise. The table's roughness and
+the run offsets are normal random effects, so the marginal likelihood (REML; Patterson & Thompson 1971, Harville 1974)
+gives roughness, offsets and correlation of the campaign; a block of effect columns has Zellner's g-prior with unit
+information (Liang et al. 2008), so that blocks of different width compare. All variances are relative to the white
+noise's.
 
-The work is done on cross products, so that one whitening serves every trial of the other parameters, and a run is left out by
-subtracting its part.
+Everything is computed from cross products, so that one whitening serves every trial of the other parameters, and a run
+is left out by subtracting its part.
 """
 
 from __future__ import annotations
@@ -29,20 +30,21 @@ Reals = NDArray[np.floating]
 Ints = NDArray[np.int64]
 
 MOST_OFFSET = 0.8
-"""Bound of the run offsets, in white standard deviations: what is larger is an effect, not noise."""
+"""Bound of the run offsets, in white standard deviations; a larger one is an effect, not noise."""
 PRIOR_OFFSET = 0.35
+"""Scale of the half-normal prior on the run offsets, in white standard deviations."""
 
 VARIANCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Variance ratios tried for a random effect of unit columns."""
 
 
 def prior_scale(rho: float) -> float:
-    """Scale of the half-normal prior on `ar`: noise that lasts is drift, and strong drift is an effect."""
+    """Scale of the half-normal prior on `ar`: strong noise of long correlation is drift, and so an effect."""
     return 1.2 if rho <= 0.8 else 0.35
 
 
 def log_prior(ar: float, rho: float, offset: float) -> float:
-    """Of the parameters of a noise model beforehand, up to a constant."""
+    """Log prior of the parameters of a noise model, up to a constant."""
     return -0.5 * (ar / prior_scale(rho)) ** 2 - 0.5 * (offset / PRIOR_OFFSET) ** 2
 
 
@@ -57,6 +59,7 @@ class Noise:
     odd: float = math.inf
 
     def log_prior(self) -> float:
+        """Log prior of these parameters, up to a constant."""
         return log_prior(self.ar, self.rho, self.offset)
 
     def calm(self) -> Noise:
@@ -66,7 +69,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class TableColumns:
-    """The columns that stand for the table and the run offsets at the rows of a campaign, made once.
+    """The columns of the table and the run offsets at the rows of a campaign.
 
     shape: of the table; offset (n, r): run indicators
     """
@@ -76,6 +79,7 @@ class TableColumns:
 
     @classmethod
     def of(cls, campaign: Campaign, shape: Shape) -> TableColumns:
+        """The columns of a table shape at a campaign's rows."""
         return cls(shape.columns(campaign.x, campaign.d), run_columns(campaign))
 
     @cached_property
@@ -85,6 +89,7 @@ class TableColumns:
 
     @property
     def table_width(self) -> int:
+        """Number of the table's columns."""
         return int(self.stacked.shape[1] - self.offset.shape[1])
 
     def ridge(self, noise: Noise) -> Floats:
@@ -104,14 +109,16 @@ class Extra:
 
     @classmethod
     def none(cls, rows: int) -> Extra:
+        """No columns, for `rows` rows."""
         return cls(np.zeros((rows, 0)), np.zeros((rows, 0)))
 
     def plus(self, other: Extra) -> Extra:
+        """The columns of both."""
         return Extra(side_by_side(self.free, other.free), side_by_side(self.random, other.random))
 
 
 def side_by_side(first: Floats, second: Floats) -> Floats:
-    """The columns of both; the first itself where there is nothing to add."""
+    """The columns of both; the first itself where the second has none."""
     return np.hstack([first, second]) if second.shape[1] else first
 
 
@@ -142,7 +149,7 @@ class Whitened:
         self.gram = self.table.T @ self.table
 
     def whiten(self, columns: Floats) -> Floats:
-        """Columns (n, …) in units in which the noise is white."""
+        """Columns (n, …) transformed so that the noise is white."""
         if self.ar == 0.0:
             return columns
         out = np.empty_like(columns, dtype=np.float64)
@@ -165,6 +172,7 @@ class Frame:
 
     whitened: the rows; noise: with the same (ar, rho); y: errors (n,) or (n, b), raw
     beside: raw columns in every fit; out: rows left out, shape (n,) bool, or None
+    Raises numpy.linalg.LinAlgError for columns that are not independent.
     """
 
     def __init__(
@@ -209,14 +217,14 @@ class Frame:
         ) - 2.0 * noise.log_prior()
 
     def prepared(self, columns: Floats) -> Floats:
-        """Whitened, with the rows left out set to zero."""
+        """Whitened columns, with the rows left out set to zero."""
         w = self.whitened.whiten(columns)
         if self.keep is None:
             return w
         return w * (self.keep if w.ndim == 1 else self.keep[:, None])
 
     def shadow(self, prepared: Floats) -> Floats:
-        """R⁻ᵀ C'z: what the projected columns see of z; z'Pz = z'z - shadow'shadow."""
+        """R⁻ᵀC'z, the components of z along the projected columns C = QR; z'Pz = z'z - shadow'shadow."""
         cross = self.whitened.table.T @ prepared
         if self.beside.shape[1]:
             cross = np.concatenate([cross, self.beside.T @ prepared])
@@ -294,6 +302,7 @@ class Solution:
 
 
 def cholesky(gram: Floats) -> Floats:
+    """Lower Cholesky factor. Raises numpy.linalg.LinAlgError for a matrix that is not positive definite."""
     return np.asarray(np.linalg.cholesky(gram), dtype=np.float64)
 
 
@@ -342,7 +351,7 @@ def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple
 
 
 class Bench:
-    """A campaign with the shape of its table, the columns for it, and the whitenings made so far."""
+    """A campaign as a linear model: the shape of its table, its columns, and the whitenings made so far."""
 
     def __init__(self, campaign: Campaign, shape: Shape | None = None) -> None:
         self.campaign = campaign
@@ -352,10 +361,11 @@ class Bench:
 
     @property
     def rough(self) -> bool:
-        """Whether the table has a roughness that is estimated."""
+        """Whether the roughness of the table is estimated."""
         return bool(self.table.shape.even.shape[1])
 
     def whitened(self, noise: Noise) -> Whitened:
+        """The campaign whitened under (ar, rho) of a noise model; cached."""
         key = (noise.ar, noise.rho if noise.ar else 0.0)
         if key not in self._whitened:
             if len(self._whitened) > 24:
@@ -366,4 +376,5 @@ class Bench:
     def frame(
         self, noise: Noise, y: Floats, beside: Extra | None = None, out: NDArray[np.bool_] | None = None
     ) -> Frame:
+        """The projection of errors y under a noise model, see `Frame`."""
         return Frame(self.whitened(noise), noise, y, beside, out)

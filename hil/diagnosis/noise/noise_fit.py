@@ -1,6 +1,6 @@
-"""The noise model of a campaign by evidence: how rough its table is, how far its runs differ, how correlated its rows are.
+"""The fit of a campaign's noise model by evidence: roughness of its table, run offsets, correlation of its rows.
 
-What may go in: the search for the parameters of `Noise`. It works on cross products, one factorisation for each trial.
+It uses cross products only, one factorisation per trial.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from hil.diagnosis.noise.evidence import MOST_OFFSET, Bench, Extra, Noise, log_p
 Floats = NDArray[np.float64]
 
 CORRELATIONS = ((0.0, 0.0), (0.5, 0.5), (0.35, 0.9), (1.0, 0.5), (0.7, 0.9), (1.2, 0.75), (2.5, 0.7))
-"""Grid of (ar, rho): noise may be strong where it forgets within a few rows, weak where it lasts."""
+"""Grid of (ar, rho): noise may be strong where its correlation lasts a few rows, weak where it lasts longer."""
 WEAK_CORRELATIONS = 2
-"""Where none of so many, after none at all, is better than none, the stronger ones are not tried."""
+"""If so many correlations in the grid do not improve on none, the stronger ones are not tried."""
 
 
 class Profile:
@@ -54,12 +54,14 @@ class Profile:
         self.offsets = self.columns.offset.shape[1] > 0
 
     def pack(self, noise: Noise) -> Floats:
+        """The optimised parameters of a noise model, logarithms."""
         values = [math.log(noise.even)] if self.smooth else []
         values += [math.log(noise.odd)] if self.smooth_odd else []
         values += [math.log(max(noise.offset, 0.05))] if self.offsets else []
         return np.array(values)
 
     def unpack(self, v: Floats) -> Noise:
+        """The noise model of such parameters."""
         even, odd, offset = self._values(v)
         return replace(self.start, even=even, odd=odd, offset=offset)
 
@@ -125,8 +127,9 @@ def fit_noise(
 ) -> Noise:
     """The noise model of highest evidence with the extra columns in the fit.
 
-    The table's variances (where they are finite in `start`) and the run offsets are optimised for each (ar, rho) of a grid that
-    is left when more correlation no longer helps. near: the start is already close.
+    The table's variances (where they are finite in `start`) and the run offsets are optimised for each (ar, rho) of a
+    grid, which is left when more correlation no longer helps. near: the start is already close. Raises
+    numpy.linalg.LinAlgError for table columns that are not independent.
     """
     best: tuple[float, Noise] | None = None
     point: Floats | None = None

@@ -1,7 +1,7 @@
-"""The rows of a large campaign that are searched and fitted: enough to find anything, few enough to be quick.
+"""The selection of rows of a large campaign for search and fit.
 
-What may go in: the drawing of rows. One row is drawn at random from each stretch of neighbouring ones, so that no even step through
-the rows can meet a period of the mechanics.
+One row is drawn at random from each stretch of neighbouring ones, so that the sampling does not alias with a period of
+the mechanics.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ Ints = NDArray[np.int64]
 MOST_ROWS = 2000
 """With 2000 rows a table of 80 coefficients adds 2 % to the noise it leaves."""
 ROWS_OF_A_RUN = 40
-"""Rows a run must keep to say something of itself; of campaigns with very many runs, whole runs are left out."""
+"""Least rows kept of a run; of campaigns with very many runs, whole runs are left out."""
 
 
 def kept_rows(run: Floats, seed: int, most: int = MOST_ROWS) -> Ints:
-    """Indices, ascending, of about `most` rows at most, evenly over the runs, from the run of each row, shape (n,).
+    """Indices, ascending, of at most about `most` rows, evenly over the runs, from the run of each row, shape (n,).
 
-    Every row where there are no more than that.
+    All rows where there are no more than that.
     """
     if len(run) <= most:
         return np.arange(len(run), dtype=np.int64)
@@ -46,9 +46,10 @@ def kept_rows(run: Floats, seed: int, most: int = MOST_ROWS) -> Ints:
 
 @dataclass(frozen=True)
 class AllRows:
-    """Every row of a campaign, of which some are searched and fitted.
+    """Every row of a campaign, with the selection that is searched and fitted.
 
-    columns: completed, each (n,); error_um: of the uncorrected machine, (n,); kept: indices of those rows, ascending, (m,)
+    columns: completed, each (n,); error_um: of the uncorrected machine, (n,); kept: indices of the selection,
+    ascending, (m,)
     """
 
     columns: Mapping[str, Floats]
@@ -57,12 +58,12 @@ class AllRows:
 
     @classmethod
     def of(cls, records: Records, seed: int) -> AllRows:
-        """The past of each row (travel since the reversal …) is worked out before any row is left away."""
+        """The history of each row (travel since the reversal …) is computed before rows are left out."""
         return cls(columns_of(records), records.uncorrected_error_um, kept_rows(records.run, seed))
 
     @property
     def searched(self) -> Campaign:
-        """The rows that are searched and fitted. Raises InputError when they are too few to say anything."""
+        """The selected rows. Raises InputError for fewer than 4."""
         kept = {name: values[self.kept] for name, values in self.columns.items()}
         return campaign_of(kept, self.error_um[self.kept])
 

@@ -1,7 +1,8 @@
-"""What a diagnosis found, as sentences in the page's language: made of the effect, its form, and its figures with their units.
+"""The findings of a diagnosis as sentences in the page's language, from the effect, its form, and its figures with
+units.
 
-A sentence stands under `explain.<effect>.<form>` in the texts, or `explain.<effect>.any` for its other forms. A user's own effect has
-none: its own English sentence is shown.
+A sentence is stored under `explain.<effect>.<form>` in the texts, or `explain.<effect>.any` for its other forms. A
+user's own effect has none: its own English sentence is shown.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ UNITS = {
     "_s": "s",
     "phase": "rad",
 }
-"""By how the name of a parameter ends, the longer first."""
+"""Unit by the end of a parameter's name, longer ends first."""
 
 
 def sentence(t: Texts, finding: ShownFinding) -> str:
-    """What was found, with figures and units."""
+    """The finding in one sentence, with figures and units."""
     form = re.sub(r"\W+", "_", finding.form)
     keys = [f"explain.{finding.effect}.{last}" for last in (form, "any")]
     key = next((one for one in keys if finding.form and one in t), None)

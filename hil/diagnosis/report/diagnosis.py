@@ -1,6 +1,6 @@
-"""The diagnosis part of a report, from the JSON form of `hil diagnose`; what a file does not hold is left out, not guessed.
+"""The diagnosis part of a report, from the JSON form of `hil diagnose`; a missing key is left out, never guessed.
 
-Words and tables in here, `views` decides what is drawn of each finding, `plots` draws it; the caption says what is laid over.
+Words and tables are in here; `views` selects what is plotted of each finding, `plots` draws it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ACTIONS = {
 
 
 def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, all_plots: bool = False) -> list[Block]:
-    """The whole part. all_plots: with what the extended model leaves, even where nothing is unexplained."""
+    """The blocks of the part. all_plots: with the extended model's residual, even where nothing is unexplained."""
     findings = objects_of(diagnosis.get("findings"))
     parts: list[Block] = [Heading("What is left, and why"), *_summary(diagnosis)]
     if diagnosis.get("unexplained"):
@@ -55,7 +55,7 @@ def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, al
 
 
 def _unexplained(diagnosis: Mapping[str, Any]) -> Paragraph:
-    """What carries it, how large it is, and what was done about it."""
+    """The columns that the unexplained part follows, its size, and whether it is corrected."""
     carried = "; ".join(map(_carrier, objects_of(diagnosis.get("carried_by"))))
     along = f" It shows along: {carried}." if carried else ""
     asked_for = [str(one.get("explanation")) for one in objects_of(diagnosis.get("non_parametric"))]
@@ -98,7 +98,7 @@ def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
 
 
 def change(before: float | None, after: float | None) -> str:
-    """A relative change as text, a dash where it means nothing."""
+    """A relative change as text, a dash where it is undefined."""
     return "–" if not before or after is None else f"{100 * (after - before) / abs(before):+.0f} %"
 
 
@@ -149,7 +149,7 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
 
 
 def _percent(share: float) -> str:
-    """A probability in percent; never rounded to certainty."""
+    """A probability in percent; never rounded to 0 or 100."""
     if 0.9995 <= share <= 1:
         return "above 99.9 %"
     return "below 0.1 %" if 0 <= share < 0.0005 else f"{100 * share:.1f} %"

@@ -1,6 +1,6 @@
-"""What the extended model leaves, for what it is: along each column that may say something of it, and as a spectrum over the position.
+"""The report's part on the extended model's residual: along each relevant column, and as a spectrum over the position.
 
-From the JSON form of `hil diagnose` (`left`, see `hil.diagnosis.pictures`); what a file does not hold is left out, not guessed.
+From the JSON form of `hil diagnose` (`left`, see `hil.diagnosis.pictures`); a missing key is left out, never guessed.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from hil.records.rows import Floats
 ACROSS = 3
 ROW_IN, WIDTH_IN = 2.2, 9.6
 MOST_DOTS = 300
-"""Of one drawing: more of them only cover each other, and make the page heavy."""
+"""Most points of one plot: more overlap, and make the page heavy."""
 REACH = 0.995
-"""Share of the rows that the drawings reach to; single rows beyond are not drawn."""
+"""Share of the rows that the plots show; rows beyond are not drawn."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One small drawing: what is left of rows against x, each (n,), and the mean curves of their groups."""
+    """One small plot: residuals of rows against x, each (n,), and the mean curves of their groups."""
 
     label: str
     x: Floats
@@ -45,7 +45,7 @@ class Panel:
 
 
 def panels_plot(panels: Sequence[Panel], theme: Theme, ground: Ground = fresh) -> FigureBase:
-    """All of them on one scale."""
+    """All panels on one scale."""
     down = -(-len(panels) // ACROSS)
     with mpl.rc_context(RC):
         figure = figure_on(ground, WIDTH_IN, ROW_IN * down, top_in=0.25)
@@ -90,7 +90,7 @@ def _draw(ax: Axes, panel: Panel, theme: Theme) -> None:
 
 
 def spectrum_plot(spectrum: Spectrum, theme: Theme, ground: Ground = fresh) -> FigureBase:
-    """Amplitude against period, the level of noise dashed, the highest line named."""
+    """Amplitude against period, the noise level dashed, the highest line labelled."""
     period, amplitude = spectrum.highest
     with mpl.rc_context(RC):
         figure = figure_on(ground, WIDTH_IN, 2.8, top_in=0.3)
@@ -120,12 +120,14 @@ def spectrum_plot(spectrum: Spectrum, theme: Theme, ground: Ground = fresh) -> F
 Mask = NDArray[np.bool_]
 
 EMPTY = 0.01
-"""Highest line over the level of noise, below which the rows were fitted by a table at just their targets."""
+"""Highest line over the noise level, below which the rows were fitted by a table at just their targets."""
 
 
 @dataclass(frozen=True)
 class LeftOver:
-    """left_um: what is left of each row; columns: beside it, `run` and `direction` among them; carriers: columns of each; all (n,)"""
+    """left_um: residual of each row; columns: with `run` and `direction`; carriers: columns of each unexplained
+    structure; all (n,)
+    """
 
     left_um: Floats
     columns: Mapping[str, Floats]
@@ -133,7 +135,7 @@ class LeftOver:
 
 
 def read(diagnosis: Mapping[str, Any]) -> LeftOver | None:
-    """What a diagnosis holds of it; None where that is nothing that can be drawn."""
+    """The residual in a diagnosis; None where it cannot be plotted."""
     form = object_of(diagnosis.get("left"))
     left = _numbers(form.get("left_um"))
     read_columns = {str(name): _numbers(values) for name, values in object_of(form.get("columns")).items()}
@@ -147,7 +149,7 @@ def read(diagnosis: Mapping[str, Any]) -> LeftOver | None:
 
 
 def section(diagnosis: Mapping[str, Any]) -> list[Block]:
-    """The whole part; nothing where the diagnosis holds nothing to draw."""
+    """The blocks of the part; empty where the diagnosis has nothing to plot."""
     found = read(diagnosis)
     if found is None:
         return []
@@ -188,9 +190,9 @@ def panels(found: LeftOver) -> list[Panel]:
 
 
 def _splits(name: str, found: LeftOver) -> list[dict[str, Mask]]:
-    """The rows of each curve along a column, for every drawing of it.
+    """The rows of each curve along a column, for every plot of it.
 
-    The position is always told apart by direction; a column that carries together with others is told apart by those.
+    The position is always split by direction; a column of a structure of several columns is split by the others.
     """
     direction = found.columns["direction"]
     signs = {"direction +": direction > 0, "direction −": direction < 0}
@@ -213,7 +215,7 @@ def _halves(name: str, values: Floats) -> dict[str, Mask]:
 
 
 def _table(shown: Sequence[Panel]) -> dict[str, Floats]:
-    """The bins of all curves, one below the other; drawing and line are counted from 1."""
+    """The bins of all curves, one below the other; plot and line are counted from 1."""
     parts: dict[str, list[Floats]] = {}
     for number, panel in enumerate(shown, start=1):
         for line, curve in enumerate(panel.curves, start=1):

@@ -1,6 +1,7 @@
-"""The mean of a residual along a column, in bins of its rows, with the band that holds the true mean in 95 of 100 cases.
+"""The mean of a residual along a column, in bins of its rows, with the band that holds the true mean in 95 of 100
+cases.
 
-Numbers only; the drawing is `left_over_plots`. Rows are taken as independent: noise that hangs together makes the bands too narrow.
+Plotted by `left_over`. Rows are taken as independent: correlated noise makes the bands too narrow.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ MOST_LEVELS = 10
 """Up to so many values, each with its neighbours within NEAR of the span, each is a bin of its own."""
 NEAR = 0.05
 BAND = 0.95
+"""Confidence level of the band."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """label: of its rows; at: mean of the column in each bin, ascending; mean, low, high: of the residual, µm; rows in it; each (k,)
+    """label: of its rows; at: mean of the column in each bin, ascending; mean, low, high: of the residual, µm; rows in
+    it; each (k,)
 
     levels: the bins are levels that were set, between which nothing was measured
     """
@@ -39,7 +42,7 @@ class Curve:
 
 
 def mean_curve(label: str, x: Floats, residual_um: Floats) -> Curve:
-    """Of rows, each array (n,), n ≥ 1. A bin of a single row has no band (low and high are not a number)."""
+    """The curve of rows, each array (n,), n ≥ 1. A bin of a single row has no band (low and high are NaN)."""
     level = _levels(x)
     levels = level is not None
     index = _bins(x) if level is None else level

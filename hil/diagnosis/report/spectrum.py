@@ -1,8 +1,8 @@
-"""The spectrum of a residual over the position, at targets however uneven: amplitudes in µm by period in mm.
+"""The spectrum of a residual over the position, at unevenly spaced targets: amplitudes in µm by period in mm.
 
-At each period a sine is fitted by least squares beside a constant (Lomb 1976, Scargle 1982; with the constant: Zechmeister & Kürster
-2009). What noise alone makes of the highest amplitude is found by putting the values of each run in random order, many times. No
-drawing in here.
+At each period a sine is fitted by least squares beside a constant (Lomb 1976, Scargle 1982; with the constant:
+Zechmeister & Kürster 2009). The noise level of the highest amplitude is found by permuting the values within each run
+many times.
 """
 
 from __future__ import annotations
@@ -18,15 +18,19 @@ LINES = 1500
 OVERSAMPLING = 3.0
 SHORTEST_MM = 0.5
 ORDERS = 400
+"""Permutations."""
 EXCEEDED = 0.05
+"""Share of the permutations that exceed the noise level."""
 ONE_SIDED = 0.2
-"""Where sine and cosine at the targets are this close to being one column (0: they are), no amplitude can be told."""
+"""Least determinant of sine and cosine at the targets (0: collinear) at which an amplitude is determined."""
 SAME_MM = 0.01
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Periods descending, (f,), amplitudes there, (f,); level_um: what the highest exceeds by noise alone in EXCEEDED of all cases."""
+    """Periods descending, (f,), amplitudes there, (f,); level_um: noise level that the highest line exceeds by chance
+    in EXCEEDED of all cases.
+    """
 
     period_mm: Floats
     amplitude_um: Floats
@@ -62,7 +66,7 @@ def spectrum(target_mm: Floats, residual_um: Floats, run: Floats, seed: int = 0)
 
 
 def _frequencies(target_mm: Floats) -> Floats:
-    """Even in frequency, finer than the travel resolves, up to what the targets can tell, per mm, ascending."""
+    """Even in frequency, finer than the travel resolves, up to the resolution of the targets, per mm, ascending."""
     places = np.unique(np.round(target_mm / SAME_MM)) * SAME_MM
     travel = float(np.ptp(places))
     if travel <= 0.0:
@@ -76,7 +80,7 @@ def _frequencies(target_mm: Floats) -> Floats:
 
 
 def _in_random_order(values: Floats, run: Floats, rng: np.random.Generator) -> Floats:
-    """The values (n,) with those of each run in ORDERS random orders, shape (n, ORDERS)."""
+    """The values (n,) with those of each run permuted ORDERS times, shape (n, ORDERS)."""
     out = np.empty((len(values), ORDERS))
     for number in np.unique(run):
         rows: NDArray[np.int64] = np.flatnonzero(run == number)

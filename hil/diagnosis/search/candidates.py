@@ -1,6 +1,5 @@
-"""All the candidates of a catalogue for one campaign, as one matrix, so that a search is a few matrix products.
-
-What may go in: enumeration and scoring of fixed columns. Refinement of the non-linear parameters is `refine`.
+"""All candidates of a catalogue for one campaign as one matrix, scored by a few matrix products. `refine` refines their
+parameters.
 """
 
 from __future__ import annotations
@@ -23,16 +22,18 @@ Reals = NDArray[np.floating]
 Ints = NDArray[np.int64]
 
 MOST_BYTES = 120_000_000
-"""Of whitened candidates kept."""
+"""Most bytes of whitened candidates that are cached."""
 NOTHING = 1e-24
-"""Squared norm of a column, below which it is zero in every row: single precision could not divide by it."""
+"""Squared norm below which a column counts as zero; single precision could not divide by it."""
 BLIND = 0.01
-"""Share of a candidate's norm that must be left beside the table for the campaign to show it at all."""
+"""Share of a candidate's norm that must remain beside the table for the campaign to show it."""
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Columns (n, J) in blocks: first column and width of each, whether its coefficients are shrunk, log odds beforehand, (c,)."""
+    """Columns (n, J) in blocks: first column and width of each, whether its coefficients are shrunk, log prior odds,
+    (c,).
+    """
 
     columns: Floats
     first: Ints
@@ -42,7 +43,7 @@ class Blocks:
 
     @classmethod
     def of(cls, blocks: Sequence[Floats], rows: int) -> Blocks:
-        """Blocks (n, k) of free coefficients, none likelier than another."""
+        """Blocks (n, k) of free coefficients with equal prior."""
         none = np.zeros(len(blocks))
         return cls._side_by_side(blocks, [block.shape[1] for block in blocks], rows, none > 0, none)
 
@@ -73,7 +74,7 @@ class Blocks:
         return self.columns[:, self.where(index)]
 
     def where(self, index: int) -> slice:
-        """Where the columns of a block are."""
+        """The columns of a block."""
         first = int(self.first[index])
         return slice(first, first + int(self.width[index]))
 
@@ -83,7 +84,8 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Candidates:
-    """choices: what each block is; effect: index of its effect in `effects`, shape (c,); forms: the blocks of each form.
+    """choices: the candidate of each block; effect: index of its effect in `effects`, shape (c,); forms: the blocks of
+    each form
 
     refining: by effect, the forms that are not in the first search
     """
@@ -100,7 +102,7 @@ class Candidates:
         return len(self.choices)
 
     def of_one_place(self, campaign: Campaign) -> Candidates:
-        """Those of the effects that refinement may make a feature of one place, at the lowest of their parameters."""
+        """The candidates of effects that refinement may make local, at the lowest of their parameters."""
         local = set()
         for index in self.forms:
             first = self.choices[int(index[0])]
@@ -140,7 +142,7 @@ def enumerate_candidates(campaign: Campaign, effects: Sequence[Effect]) -> Candi
 
 
 class Stack:
-    """Blocks whitened under one (ar, rho), with what every frame of it needs."""
+    """Blocks whitened under one (ar, rho), with their products that every projection uses."""
 
     def __init__(self, whitened: Whitened, blocks: Blocks) -> None:
         self.whitened, self.blocks = whitened, blocks
@@ -158,13 +160,17 @@ class Stack:
         return self.w.astype(np.float32)
 
     def seen_of_many(self, rest: Floats) -> Reals:
-        """w'rest of many errors (n, b), shape (J, b), in single precision: they are simulated, and only their distribution counts."""
+        """w'rest of many errors (n, b), shape (J, b), in single precision: they are simulated, and only their
+        distribution is used.
+        """
         return np.asarray(self._single.T @ rest.astype(np.float32))
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Per block: log Bayes factor (c,) or (c, b), share of the norm left (c,), variance ratio of a shrunk one (c,)."""
+    """Per block: log Bayes factor (c,) or (c, b), remaining share of the norm (c,), variance ratio of a shrunk one
+    (c,).
+    """
 
     gain: Floats
     visible: Floats
@@ -172,7 +178,9 @@ class Scores:
 
 
 def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
-    """Score every block on its own beside what the frame projects out. A block left with less than `blind` of its norm gets -inf."""
+    """Scores every block by itself beside the projected columns. A block with less than `blind` of its norm remaining
+    gets -inf.
+    """
     blocks = stack.blocks
     w = stack.w
     cross = stack.cross
@@ -216,7 +224,8 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
 
 
 def inner_products(w: Floats, index: Ints) -> Floats:
-    """z'z of each block of columns, shape (c, k, k); of blocks of two columns only that of the one with the other, shape (c,).
+    """z'z of each block of columns, shape (c, k, k); of blocks of two columns only the off-diagonal element, shape
+    (c,).
 
     index: of the columns of the blocks, neighbours in w (n, J), shape (c, k)
     """

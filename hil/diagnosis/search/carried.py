@@ -1,7 +1,7 @@
-"""How large an unexplained structure is, and how well that is known; and the structure as a term that a model can hold.
+"""The size of an unexplained structure with its uncertainty, and the structure as a term of a model.
 
-What may go in: what the fit already says of the structures that were found, read out of it. They stand in every fit as random effects
-of their columns, so that coefficients and covariance come from the same joint estimate as table and terms.
+Structures are random effects of their columns in every fit, so that coefficients and covariance come from the same
+joint estimate as table and terms.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ Floats = NDArray[np.float64]
 
 
 FEW = 0.1
-"""Columns of a structure, over the rows, up to which they are free in the fit that says its size."""
+"""Columns of a structure, over the rows, up to which they are free in the fit that gives its size."""
 FREE = 1e3
-"""Variance ratio of columns that are as good as free."""
+"""Variance ratio of columns that are practically free."""
 
 
 @dataclass(frozen=True)
 class Carried:
-    """What follows some columns, in one structure or in several on the same columns, which only together have a size.
+    """The dependence on some columns, by one structure or by several on the same columns, whose size is that of their
+    sum.
 
     coefficients (w,), of all structures in turn, and their covariance (w, w), in µm and µm², as random effects
     probability: of as much in noise
@@ -45,11 +46,12 @@ class Carried:
 
     @property
     def columns(self) -> tuple[str, ...]:
+        """The columns of the widest structure."""
         return max((structure.columns for structure in self.structures), key=len)
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """For a model."""
+        """The structures as terms of a model."""
         out, start = [], 0
         for structure in self.structures:
             mine = slice(start, start + structure.whole.shape[1])
@@ -60,12 +62,14 @@ class Carried:
         return tuple(out)
 
     def error_um(self, columns: Columns) -> Floats:
-        """On rows, (n,)."""
+        """The sum of the structures on rows, µm, (n,)."""
         return np.asarray(np.sum([term.error_um(columns) for term in self.terms], axis=0), dtype=np.float64)
 
 
 def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise) -> tuple[Carried, ...]:
-    """What follows the columns of the hits, beside the table and some terms; the hits are among the searcher's nuisance columns."""
+    """The structures of the hits, estimated beside the table and some terms; the hits are among the searcher's nuisance
+    columns.
+    """
     if not hits:
         return ()
     extra = searcher.extra(choices)
@@ -82,10 +86,10 @@ def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], 
 
 
 def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise) -> tuple[Estimate, ...]:
-    """RMS of each of the carried over the rows, µm: of the part that a smooth function of its columns can hold.
+    """RMS over the rows of each structure, µm, as far as a smooth function of its columns represents it.
 
-    It is taken beside a straight line in each direction: of what the table can hold as well nobody can say whose it is. A column that
-    stands in several structures counts for the first.
+    The size is taken beside a straight line in each direction: a component that the table can represent as well cannot
+    be attributed to a structure. A column that is in several structures counts for the first.
     """
     if not hits:
         return ()
@@ -106,7 +110,7 @@ def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], no
 
 
 def _apart(hits: Sequence[Hit]) -> list[Floats]:
-    """The columns of each structure, zero where one before it has the same."""
+    """The columns of each structure, zero where an earlier one has the same."""
     seen: set[bytes] = set()
     out = []
     for hit in hits:
@@ -133,7 +137,7 @@ def _solved(searcher: Searcher, extra: Extra, noise: Noise) -> tuple[Floats, Flo
 
 
 def _groups(hits: Sequence[Hit]) -> list[list[int]]:
-    """Indices of the hits, those whose columns are among those of another together with it."""
+    """Indices of the hits, grouped where the columns of one are among those of another."""
     names = [set(hit.structure.columns) for hit in hits]
     groups: list[list[int]] = []
     for i in sorted(range(len(hits)), key=lambda i: -len(names[i])):
@@ -146,7 +150,9 @@ def _groups(hits: Sequence[Hit]) -> list[list[int]]:
 
 
 def _places(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
-    """Indices of the columns of each hit among the columns (n, s), in which they stand in this order."""
+    """Indices of the columns of each hit among the columns (n, s), which hold them in this order. Raises LookupError
+    for a missing one.
+    """
     out: list[NDArray[np.int64]] = []
     start = 0
     for hit in hits:
@@ -164,11 +170,12 @@ def _places(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
 def rms_of(
     design: Floats, coefficients: Floats, covariance: Floats, beside: Floats, *, shrunk: bool = False
 ) -> Estimate:
-    """RMS of design (n, k) @ true coefficients, beside what some columns (n, f) can hold, from an estimate with its covariance.
+    """RMS of design (n, k) @ true coefficients, beside some columns (n, f), from an estimate with its covariance, in
+    the unit of the errors.
 
-    With G the cross products per row that are left, c'Gc of a free estimate is too large by tr GV on average, that of a shrunk one too
-    small by as much; its variance is 4 c'GVGc + 2 tr GVGV (quadratic form of normal variables; Mathai & Provost 1992, ch. 3), and the
-    root's is by the delta method.
+    With G the remaining cross products per row, c'Gc of a free estimate is too large by tr GV on average, that of a
+    shrunk one too small by as much; its variance is 4 c'GVGc + 2 tr GVGV (quadratic form of normal variables; Mathai &
+    Provost 1992, ch. 3), and the root's is by the delta method.
     """
     left = design - beside @ np.linalg.lstsq(beside, design, rcond=None)[0]
     gram = left.T @ left / len(design)
@@ -181,7 +188,7 @@ def rms_of(
 
 
 def rms_of_term(term: Term, columns: Columns) -> Estimate:
-    """The same of a fitted effect over rows about its mean, its non-linear parameters held."""
+    """RMS of a fitted effect over rows about its mean, µm, its non-linear parameters fixed."""
     k = len(term.coefficients)
     basis = term.effect.basis(term.form, term.theta, columns)
     covariance = np.array(term.covariance)[:k, :k]

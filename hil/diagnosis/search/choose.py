@@ -1,6 +1,7 @@
-"""The whole choice for one problem: what varies beside any table first, then what a declared table lacks.
+"""The complete choice of terms for one campaign: first the effects that vary beside any table, then those that a
+declared table lacks.
 
-What may go in: how the selection of `select` is put to a fitted and to a declared table; run on all rows, and with runs left out.
+It is made on all rows, and again with runs left out.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Problem:
-    """A campaign and what is asked of it.
+    """A campaign with the settings and candidates of its search.
 
     free: the setting with a table fitted from the records; candidates, catalogue: for it
-    plain: noise model of table and noise alone; blind: largest share of each effect that is left beside the table
-    declared: the model in force or known, with its own setting, candidates and catalogue
+    plain: noise model of table and noise alone; visible: largest share of each effect that remains beside the table
+    declared: the known model or that in force, with its own setting, candidates and catalogue
     """
 
     campaign: Campaign
@@ -51,7 +52,7 @@ class Problem:
 
 
 def problem_of(campaign: Campaign, effects: Sequence[Effect], declared: Model | None, seed: int) -> Problem:
-    """Everything that is made once per campaign."""
+    """Computes everything that is needed once per campaign."""
     candidates = enumerate_candidates(campaign, effects)
     catalogue = structures(campaign)
     n = len(campaign)
@@ -85,7 +86,7 @@ def problem_of(campaign: Campaign, effects: Sequence[Effect], declared: Model | 
 
 @dataclass(frozen=True)
 class Critical:
-    """Gains that are just significant on all rows, for the folds: of each effect, and of a structure."""
+    """Gains that are just significant on all rows, used in the folds: of each effect, and of a structure."""
 
     effects: dict[str, float]
     structure: float
@@ -93,7 +94,7 @@ class Critical:
 
 @dataclass(frozen=True)
 class Chosen:
-    """The outcome: selections in order (the last one stands), the joint fit, critical gains for the folds."""
+    """The result: selections in order (the last one counts), the joint fit, critical gains for the folds."""
 
     selections: tuple[Selected, ...]
     fit: JointFit
@@ -101,6 +102,7 @@ class Chosen:
 
     @property
     def last(self) -> Selected:
+        """The selection that counts."""
         return self.selections[-1]
 
     @property
@@ -116,7 +118,7 @@ class Chosen:
 
 
 def choose(problem: Problem) -> Chosen:
-    """On all rows, judged by simulated null campaigns."""
+    """The choice on all rows, tested by simulated null campaigns."""
     judge, scout = NullJudge(problem.seed), Scout(problem.catalogue, problem.seed)
     first = select(Searcher(problem.free, problem.candidates), scout, judge, start_noise(problem.campaign))
     critical = Critical(judge.critical(), scout.critical)
@@ -130,7 +132,7 @@ def choose(problem: Problem) -> Chosen:
 
 
 def choose_without(problem: Problem, out: Mask, whole: Chosen) -> Chosen:
-    """The same with rows left out, by the critical gains on all rows; the search for the noise starts at that of all rows."""
+    """The choice with rows left out, by the critical gains on all rows; the noise fit starts at that of all rows."""
     searcher = Searcher(problem.free, problem.candidates, out, LIGHT)
     noise = whole.selections[0].noise
     first = select(searcher, _scout(problem.catalogue, whole, 0), FoldJudge(whole.critical[0].effects), noise)
@@ -143,13 +145,13 @@ def choose_without(problem: Problem, out: Mask, whole: Chosen) -> Chosen:
 
 
 def _scout(catalogue: Catalogue, whole: Chosen, step: int) -> FoldScout | None:
-    """What looks for structure without some rows, where all rows showed any."""
+    """The search for structure without some rows, where all rows showed any."""
     selected = whole.selections[step]
     return FoldScout(catalogue, whole.critical[step].structure) if selected.hits or selected.shapes else None
 
 
 def _second(problem: Problem, given: Setting, static: Candidates, first: Selected, out: Mask | None) -> Searcher:
-    """The searcher against the declared table, with what that may have absorbed of the effects found."""
+    """The searcher against the declared table, with the part of the found effects that it may have absorbed."""
     columns = first.searcher.extra(first.choices).free
     setting = replace(given, static=static_part(problem.free.bench, columns))
     searcher = Searcher(setting, static, out, LIGHT if out is not None else FULL)

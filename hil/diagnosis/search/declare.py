@@ -1,6 +1,5 @@
-"""A model of named effects: the table, and these effects beside it because somebody says that the machine has them.
-
-What may go in: the fit of a choice made by a person. Nothing is searched for but the form and the parameters of each.
+"""A model of named effects: the table, and effects that the user states the machine has. Only their forms and
+parameters are fitted.
 """
 
 from __future__ import annotations
@@ -21,9 +20,11 @@ from hil.records.rows import Records
 
 
 def fit_with(records: Records, wanted: Sequence[Effect]) -> Model:
-    """The table and each wanted effect in the form, and with the parameters, that explain the records best, all fitted together.
+    """The table and each wanted effect in the form, and with the parameters, that explain the records best, all fitted
+    together.
 
-    Raises InputError for too few rows, for an effect that is never corrected, and for one that these records cannot show.
+    Raises InputError for too few rows, for an effect that is never corrected, and for one that these records cannot
+    show.
     """
     for effect in wanted:
         if effect.action is not Action.COMPENSATE:

@@ -1,7 +1,4 @@
-"""From a noise model and chosen columns to a model of the axis: table and terms estimated together.
-
-What may go in: joint generalised least squares and the packing of its estimates; the choice of columns is made elsewhere.
-"""
+"""The joint fit: table and terms by generalised least squares under a noise model, as a model of the axis."""
 
 from __future__ import annotations
 
@@ -23,6 +20,7 @@ from hil.records.rows import Records
 Floats = NDArray[np.float64]
 
 START_ROUGHNESS = 300.0
+"""Variance ratio of the table's roughness at which a noise fit starts."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class Choice:
     """An effect in one form with its non-linear parameters chosen.
 
     variance: ratio of the prior's variance to the white noise's, for a form that is shrunk
-    steps: how far apart its grid stands there in each parameter (in the logarithm where that is searched), for the refinement
+    steps: grid spacing of each parameter (in the logarithm where that is searched), for the refinement
     """
 
     effect: Effect
@@ -44,18 +42,20 @@ class Choice:
         return self.effect.basis(self.form, self.theta, campaign.columns)
 
     def extra(self, campaign: Campaign) -> Extra:
-        """The same as columns of a fit: free, or random and scaled to unit variance ratio."""
+        """Its columns in a fit: free, or random and scaled to unit variance ratio."""
         columns = self.columns(campaign)
         none = columns[:, :0]
         return Extra(none, columns * math.sqrt(self.variance)) if self.form.shrunk else Extra(columns, none)
 
     @property
     def log_prior(self) -> float:
-        """Log odds of its parameters beforehand."""
+        """Log prior odds of its parameters."""
         return sum(p.log_prior(value) for p, value in zip(self.form.nonlinear, self.theta, strict=True))
 
     def as_term(self, coefficients: Floats, covariance: Floats | None = None) -> Term:
-        """With coefficients (k,), and the covariance (k + t, k + t) of coefficients and parameters where it is known."""
+        """The term with coefficients (k,), and the covariance (k + t, k + t) of coefficients and parameters where it is
+        known.
+        """
         size = len(coefficients) + len(self.theta)
         known = np.zeros((size, size)) if covariance is None else covariance
         return Term(
@@ -89,7 +89,7 @@ def grid_choices(effect: Effect, form: Form) -> list[Choice]:
 
 
 def start_noise(campaign: Campaign) -> Noise:
-    """Where the search for the noise model starts: a free table on repeated targets, a smooth one elsewhere."""
+    """Start of the noise fit: a free table on repeated targets, a smooth one elsewhere."""
     if campaign.repeated:
         return Noise()
     return Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
@@ -109,7 +109,7 @@ def fit_model(records: Records) -> Model:
 
 @dataclass(frozen=True)
 class Known:
-    """What a declared model says beside its table, as a prior of the fit.
+    """The declared model's terms as a prior of the fit.
 
     terms: the declared terms; roots: square root of each one's coefficient covariance over the noise variance, (k, k)
     extra: their columns times those roots, random with unit variance
@@ -121,10 +121,12 @@ class Known:
 
     @classmethod
     def none(cls, rows: int) -> Known:
+        """No declared terms."""
         return cls((), (), Extra.none(rows))
 
     @classmethod
     def of(cls, model: Model, campaign: Campaign, noise_um: float) -> Known:
+        """The terms of a declared model; noise_um: standard deviation of the white noise."""
         roots, columns = [], []
         for term in model.terms:
             k = len(term.coefficients)
@@ -150,9 +152,10 @@ class Known:
 class JointFit:
     """Table and terms estimated together.
 
-    whole: with every term, the declared ones first; extended: with the terms a machine is compensated for, the static part of the
-    others left in its table; found: the terms of the choices; white_um: standard deviation of the white noise
-    nuisance_um: what the columns of no interest came to, on every row, shape (n,)
+    whole: with every term, the declared ones first; extended: with the terms a machine is compensated for, the static
+    part of the others left in its table; found: the terms of the choices; white_um: standard deviation of the white
+    noise
+    nuisance_um: fitted value of the nuisance columns on every row, shape (n,)
     """
 
     whole: Model
@@ -164,10 +167,10 @@ class JointFit:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a joint fit stands on.
+    """The data of a joint fit.
 
-    bench: campaign and shape of the table; error_um: what table and terms have to explain, shape (n,)
-    known: declared terms; static: what the declared table may have absorbed of the choices, columns free in the fit
+    bench: campaign and shape of the table; error_um: to be explained by table and terms, shape (n,)
+    known: declared terms; static: part of the choices that the declared table may have absorbed, free in the fit
     """
 
     bench: Bench
@@ -200,10 +203,10 @@ def joint_fit(
     nuisance: Extra | None = None,
     uncertain: bool = True,
 ) -> JointFit:
-    """Estimate table and terms under a noise model, from the (tamed) errors y (n,) of the rows not left out.
+    """Estimates table and terms under a noise model, from the (outlier-limited) errors y (n,) of the rows not left out.
 
-    nuisance: random columns of no interest that are in the fit too; uncertain: whether covariances are wanted. That of a term is
-    of its coefficients and non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all
+    nuisance: further random columns in the fit; uncertain: whether covariances are computed. That of a term is of its
+    coefficients and non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all
     other terms free.
     """
     bench = setting.bench
@@ -284,7 +287,7 @@ def _terms(
 
 
 def static_part(bench: Bench, columns: Floats) -> StaticPart | None:
-    """What the table of a free setting can hold of some columns (n, q); None without columns."""
+    """The part of some columns (n, q) that the table of a free setting can hold; None without columns."""
     if not columns.shape[1] or not isinstance(bench.shape, SplineShape):
         return None
     smooth = Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)

@@ -1,7 +1,7 @@
-"""Whether what the search found is more than noise makes: the answer to the look-elsewhere problem.
+"""Tests whether a finding of the search is more than noise, with the look-elsewhere effect.
 
-What may go in: decisions by the null distribution of the maximum. It is simulated only where it can matter: far below it nothing needs
-asking, far above it neither.
+Decisions use the null distribution of the maximum. It is simulated only for gains near the decision, neither far below
+nor far above.
 """
 
 from __future__ import annotations
@@ -25,25 +25,29 @@ from hil.diagnosis.search.structure import Catalogue, Structure
 Floats = NDArray[np.float64]
 
 FALSE_FINDINGS = 0.003
-"""Wanted rate of findings on a campaign with nothing to find, over the whole catalogue."""
+"""Rate of findings on a campaign without effects, over the whole catalogue."""
 FALSE_STRUCTURE = 0.002
+"""Rate of structures found on a campaign without any."""
 WINNER = 0.02
-"""The chance in noise of the effect that wins, by itself, once any effect is significant."""
+"""Largest probability in noise of the winning effect by itself, once any effect is significant."""
 SURE = 35.0
+"""Log Bayes factor accepted without a simulation."""
 HOPELESS = 2.0
+"""Log Bayes factor below which no simulation is made."""
 REFINEMENT = 5.0
-"""What the refinement of a grid point may bring."""
+"""Log Bayes factor that refinement of a grid point may add."""
 STRUCTURE_CAMPAIGNS = 300
 NEAR_OFFSET = 0.2
+"""Difference of run offsets from which the null is also profiled at their median."""
 OFFSETS = np.linspace(0.0, MOST_OFFSET, 9)
 USUAL = 12.0
 USUAL_STRUCTURE = 12.0
-"""Log Bayes factors: taken without asking, not worth asking, and what is asked where no null was simulated."""
+"""Critical log Bayes factors of effects and of structures where no null was simulated."""
 
 
 @dataclass
 class NullJudge:
-    """Decides the stages of one search on all rows; remembers what it simulated."""
+    """Decides the stages of one search on all rows; caches its simulations."""
 
     seed: int
     null: Null | None = None
@@ -61,11 +65,12 @@ class NullJudge:
         return self.null is None or winner not in self.null.maxima or float(self.null.probability(winner, top)) < WINNER
 
     def hopeful(self, effect: str, gain: float) -> bool:
+        """Whether this gain of a grid point may become significant by refinement."""
         del effect
         return gain > HOPELESS - REFINEMENT
 
     def probability(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> float:
-        """Chance of any effect getting as far as the farthest one did, in noise alone."""
+        """Probability in noise alone that any effect reaches the gain of the best one."""
         key = len(chosen)
         if key not in self.asked:
             offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
@@ -99,9 +104,10 @@ class NullJudge:
 
 
 def run_offsets(searcher: Searcher, choices: Sequence[Choice], noise: Noise, seed: int) -> Floats:
-    """Standard deviations the run offsets may have, as far as is known with some choices in the fit, shape (CAMPAIGNS,).
+    """Standard deviations of the run offsets, sampled from their posterior with some choices in the fit, shape
+    (CAMPAIGNS,).
 
-    With the best candidate in it, so that a drift from run to run does not make the offsets it then hides behind.
+    The best candidate is in the fit, so that a drift from run to run does not increase the offsets.
     """
     trials = [replace(noise, offset=float(offset)) for offset in OFFSETS]
     odds = np.array([searcher.evidence(choices, trial) for trial in trials])
@@ -111,7 +117,7 @@ def run_offsets(searcher: Searcher, choices: Sequence[Choice], noise: Noise, see
 
 @dataclass(frozen=True)
 class FoldJudge:
-    """Decides the stages of a search with a run left out, by the critical gains of the whole campaign's design."""
+    """Decides the stages of a search with a run left out, by the critical gains on all rows."""
 
     critical: dict[str, float]
 
@@ -119,12 +125,13 @@ class FoldJudge:
         return any(r.evidence - stage.before > self.critical.get(r.effect, USUAL) for r in stage.ranking)
 
     def hopeful(self, effect: str, gain: float) -> bool:
+        """Whether this gain of a grid point may become significant by refinement."""
         return gain > self.critical.get(effect, USUAL) - REFINEMENT
 
 
 @dataclass(frozen=True)
 class Hit:
-    """A structure that is there: the block, its variance ratio as a random effect, the chance of seeing it in noise."""
+    """A significant structure: the block, its variance ratio as a random effect, its gain, its probability in noise."""
 
     structure: Structure
     variance: float
@@ -146,14 +153,14 @@ def hit_of(frame: Frame, structure: Structure, gain: float, probability: float) 
 
 @dataclass
 class Scout:
-    """Looks for structure outside the catalogue; remembers the gain that is just significant for the folds."""
+    """The search for structure outside the catalogue; stores the gain that is just significant for the folds."""
 
     catalogue: Catalogue
     seed: int
     critical: float = USUAL_STRUCTURE
 
     def __call__(self, frame: Frame, bench: Bench) -> Hit | None:
-        """The clearest structure beside what the frame of this bench projects out, if it is more than noise makes."""
+        """The structure of highest gain beside the projected columns, if it is significant."""
         found = clearest(frame, self.catalogue)
         if found is None or found[1] < 0.0:
             return None
@@ -183,7 +190,7 @@ class Scout:
 
 @dataclass(frozen=True)
 class FoldScout:
-    """The same with a run left out, by the critical gain of the whole campaign's design."""
+    """The same with a run left out, by the critical gain on all rows."""
 
     catalogue: Catalogue
     critical: float
@@ -197,7 +204,7 @@ class FoldScout:
 
 
 def clearest(frame: Frame, catalogue: Catalogue) -> tuple[Structure, float] | None:
-    """The structure of highest gain and that gain; None where there is nothing to look at."""
+    """The structure of highest gain and that gain; None where there is no structure to test."""
     gains: list[float] = []
     if len(catalogue.structures):
         gains.extend(score(frame, catalogue.stack(frame.whitened)).gain)

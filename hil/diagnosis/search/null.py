@@ -1,7 +1,8 @@
-"""How large the best candidate of each effect gets when there is nothing to find, in this very design.
+"""The null distribution: the best gain of each effect in simulated campaigns of table and noise alone, in the
+campaign's own design.
 
-What may go in: simulated campaigns of table and noise alone, the distribution of the maximum they give, its tail. Textbook tails
-(χ², periodogram) are too light for a search over periods, moments and time constants in correlated noise.
+Textbook tails (χ², periodogram) are too light for a search over periods, moments and time constants in correlated
+noise.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from hil.diagnosis.search.candidates import Candidates, score
 Floats = NDArray[np.float64]
 
 CAMPAIGNS = 300
+"""Simulated campaigns."""
 
 
 @dataclass(frozen=True)
 class Null:
     """By effect id, the gain of its best candidate over none in each simulated campaign, shape (b,).
 
-    floor: what a candidate gains that explains nothing; narrowest: width of the narrowest candidate
+    floor: gain of a candidate that explains nothing; narrowest: width of the narrowest candidate
     """
 
     maxima: dict[str, Floats]
@@ -34,7 +36,8 @@ class Null:
     log_rows: float
 
     def probability(self, effect: str, value: Floats | float) -> Floats:
-        """Chance that the best candidate of this effect gets this far in noise, never less than that of a single candidate.
+        """Probability in noise that the best candidate of this effect reaches a gain, at least that of a single
+        candidate.
 
         Shape of `value`.
         """

@@ -1,6 +1,5 @@
-"""Every effect at its best beside some choices: the best grid points, refined, over all noise models, in richer forms.
-
-What may go in: the order in which effects compete. Whether the best one is taken is decided in `search`.
+"""The ranking of effects, each at its best beside some choices: best grid points, refined, over all noise models, in
+richer forms.
 """
 
 from __future__ import annotations
@@ -18,16 +17,16 @@ from hil.diagnosis.search.searcher import Searcher, View, with_point
 from hil.effects import Form
 
 SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))
-"""Shares of the table's roughness (even, odd part) that may be left once a feature of one place stands beside it."""
+"""Shares of the table's roughness (even, odd part) that are tried beside a local feature."""
 RICHER = 3.0
-"""Log odds against a richer form of the same effect, beside what its width costs."""
+"""Log odds against a richer form of the same effect, beyond the cost of its width."""
 IMPLAUSIBLE = 5.0
-"""Log odds against an effect whose parameters no machine has."""
+"""Log odds against an effect with implausible parameters."""
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate at its best: log evidence of the whole model with it, its noise model, its gain there."""
+    """A candidate at its best: log evidence of the whole model with it, and its noise model."""
 
     choice: Choice
     evidence: float
@@ -35,13 +34,14 @@ class Ranked:
 
     @property
     def effect(self) -> str:
+        """Id of the effect."""
         return self.choice.effect.id
 
 
 def rank(
     searcher: Searcher, chosen: Sequence[Choice], noise: Noise, hopeful: Callable[[Ranked], bool] | None = None
 ) -> tuple[Ranked, ...]:
-    """Every effect at its best beside the chosen ones, best first; none where no grid point is hopeful."""
+    """Every effect at its best beside the chosen ones, best first; empty where no grid point is promising."""
     view = View(searcher, chosen)
     rough = _rough(view, noise)
     if not rough or (hopeful is not None and not any(hopeful(r) for r in rough)):
@@ -90,7 +90,7 @@ def _profiled(view: View, refined: Sequence[Ranked], noise: Noise) -> list[Ranke
 
 
 def _smoothed(view: View, ranked: Sequence[Ranked]) -> list[Ranked]:
-    """Features of one place beside a table that needs to be less rough everywhere: it bulged where they stand."""
+    """Local features beside smoother tables: the table has bulged at the place of the feature."""
     best = list(ranked)
     bench = view.searcher.bench
     survey = bench.campaign.survey
@@ -105,7 +105,7 @@ def _smoothed(view: View, ranked: Sequence[Ranked]) -> list[Ranked]:
 
 
 def _best_of(view: View, ranked: Sequence[Ranked], noises: Sequence[Noise]) -> list[Ranked]:
-    """Each as it is, or at the one of some noise models under which it is better."""
+    """Each with the noise model of highest evidence, its own or one of some others."""
     best = list(ranked)
     trials = Trials([r.choice for r in ranked], view.searcher.bench.campaign)
     for noise in noises:
@@ -153,7 +153,7 @@ def _best_of_each_form(frame: Frame, choices: Sequence[Choice]) -> list[Choice]:
 
 
 def richer(choice: Choice, forms: Sequence[Form]) -> list[Choice]:
-    """Those of the refining forms that read the main column of the choice, at their grid points or at its parameters."""
+    """The refining forms that read the main column of the choice, at their grid points or at its parameters."""
     out: list[Choice] = []
     for form in forms:
         if not set(choice.form.inputs) & set(form.inputs):
@@ -169,5 +169,5 @@ def richer(choice: Choice, forms: Sequence[Form]) -> list[Choice]:
 
 
 def smoother(noise: Noise) -> tuple[Noise, ...]:
-    """The same noise beside tables that are less rough."""
+    """The same noise beside smoother tables."""
     return tuple(replace(noise, even=noise.even * even, odd=noise.odd * odd) for even, odd in SMOOTHER)

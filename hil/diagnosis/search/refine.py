@@ -1,6 +1,7 @@
-"""Local refinement of the non-linear parameters of many candidates at once (variable projection: the linear ones follow).
+"""Local refinement of the non-linear parameters of many candidates at once by pattern search (variable projection: the
+linear ones follow).
 
-What may go in: the pattern search from grid starts to the best parameters of each form; all trials of a round are one product.
+All trials of a round are one product.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 6
 FIRST = 0.6
-"""First step of the refinement, of the distance between grid points."""
+"""First step, as a share of the grid spacing."""
 OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}
+"""Trial offsets in steps, by number of parameters."""
 
 
 class Trials:
-    """Some choices as columns made once, to be scored under one frame after the other."""
+    """Some choices with their columns, scored under several projections."""
 
     def __init__(self, choices: Sequence[Choice], campaign: Campaign) -> None:
         self.choices, self.blocks = choices, Blocks.of_choices(choices, campaign)
@@ -46,7 +48,9 @@ class Trials:
 
 
 def score_choices(frame: Frame, choices: Sequence[Choice]) -> tuple[Floats, list[Choice]]:
-    """The same of some choices under one frame."""
+    """Gain of some choices under one projection, shape (c,), and the choices with the variance of the shrunk ones
+    set.
+    """
     return Trials(choices, frame.whitened.campaign).score(frame)
 
 
@@ -85,7 +89,7 @@ def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> lis
 
 
 def _around(choice: Choice, steps: Sequence[float], *, centre: bool) -> list[tuple[float, ...]]:
-    """Trial parameters on a small grid around a choice, inside the bounds; its own among them where the centre is wanted."""
+    """Trial parameters on a small grid around a choice, inside the bounds; with its own where `centre` is set."""
     if not steps:
         return [choice.theta]
     middle = _inward(choice, choice.theta)

@@ -1,7 +1,7 @@
-"""The search: which effects, in which form and with which parameters, the records ask for beside the declared table.
+"""The search: which effects, in which form and with which parameters, the records require beside the declared table.
 
-What may go in: forward choice by evidence with all identifiable effects competing, and exchange. Whether a best candidate is
-more than noise is asked of a `Judge`.
+Forward selection by evidence with all identifiable effects competing, and exchange. A `Judge` decides whether a best
+candidate is significant.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ from hil.diagnosis.search.rank import Ranked, rank
 from hil.diagnosis.search.searcher import Searcher
 
 MOST_TERMS = 5
+"""Most terms that one search adds."""
 EXCHANGES = 2
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the choice: evidence without, the ranking with each effect at its best, whether the best was taken.
+    """One step of the selection: evidence without, the ranking with each effect at its best, whether the best was
+    taken.
 
-    about: the effect whose place is contested, where it came there otherwise than as the best of a stage
+    about: the effect that the ranking is for, where it was not taken as the best of a stage
     """
 
     before: float
@@ -39,7 +41,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Selection:
-    """choices: the terms; noise: refitted with them; stages: how it came about."""
+    """choices: the terms; noise: refitted with them; stages: the steps that led to them."""
 
     choices: tuple[Choice, ...]
     noise: Noise
@@ -47,7 +49,7 @@ class Selection:
 
 
 class Judge(Protocol):
-    """Says whether the gains of a stage are more than noise makes."""
+    """Decides whether the gain of a stage is significant."""
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool: ...
 
@@ -56,7 +58,7 @@ class Judge(Protocol):
 
 
 def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
-    """Whether an effect that noise resembles is too small to be told from it."""
+    """Whether an effect that resembles noise is too small to be distinguished from it."""
     least = choice.effect.least_over_noise
     if least == 0.0:
         return False
@@ -66,9 +68,10 @@ def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
 
 
 def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice] = ()) -> Selection:
-    """Forward choice with exchange, from some choices and the noise model with them.
+    """Forward selection with exchange, from some choices and the noise model with them.
 
-    What is flexible enough to stand for several causes at once (a wander in time) is taken only where no several causes do better.
+    An effect flexible enough to represent several causes at once (a drift in time) is taken only where several effects
+    do not fit better.
     """
     found = _forward(searcher, noise, judge, start)
     flexible = {choice.effect.id for choice in found.choices[len(start) :] if choice.form.shrunk}
@@ -114,7 +117,7 @@ def _hopeful(judge: Judge, before: float, ranked: Ranked) -> bool:
 
 
 def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:
-    """Each choice after the first `fixed` may give way to one that is better now that the others are there, until none does."""
+    """Replaces choices after the first `fixed` by better ones, given the others, until none improves."""
     current = list(chosen)
     settled = len(current) - 1  # the last one was just found the best beside the others
     for i in itertools.islice(itertools.cycle(range(fixed, len(current))), EXCHANGES * (len(current) - fixed)):

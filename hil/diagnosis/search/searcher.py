@@ -1,6 +1,6 @@
-"""A search at work: candidates against one set of errors under any noise model, on all rows or with some left out.
+"""A searcher: candidates against one set of errors under any noise model, on all rows or with some left out.
 
-What may go in: frames, fits and evidences for some choices; how thoroughly to search. What to choose is `rank` and `search`.
+It provides projections, fits and evidences of choices; `rank` and `search` choose.
 """
 
 from __future__ import annotations
@@ -29,14 +29,17 @@ MOST_FRAMES = 40
 CONTENDERS = 8
 RICH_CONTENDERS = 3
 TAME, TAME_TAIL = 3.2, 1.5
-"""Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger holds, so that a real bulge stays."""
+"""Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger one applies, so that a real
+bulge is kept.
+"""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How thoroughly to search: effects refined, rounds of refinement, noise models each is profiled over, richer forms tried.
+    """Extent of a search: effects refined, rounds of refinement, noise models each is profiled over, richer forms
+    tried.
 
-    correlations: (ar, rho) tried in a fit of the noise; empty where the start is close, for none and that of the start
+    correlations: (ar, rho) tried in a noise fit; empty where the start is close: none and that of the start
     """
 
     contenders: int
@@ -62,39 +65,40 @@ class Searcher:
         self.nuisance = Extra.none(len(self.y))
         self._frames: dict[Noise, Frame] = {}
         self._tamed: tuple[tuple[Choice, ...], Noise] | None = None
-        self.barred: frozenset[str] = frozenset()  # effects that are not searched for the moment
+        self.barred: frozenset[str] = frozenset()  # effects that are excluded at present
 
     @property
     def always(self) -> Extra:
-        """The columns in every fit: what is declared, and what is of no interest."""
+        """The columns in every fit: declared ones and nuisance columns."""
         return self.setting.always.plus(self.nuisance)
 
     def add_nuisance(self, extra: Extra) -> None:
+        """Adds nuisance columns to every later fit."""
         self.nuisance = self.nuisance.plus(extra)
         self._frames.clear()
         self._tamed = None
 
     def restore(self, y: Floats, nuisance: Extra) -> None:
-        """Back to errors and columns of no interest that were there before."""
+        """Restores earlier errors and nuisance columns."""
         self.y, self.nuisance = y, nuisance
         self._frames.clear()
         self._tamed = None
 
     def fit(self, choices: Sequence[Choice], noise: Noise, *, uncertain: bool = True) -> JointFit:
-        """Table and terms estimated together, with their covariances where they are wanted."""
+        """Table and terms estimated together, with covariances if `uncertain`."""
         return joint_fit(
             self.setting, noise, self.y, choices, out=self.out, nuisance=self.nuisance, uncertain=uncertain
         )
 
     def extra(self, choices: Sequence[Choice]) -> Extra:
-        """The columns of some choices, and those that are always there."""
+        """The columns of some choices, and those of every fit."""
         total = self.always
         for choice in choices:
             total = total.plus(choice.extra(self.bench.campaign))
         return total
 
     def frame(self, noise: Noise, beside: Extra | None = None) -> Frame:
-        """With the columns `beside` in the fit, or with those that are always there (made once)."""
+        """The projection with the columns `beside` in the fit, or with those of every fit (cached)."""
         if beside is not None:
             return self.bench.frame(noise, self.y, beside, self.out)
         if noise not in self._frames:
@@ -104,7 +108,7 @@ class Searcher:
         return self._frames[noise]
 
     def tame(self, choices: Sequence[Choice], noise: Noise) -> None:
-        """Pull in rows far beyond what the fit and the bulk of the rows allow (Huber), for all that follows."""
+        """Limits rows far beyond the residual of the bulk of the rows (Huber), for all later steps."""
         asked = tuple(choices), noise
         if asked == self._tamed:
             return
@@ -119,6 +123,7 @@ class Searcher:
         self._frames.clear()
 
     def fit_noise(self, choices: Sequence[Choice], start: Noise) -> Noise:
+        """The noise model of highest evidence with the choices in the fit."""
         grid = self.effort.correlations or tuple(dict.fromkeys(((0.0, 0.0), (start.ar, start.rho))))
         near = not self.effort.correlations
         return fit_noise(self.bench, self.y, self.extra(choices), start, correlations=grid, near=near, out=self.out)
@@ -144,7 +149,7 @@ class Searcher:
 
 
 class View:
-    """A searcher beside some choices: frames and base evidences, each made once."""
+    """A searcher with some choices in every fit: projections and base evidences, cached."""
 
     def __init__(self, searcher: Searcher, chosen: Sequence[Choice]) -> None:
         self.searcher, self.chosen = searcher, chosen
@@ -153,6 +158,7 @@ class View:
         self._base: dict[Noise, float] = {}
 
     def frame(self, noise: Noise) -> Frame:
+        """The projection with the choices in the fit."""
         if not self.chosen:
             return self.searcher.frame(noise)
         if noise not in self._frames:
@@ -170,4 +176,5 @@ class View:
 
 
 def with_point(noise: Noise, ar: float, rho: float, offset: float) -> Noise:
+    """The noise model with other (ar, rho, offset)."""
     return replace(noise, ar=ar, rho=rho, offset=offset)

@@ -1,6 +1,5 @@
-"""One selection from start to end on some rows: noise, catalogue search, structure outside the catalogue, what stays.
-
-What may go in: the order of these steps.
+"""One complete selection on some rows: noise, catalogue search, structure outside the catalogue, removal of weak terms,
+in this order.
 """
 
 from __future__ import annotations
@@ -26,20 +25,26 @@ Floats = NDArray[np.float64]
 MOST_STRUCTURES = 3
 MOST_SWAPS = 4
 KEEP = 6.0
-"""Log Bayes factor a term must still bring beside an unexplained structure."""
+"""Least log Bayes factor of a term beside an unexplained structure."""
 SLIGHT = 3.0
-"""Log Bayes factor a term must still bring beside terms that were taken after it."""
+"""Least log Bayes factor of a term beside terms that were taken after it."""
 REPLACE = 6.0
-"""Log odds by which a structure of other columns must beat a term to take its place; for several terms their share of it."""
+"""Log odds by which a structure of other columns must exceed a term to replace it; for several terms their share of
+it.
+"""
 SHAPE = 0.35
-"""A structure of an effect's own columns, smaller than this share of the effect, is the effect's shape, not another cause."""
+"""A structure of an effect's own columns, smaller than this share of the effect, is a misfit of its form, not another
+cause.
+"""
 OUTGROWN = 0.7
-"""A structure of an effect's own columns, larger than this share of the effect, is the cause, and the effect a part of it."""
+"""A structure of an effect's own columns, larger than this share of the effect, is the cause, and the effect a part of
+it.
+"""
 
 
 @dataclass(frozen=True)
 class Stranger:
-    """The best structure of other columns in the place of an effect: log odds against the effect, gain over nothing."""
+    """The best structure of other columns in place of an effect: log odds against the effect, gain over none."""
 
     columns: tuple[str, ...]
     log_odds: float
@@ -48,9 +53,9 @@ class Stranger:
 
 @dataclass(frozen=True)
 class Selected:
-    """What the records ask for.
+    """The result of a selection.
 
-    searcher: with the tamed errors, and the columns of no interest (unexplained structure, drift within the noise)
+    searcher: with the outlier-limited errors and the nuisance columns (unexplained structure, drift within the noise)
     hits: unexplained structures; shapes: small misfits of the terms' own forms
     foreign: by effect, the best structure of other columns in its place
     memory: correlation from row to row beyond that of noise
@@ -79,7 +84,9 @@ class Selected:
 def select(
     searcher: Searcher, scout: Scout | FoldScout | None, judge: Judge, noise: Noise, start: Sequence[Choice] = ()
 ) -> Selected:
-    """The terms the records ask for beside those of `start`, and the structure they leave where a scout looks for it."""
+    """The terms that the records require beside those of `start`, and the remaining structure where `scout` is
+    given.
+    """
     noise = searcher.fit_noise(start, noise)
     searcher.tame(start, noise)
     found = search(searcher, noise, judge, start)
@@ -132,7 +139,9 @@ def select(
 def drop(
     searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0, least: float = KEEP
 ) -> list[Choice]:
-    """Without the terms after the first `fixed` that bring less than `least` now that the others are there, the weakest first."""
+    """Removes the terms after the first `fixed` that contribute less than `least` beside the others, the weakest
+    first.
+    """
     current = list(chosen)
     while len(current) > fixed:
         whole, _ = searcher.profiled_evidence(current, noise)
@@ -150,10 +159,11 @@ def drop(
 def _foreign(
     searcher: Searcher, catalogue: Catalogue, chosen: Sequence[Choice], noise: Noise, fixed: int
 ) -> tuple[dict[str, Stranger], list[Choice], Hit | Stage | None]:
-    """Whether a structure of other columns does better than some terms: all together, those of one effect, a single one.
+    """Tests whether a structure of other columns fits better than some terms: all together, those of one effect, a
+    single one.
 
-    The best one for each effect. Where it does better: the terms that stay, and the structure, or the stage at which an effect
-    that is as good as the structure is taken.
+    Returns the best structure for each effect. Where one fits better: the remaining terms, and the structure, or the
+    stage at which an effect as good as the structure is taken.
     """
     odds: dict[str, Stranger] = {}
     worth = searcher.profiled_evidence(chosen, noise)[0]
@@ -218,7 +228,7 @@ def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noi
 
 
 def _not_outgrown(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise, fixed: int) -> list[Choice]:
-    """Without the terms after the first `fixed` that are only a part of a structure of the same columns."""
+    """Removes the terms after the first `fixed` that are only a part of a structure of the same columns."""
     columns = set(hit.structure.columns) - {"direction"}
     rms = structure_rms(searcher, hit, chosen, noise)
     sizes = _sizes(searcher, chosen, noise)

@@ -1,7 +1,8 @@
-"""Noise with more memory than noise has: what remains hangs together from row to row, and follows none of the columns.
+"""Noise with more memory than ordinary noise: the residual is correlated from row to row, and follows none of the
+columns.
 
-What may go in: the comparison of noise models whose correlated part is larger than the white one with those of ordinary noise. What
-switches, wanders or settles faster than any column says shows here, and only here.
+Noise models whose correlated part exceeds the white one are compared with those of ordinary noise. A cause that
+switches or settles faster than any column shows is found only here.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from hil.effects import Estimate
 
 ORDINARY = tuple(product((0.35, 0.6, 0.85), (0.3, 0.5, 0.7, 0.85, 0.95)))
 STRONG = tuple(product((1.2, 1.7, 2.5, 4.0), (0.5, 0.7, 0.85)))
-"""(ar, rho): standard deviation of the correlated part over that of the white one, and what is left of it one row later."""
+"""(ar, rho): standard deviation of the correlated part over that of the white one, and its correlation one row
+later.
+"""
 AROUND = tuple(product(np.geomspace(0.7, 8.0, 12).tolist(), (0.4, 0.55, 0.7, 0.8, 0.9)))
-"""The same, close enough together to say how well the strength is known."""
+"""The same, on a grid fine enough for the uncertainty of the strength."""
 BEYOND = 6.0
-"""Log odds of a strong correlation against every ordinary one from which it is no noise."""
+"""Log odds of a strong correlation against every ordinary one from which it is not noise."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Memory:
 
 
 def memory(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> Memory | None:
-    """The strong correlation in what some terms leave, if it is beyond that of noise."""
+    """The strong correlation in the residual of some terms, if it is beyond that of noise."""
     if noise.ar == 0.0:
         return None
 
@@ -51,7 +54,7 @@ def memory(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> Memory
 
 
 def _strength_um(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> Estimate:
-    """Standard deviation of the correlated part in µm, by the evidence of every model around."""
+    """Standard deviation of the correlated part in µm, averaged over noise models by their evidence."""
     extra = searcher.extra(chosen)
     odds, values = np.zeros(len(AROUND)), np.zeros(len(AROUND))
     for i, (ar, rho) in enumerate(AROUND):

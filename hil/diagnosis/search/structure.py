@@ -1,7 +1,8 @@
-"""A generic search for structure in what the catalogue leaves: smooth functions of columns and of pairs of columns.
+"""A generic search for structure that no effect of the catalogue explains: smooth functions of columns and of pairs of
+columns.
 
-What may go in: blocks that stand for "something depends on this", with no physics in them. They decide "unexplained", and they compete
-with catalogue effects so that a cause outside the catalogue is not given a catalogue name because it resembles one.
+The blocks represent "something depends on this", without physics. They decide "unexplained", and they compete with
+catalogue effects so that another cause is not given the name of an effect that it resembles.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ FINE = 4
 class Structure:
     """A block: the columns it depends on, and its design columns (n, r) of unit size.
 
-    form: of the dependence as a whole, with the lower orders that one on these columns has too; values: of all columns, each (n,)
+    form: of the whole dependence, with the lower orders; values: of all columns, each (n,)
     """
 
     columns: tuple[str, ...]
@@ -47,7 +48,9 @@ class Structure:
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Every structure that is looked for, as blocks; fine: position dependence finer than the table, as wide random effects."""
+    """All structures that are tested, as blocks; fine: position dependence finer than the table, as wide random
+    effects.
+    """
 
     structures: tuple[Structure, ...]
     blocks: Blocks
@@ -64,7 +67,7 @@ class Catalogue:
 
 
 def structures(campaign: Campaign) -> Catalogue:
-    """Single columns, columns with direction, pairs and pairs with direction, of everything that varies."""
+    """Single columns, columns with direction, pairs and pairs with direction, of all columns that vary."""
     survey = campaign.survey
     names = [name for name in sorted(survey.varying) if name not in SKIPPED and _usable(campaign, name)]
     if survey.time_column == "row_order" and survey.has("row_order"):
@@ -96,12 +99,12 @@ def structures(campaign: Campaign) -> Catalogue:
 
 
 def static_structures(campaign: Campaign) -> Catalogue:
-    """Functions of position and direction alone, for a table that was declared."""
+    """Functions of position and direction alone, for a declared table."""
     return Catalogue((), Blocks.of([], len(campaign)), _fine(campaign))
 
 
 def _fine(campaign: Campaign) -> tuple[Structure, ...]:
-    """Position dependence finer than the table, in both directions alike and against each other."""
+    """Position dependence finer than the table, alike and opposite in the two directions."""
     if campaign.repeated or not campaign.survey.has("target_mm"):
         return ()
     knots = campaign.basis.knots_mm

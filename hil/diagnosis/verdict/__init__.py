@@ -1,1 +1,3 @@
-"""The verdict: what of the search is more than noise, what rivals remain, what may be offered."""
+"""The verdict: which results of the search are significant, the remaining rivals, and an optional correction without a
+cause.
+"""

@@ -1,6 +1,6 @@
-"""What the models are worth on rows they were not fitted to: every run left out once, the choice repeated without it.
+"""The value of the models on rows they were not fitted to: every run left out once, the choice repeated without it.
 
-What may go in: prediction of left-out runs. Nothing of a left-out run enters the fit that predicts it but its columns.
+Only the columns of a left-out run enter its prediction.
 """
 
 from __future__ import annotations
@@ -22,20 +22,23 @@ from hil.diagnosis.search.select import Selected
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 MOST_FOLDS = 10
+"""Most folds; more runs are grouped."""
 TRIMMED = 5
+"""Folds from which the best and the worst are left out of a mean gain."""
 ONCE = frozenset({"datum_step", "beam_drift"})
-"""What happens once cannot be asked to help on a run left out."""
+"""Effects that occur once, and so cannot improve a left-out run."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Residuals of all rows when they were left out, each shape (n,), and how the rows were left out.
+    """Residuals of all rows when they were left out, each shape (n,), µm, and how the rows were left out.
 
     before: of the declared model; after: with the machine's effects; setup: with those of instrument and set-up too
-    gain: by effect chosen on all rows, the squared error it takes away in each fold, shape (folds,), µm²: everything refitted
-        without the fold, with it and without it
+    gain: by effect chosen on all rows, the reduction of squared error in each fold, shape (folds,), µm²: everything
+    refitted without the fold, with and without the effect
     structure: the same of unexplained structure, where the choice without the fold finds any
-    carried: what that structure, as a term of a model, says of each row, (n,); carried_gain: what it takes away in each fold
+    carried: prediction of that structure, as a term of a model, for each row, (n,); carried_gain: its reduction of
+    squared error in each fold
     """
 
     before: Floats
@@ -59,10 +62,10 @@ def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
 
 
 def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
-    """Leave out, choose, fit, predict.
+    """Leaves out each fold, chooses, fits, predicts.
 
-    whole: what was chosen with nothing left out, with the gains an effect needs there; rows: what is predicted, the rows of the
-    problem among them
+    whole: the choice with nothing left out, with its critical gains; rows: the rows to predict, those of the problem
+    among them
     """
     fold, how = folds(problem.campaign.run)
     fold_of_all = rows.folds(fold)
@@ -98,10 +101,11 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
 
 
 def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:
-    """By effect, the squared error of the rows left out that it takes away, µm², with its parameters found again on the others.
+    """By effect, its reduction of the squared error of the rows left out, µm², with its parameters refitted on the
+    others.
 
-    Beside what happens once, which nothing can predict, each run is taken about its own mean. A campaign of few runs hardly lets an
-    effect be chosen again without one of them; whether it predicts that run is asked here.
+    Beside effects that occur once, which nothing can predict, each run is taken about its own mean. In a campaign of
+    few runs an effect is hardly chosen again without one of them; this tests whether it predicts that run.
     """
     campaign = problem.campaign
     columns = {name: values[out] for name, values in campaign.columns.items()}
@@ -128,9 +132,10 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
 
 
 def earns_its_place(gain: Floats) -> bool:
-    """Whether a gain per fold, shape (folds,), is on average above zero by more than its standard error.
+    """Whether the mean of a gain per fold, shape (folds,), exceeds zero by more than its standard error.
 
-    Of five folds or more the best and the worst are left away: without the first run, what changes with time has no beginning.
+    Of five folds or more the best and the worst are left out: without the first run, an effect of time has no
+    beginning.
     """
     trim = len(gain) // TRIMMED
     kept = np.sort(gain)[trim : len(gain) - trim]

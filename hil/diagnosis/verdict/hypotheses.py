@@ -1,9 +1,9 @@
-"""What could make an error, and how likely each cause is by the records: those the records can show, and those that hide in them.
+"""Possible causes of an error, each with its weight by the records: those the records can show, and those hidden in
+them.
 
-A cause hides where the column it follows was never logged or never changed: a load that was always the same looks like backlash, a
-tilt nobody measured like a lead error. Such a column is imagined here - constant where it is something that is set, a smooth course
-where it is something that wanders - and the cause competes with that. What may go in: evidence and weights of single causes; what to
-measure about it is `next_measurement`.
+A cause is hidden where the column it follows was never logged or never changed: a constant load looks like backlash, an
+unmeasured tilt like a lead error. Such a column is assumed here - constant where it is set, a smooth course where it
+varies by itself - and the cause competes with that.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from hil.records.rows import Records, concatenate
 Floats = NDArray[np.float64]
 
 TEMPERATURE = 2.0
-"""Log odds are divided by this before they become weights: no form is exactly right."""
+"""Divisor of the log odds before they become weights, since no form is exactly right."""
 UNSEEN = 1.0
-"""Log odds against a cause that follows a column nobody has seen change."""
+"""Log odds against a cause that follows a column without recorded change."""
 WIDE = Effort(contenders=20, rounds=4, grid=GRID[::2], rich=4)
 ONCE = frozenset({"datum_step", "beam_drift"})
-"""Causes that need not come back in another campaign."""
+"""Causes that need not recur in another campaign."""
 WORST = -12.0
-"""Log Bayes factor of a cause that one part of the records speaks against, at most: no form is exactly right there either."""
+"""Least log Bayes factor of a cause in one part of the records, since no form is exactly right."""
 STILL = 0.15
-"""Share of a course in time that must be left beside a table, or it was there all the time."""
+"""Share of a course in time that must remain beside a table; below it the course is static."""
 COURSES = (1, 2, 3, 4, 6)
-"""Orders of the smooth courses that an unseen column is imagined to take."""
+"""Orders of the smooth courses assumed for an unseen column."""
 
 SET = {"load_kg": 1.0, "pos_y_mm": 100.0, "abbe_offset_mm": 0.0, "setup": 1.0}
-"""Columns that somebody sets, with the level imagined where nothing says which it was."""
+"""Columns that a person sets, with the level assumed where none is recorded."""
 IN_TIME = ("temp_screw_c", "air_temp_c")
 ALONG = ("pitch_urad",)
 REST = {"temp_screw_c": 20.0, "air_temp_c": 20.0, "pitch_urad": 0.0}
@@ -55,9 +55,9 @@ SENSED = re.compile(r"temp_\w+_c|air_\w+|pitch_urad|yaw_urad")
 
 @dataclass(frozen=True)
 class Unseen:
-    """A cause through a column that the records lack: the form it would have, and the columns (n, k) it comes to.
+    """A cause through a column that the records lack: its form, and its columns (n, k).
 
-    courses: what the column is imagined to have done beside its usual value, one for each of the k, shape (n, k)
+    courses: assumed course of the column about its usual value, one for each of the k, shape (n, k)
     """
 
     effect: Effect
@@ -68,13 +68,15 @@ class Unseen:
 
     @property
     def wanders(self) -> bool:
-        """Whether it is an offset that follows something nobody reads: free to take any course in time."""
+        """Whether it is an offset that follows an unread sensor, and so may take any course in time."""
         return self.column in IN_TIME and "target_mm" not in self.form.inputs
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A cause with its weight among all, the best form it has in the records, and the unseen column it would need, if any."""
+    """A cause with its weight among all, its log Bayes factor, the best form it has in the records, and the unseen
+    column it needs, if any.
+    """
 
     effect: Effect
     weight: float
@@ -84,13 +86,14 @@ class Hypothesis:
 
     @property
     def id(self) -> str:
+        """Id of the effect."""
         return self.effect.id
 
 
 def joined(parts: Sequence[Records]) -> Records:
-    """Campaigns one after another as one; a column that is set and was not written down then stood as it stands first in a later one.
+    """Campaigns one after another as one; a set column without values had the first level of a later campaign.
 
-    A sensor that was not there leaves its cells empty.
+    A sensor that was missing leaves its cells empty. Raises InputError as `Records.of`.
     """
     columns = dict.fromkeys(name for part in parts for name in part.columns)
     usual = {name: next(float(p[name][0]) for p in parts if name in p) for name in columns if is_set(name)}
@@ -112,12 +115,12 @@ def joined(parts: Sequence[Records]) -> Records:
 
 
 def is_set(column: str) -> bool:
-    """Whether a column is something that somebody sets, not something that is read."""
+    """Whether a column is set by a person, not read."""
     return column in SET or bool(re.fullmatch(r"pos_\w+_mm", column))
 
 
 def segments(records: Records) -> tuple[Records, ...]:
-    """The records apart by which sensors were there, each without its empty columns."""
+    """The records split by which sensors were there, each without its empty columns."""
     sensors = [name for name in records.columns if SENSED.fullmatch(name)]
     there = np.array([np.isfinite(records[name]) for name in sensors]).reshape(len(sensors), len(records))
     kinds = np.unique(there, axis=1)
@@ -137,7 +140,7 @@ def weigh(
 ) -> tuple[Hypothesis, ...]:
     """Every cause with its weight, the likeliest first.
 
-    beside: effects that are there anyway. Raises InputError for too few rows.
+    beside: effects known to be there. Raises InputError for too few rows.
     """
     total: dict[str, float] = {}
     best: dict[str, Hypothesis] = {}
@@ -162,7 +165,7 @@ def weigh(
 def _weigh_part(
     records: Records, declared: Model | None, effects: Sequence[Effect], beside: Sequence[Term]
 ) -> list[Hypothesis]:
-    """The gain of each cause over none in records whose columns are whole; nothing about the causes they can say nothing of."""
+    """The gain of each cause over none in records of complete columns; causes that they cannot show are left out."""
     searcher = searcher_of(records, declared, effects)
     campaign = searcher.bench.campaign
     rest = [choice_of(term) for term in beside if all(name in campaign.columns for name in term.needs)]
@@ -183,7 +186,7 @@ def _weigh_part(
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
-    for hypothesis in list(found.values()):  # what wanders unseen may wander like anything that wanders
+    for hypothesis in list(found.values()):  # an unseen drift may follow any course that a drift may
         loose = found.get("beam_drift")
         wanders = hypothesis.unseen is not None and hypothesis.unseen.wanders
         if loose is not None and wanders and hypothesis.gain < loose.gain - UNSEEN:
@@ -192,7 +195,7 @@ def _weigh_part(
 
 
 def _stands_still(campaign: Campaign, choice: Choice, fit: JointFit) -> bool:
-    """Whether a cause that is said to come with time was there from the first row on, so that a table would hold it.
+    """Whether a cause that depends on time was present from the first row on, so that a table would hold it.
 
     A drift that settles at once is a shape along the travel under another name.
     """
@@ -205,12 +208,12 @@ def _stands_still(campaign: Campaign, choice: Choice, fit: JointFit) -> bool:
 
 
 def _hidden(prepared: Floats, left: Floats) -> bool:
-    """Whether less than a hundredth of the columns' norm is left beside the table."""
+    """Whether less than a hundredth of the columns' norm remains beside the table."""
     return bool(np.max(np.diag(left)) < 1e-4 * np.max(np.sum(prepared**2, axis=0)))
 
 
 def searcher_of(records: Records, declared: Model | None, effects: Sequence[Effect]) -> Searcher:
-    """All effects against the declared table, or against one fitted from the records."""
+    """The search of all effects against the declared table, or against one fitted from the records."""
     campaign = prepare(records)
     problem = problem_of(campaign, effects, declared, 0)
     if problem.given is None:
@@ -278,9 +281,9 @@ def _forms_with(survey: Survey, column: str, mean: float, effects: Sequence[Effe
 
 
 def smooth_courses(columns: Mapping[str, Floats], column: str) -> Floats:
-    """Courses that a sensor may have taken beside its usual value, along the travel or in time, shape (n, 1 + orders).
+    """Possible courses of a sensor about its usual value, along the travel or in time, shape (n, 1 + orders).
 
-    The first is a constant that is not the usual one.
+    The first is a constant.
     """
     along = columns["target_mm"] if column in ALONG else columns[time_column(columns)]
     low, high = float(np.min(along)), float(np.max(along))
@@ -289,7 +292,7 @@ def smooth_courses(columns: Mapping[str, Floats], column: str) -> Floats:
 
 
 def response(effect: Effect, form: Form, column: str, columns: Mapping[str, Floats], courses: Floats) -> Floats:
-    """What a form of one coefficient comes to for each course (n, k) of a column beside its usual value, shape (n, k)."""
+    """Columns of a form of one coefficient for each course (n, k) of a column about its usual value, shape (n, k)."""
     usual = np.full(len(courses), REST[column])
     rest = effect.basis(form, form.starts[0], {**columns, column: usual})
     blocks = [effect.basis(form, form.starts[0], {**columns, column: usual + c}) - rest for c in courses.T]

@@ -1,6 +1,6 @@
-"""A correction of what is left though its cause is unknown: whether there can be one, and the diagnosis with it.
+"""An optional correction of the unexplained part: its conditions, and the diagnosis with it.
 
-What may go in: the conditions. It never stands in a diagnosis by itself; whoever wants it takes it (`Diagnosis.non_parametric`).
+It is never part of a diagnosis by itself, only on request (`Diagnosis.non_parametric`).
 """
 
 from __future__ import annotations
@@ -16,15 +16,18 @@ from hil.records.rows import Floats
 
 OPTION = "--non-parametric"
 AFTERWARDS = frozenset({"run", "row_order", "measured_mm", "motor_mm", "torque_percent"})
-"""Columns that nobody knows when a command is issued: counted in the records, or read at the capture after the motion."""
+"""Columns that are not known when a command is issued: counted in the records, or read at the capture after the
+motion.
+"""
 
 
 def offered(
     diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldOut, fitted_um: Floats, alone: Figures
 ) -> Diagnosis:
-    """The diagnosis with what can be had beside it, and a note that says so where something is unexplained.
+    """The diagnosis with this correction beside it, and a note where something is unexplained.
 
-    structures: the unexplained ones; fitted_um: what they come to on the rows of the residual, (n,); alone: of no correction at all
+    structures: the unexplained ones; fitted_um: their sum on the rows of the residual, (n,); alone: figures without any
+    correction
     """
     reason = _reason(diagnosis, structures, left_out)
     if reason:
@@ -53,7 +56,7 @@ def offered(
 
 
 def _reason(diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldOut) -> str:
-    """Why there can be none, empty where there can."""
+    """Why there is no such correction; empty where there is one."""
     if not diagnosis.unexplained:
         return "nothing is left unexplained"
     if not structures:

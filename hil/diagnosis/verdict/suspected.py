@@ -1,7 +1,7 @@
-"""An effect that is more likely than not and helps on runs left out, though noise may make as much of it.
+"""Suspected effects: more likely than not, and better on runs left out, but not proven, since noise may do as much.
 
-It is no finding: a campaign of few runs cannot prove it. But a correction has to choose, and the choice that predicts the runs that
-were left out is the better one; so the extended model holds it, and a note says so. What may go in: that choice.
+A suspected effect is no finding. A correction has to choose, and the choice that predicts the left-out runs is the
+better one; so the extended model holds it, and a note says so.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from hil.diagnosis.verdict.held_out import ONCE, earns_its_place, folds, gains_w
 from hil.effects import Action
 
 SURE_NAME = 0.5
-"""Confidence from which a name stands for itself, however small the effect: it is likelier than all its rivals together."""
+"""Confidence from which an effect is a finding however small: it is likelier than all its rivals together."""
 WANDER = 0.5
-"""RMS over the noise's own up to which noise may wander."""
+"""RMS of a drift, over that of the noise, which noise may reach."""
 
 
 def is_faint(finding: Finding, noise_um: float) -> bool:
-    """Whether noise of this standard deviation may have wandered so; what depends on place and direction alone does not wander."""
+    """Whether noise of this standard deviation may have drifted as much; an effect of position and direction alone is
+    no drift.
+    """
     effect = finding.term.effect
     return not effect.static and finding.confidence < SURE_NAME and finding.rms_um < WANDER * noise_um
 
 
 def faint_note(finding: Finding) -> str:
-    """What is said instead of a finding."""
+    """The note in place of a finding."""
     rivals = ", ".join(f"{rival.effect} {rival.confidence:.2f}" for rival in finding.rivals)
     return (
         f"{finding.effect} is suspected ({finding.rms_um:.2g} µm RMS, confidence {finding.confidence:.2f}"
@@ -39,11 +41,11 @@ def faint_note(finding: Finding) -> str:
 
 
 LIKELY = 2.0
-"""Log odds against nothing from which it is considered."""
+"""Log odds against none from which an effect is considered."""
 
 
 def leaning(problem: Problem, chosen: Chosen) -> Choice | None:
-    """The best effect of the machine itself that nothing proves, where nothing else was found and it predicts runs left out."""
+    """The best unproven effect of the machine itself, where nothing else was found and it predicts runs left out."""
     first, last = chosen.selections[0], chosen.last
     if chosen.fit.found or any(selected.hits for selected in chosen.selections) or not first.stages:
         return None

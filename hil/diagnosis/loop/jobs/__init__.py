@@ -1,1 +1,1 @@
-"""Parts of the loop's job: its plan, its person, what it stored."""
+"""Parts of the loop's job that load without the diagnosis: its plan and its stored results."""

@@ -1,4 +1,4 @@
-"""What a loop would do, and what one left behind; without what makes a diagnosis, which takes long to load."""
+"""The plan of a loop, and an interrupted one; separate from the diagnosis, which loads slowly."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ CLOSE_LOOP = "close-loop"
 
 @dataclass(frozen=True)
 class Looped:
-    """What a loop came to. stages: the figures of each, as `error_figures`, in the order of time; good: nothing is left to be done"""
+    """The result of a loop. stages: the figures of each, as `error_figures`, in the order of time; good: nothing
+    remains to be done
+    """
 
     stages: Mapping[str, Mapping[str, Any]]
     good: bool
 
 
 def loop_plan(axis: AxisConfig, exploration: Exploration, in_motion: InMotion | None = None) -> Plan:
-    """What a loop moves and writes at least; runs that tell causes apart come on top."""
+    """The least moves and writes of a loop; runs that separate causes are added during it."""
     how = axis.measurement
     steps = bidirectional_steps(how.targets_mm, how.runs)
     writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
@@ -46,8 +48,7 @@ def loop_plan(axis: AxisConfig, exploration: Exploration, in_motion: InMotion | 
 
 
 def feeds_of(text: str) -> tuple[float, ...]:
-    """Feeds, mm/s, as people type them: at least two, between them commas, or semicolons where a comma is a decimal one.
-
+    """Feeds, mm/s, from text: at least two, separated by commas, or by semicolons where a comma is a decimal mark.
     Raises InputError.
     """
     parts = text.replace(",", ".").split(";") if ";" in text else text.split(",")
@@ -61,13 +62,13 @@ def feeds_of(text: str) -> tuple[float, ...]:
 
 
 def passes_at(axis: AxisConfig, feeds_mm_s: tuple[float, ...]) -> InMotion:
-    """Passes at these feeds, with the instrument's latency and trigger as the axis file has them."""
+    """Passes at these feeds (mm/s), with the latency and trigger of the axis file."""
     how = axis.instrument
     return InMotion(feeds_mm_s, latency_s=how.latency_s, trigger_input=how.trigger_input)
 
 
 def unfinished_loop(directory: Path) -> tuple[Exploration, InMotion | None] | None:
-    """How the loop explores that was broken off and can be gone on with; None where there is none, or one by a plan."""
+    """Exploration and passes of the interrupted loop that can be resumed; None without one, or for one by a plan."""
     found = Campaign.unfinished(directory, CLOSE_LOOP)
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""What stands on disk of an axis's last loop: the figures of its stages, as far as they were measured, and how it came out."""
+"""The stored results of an axis's last loop: the figures of its measured stages, and the verdict."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ STAGES = {
     "in motion": "motion-before",
     "in motion, extended": "motion-after",
 }
-"""In the order of time, with the measurement that each is of."""
+"""Stage -> the measurement that it is of, in the order of time."""
 TURNS = {"before": ("table, explored", "extended, explored"), "motion-before": ("in motion", "in motion, extended")}
-"""Of what a diagnosis was made, with the stages before and after what came of it."""
+"""Diagnosed measurement -> the stages before and after the correction that followed from it."""
 
 
 @dataclass(frozen=True)
 class StoredLoop:
-    """place: its folder; stages: the figures of each, as `error_figures`; good: nothing is left to be done, None before its end"""
+    """place: its folder; stages: the figures of each, as `error_figures`; good: nothing remains to be done, None before
+    its end
+    """
 
     place: str
     stages: Mapping[str, Mapping[str, Any]]
@@ -40,7 +42,7 @@ class StoredLoop:
 
 
 def stored_loop(directory: Path) -> StoredLoop | None:
-    """The last loop of an axis's folder that has rows; None where there is none."""
+    """The last loop with rows in an axis's folder; None without one."""
     begun = [path for path in directory.glob(f"{CLOSE_LOOP}-[0-9]*") if path.name.rpartition("-")[2].isdecimal()]
     for place in sorted(begun, key=lambda path: int(path.name.rpartition("-")[2]), reverse=True):
         try:
@@ -55,12 +57,12 @@ def stored_loop(directory: Path) -> StoredLoop | None:
 
 
 def turn_is_good(before_um: float, after_um: float, noise_um: float, *, unexplained: bool) -> bool:
-    """Whether a turn left nothing: all is explained, and the axis measured no worse than before, or within the noise; RMS each."""
+    """Everything is explained, and the axis measured no worse than before, or within the noise; RMS each, µm."""
     return not unexplained and after_um <= max(before_um, 2 * noise_um)
 
 
 def _measured(passes: tuple[Pass, ...]) -> dict[str, Records]:
-    """Rows by measurement; of the rounds of a calibration the last alone."""
+    """Rows by measurement; of the rounds of a calibration only the last."""
     parts: dict[str, list[Pass]] = {}
     for one in sorted((one for one in passes if one.records is not None), key=_number):
         name = measurement_of(one.name)
@@ -75,7 +77,7 @@ def _number(one: Pass) -> int:
 
 
 def _is_good(place: Path, stages: Mapping[str, Mapping[str, Any]]) -> bool | None:
-    """By the diagnoses that it kept; None without them."""
+    """By the stored diagnoses; None without them."""
     turns = []
     for name, (before, after) in TURNS.items():
         if after not in stages or before not in stages:
