@@ -26,7 +26,7 @@ SHORTEST_PASS = 5
 
 
 @dataclass(frozen=True)
-class Campaign:
+class CampaignRows:
     """n rows of a campaign.
 
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,)
@@ -68,12 +68,12 @@ def columns_of(records: Records) -> dict[str, Floats]:
     return complete({name: values for name, values in records.columns.items() if name not in OF_A_MODEL})
 
 
-def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> Campaign:
+def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> CampaignRows:
     """Builds a campaign from records. Raises InputError for fewer than 4 rows."""
     return campaign_of(columns_of(records), records.uncorrected_error_um, pitches_mm)
 
 
-def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tuple[float, ...] = ()) -> Campaign:
+def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tuple[float, ...] = ()) -> CampaignRows:
     """Builds a campaign from completed columns, each (n,), and the error of the uncorrected machine, µm, (n,). Raises
     InputError for fewer than 4 rows.
     """
@@ -84,7 +84,7 @@ def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tup
     sweep = _sweeps(run, direction)
     knots, repeated = choose_knots(columns["target_mm"], rows_per_pass(run, direction))
     both = bool(np.any(direction > 0) and np.any(direction < 0))
-    return Campaign(
+    return CampaignRows(
         columns=columns,
         error_um=error_um,
         run=run.astype(np.int64),

@@ -13,18 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import Campaign
+from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.thin import AllRows
 from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
 from hil.diagnosis.search.candidates import BLIND
-from hil.diagnosis.search.carried import Carried, carried, rms_of_term, sizes
 from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.search.fit import joint_fit
-from hil.diagnosis.search.judge import SURE
+from hil.diagnosis.search.judge import ACCEPTED_FROM
 from hil.diagnosis.search.select import structure_rms
-from hil.diagnosis.verdict.held_out import ONCE, HeldOut, earns_its_place, held_out
+from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
+from hil.diagnosis.verdict.held_out import ONCE, HeldOut, held_out, improves_held_out
 from hil.diagnosis.verdict.offer import offered
-from hil.diagnosis.verdict.suspected import faint_note, is_faint, leaning
+from hil.diagnosis.verdict.suspected import is_below_noise, suspected_note, unproven_choice
 from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
@@ -57,21 +57,21 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     problem = problem_of(campaign, effects, declared, seed)
     chosen = choose(problem)
     left_out = held_out(problem, chosen, rows)
-    chosen, unexplained, dropped = gated(chosen, left_out)
+    chosen, unexplained, dropped = without_unproven(chosen, left_out)
     noise = chosen.last.noise
     floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
     found = _findings(chosen, campaign.columns)
-    faint = {finding.effect: finding for finding in found if is_faint(finding, floor)}
-    findings = tuple(finding for finding in found if finding.effect not in faint)
-    if faint:
-        chosen = without(chosen, faint)
+    below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, floor)}
+    findings = tuple(finding for finding in found if finding.effect not in below_noise)
+    if below_noise:
+        chosen = refitted_without(chosen, below_noise)
     doubtful = {finding.effect: finding.term for finding in findings if finding.doubtful}
     unexplained = unexplained or bool(doubtful)
-    structures = carried(chosen.last.searcher, chosen.hits, chosen.kept, noise) if unexplained else ()
-    suspected = None if dropped or faint or unexplained else leaning(problem, chosen)
+    structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, noise) if unexplained else ()
+    suspected = None if dropped or below_noise or unexplained else unproven_choice(problem, chosen)
     extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
-    dof = max(len(campaign) - problem.free.bench.table.table_width, 4)
+    dof = max(len(campaign) - problem.free.linear.table.table_width, 4)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     found_out = Diagnosis(
         noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
@@ -89,7 +89,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         recommended=after.rms_um < alone.rms_um,
         notes=(
             *_notes(records, campaign, dropped, after, alone),
-            *map(faint_note, faint.values()),
+            *map(suspected_note, below_noise.values()),
             *(_suspicion(term) for term in extended.found if suspected is not None),
         ),
     )
@@ -99,7 +99,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
 
 
 def _notes(
-    records: Records, campaign: Campaign, dropped: Sequence[str], after: Figures, alone: Figures
+    records: Records, campaign: CampaignRows, dropped: Sequence[str], after: Figures, alone: Figures
 ) -> Iterator[str]:
     yield from (f"{name} is missing: made up from the row order" for name in stand_ins(records.columns))
     if len(campaign) < len(records):
@@ -119,15 +119,17 @@ def _suspicion(term: Term) -> str:
     )
 
 
-def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
+def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
     """Removes the terms that do not improve left-out runs; also returns whether the structure found does, and the
     effects dropped.
     """
     last = chosen.last
-    sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(SURE))}
-    kept = tuple(c for c in last.choices if c.effect.id in sure or earns_its_place(left_out.gain[c.effect.id]))
+    sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(ACCEPTED_FROM))}
+    kept = tuple(c for c in last.choices if c.effect.id in sure or improves_held_out(left_out.gain[c.effect.id]))
     hits = chosen.hits
-    unexplained = bool(hits) and (max(hit.gain for hit in hits) > SURE or earns_its_place(left_out.structure))
+    unexplained = bool(hits) and (
+        max(hit.gain for hit in hits) > ACCEPTED_FROM or improves_held_out(left_out.structure)
+    )
     unexplained = unexplained or last.memory is not None
     if len(kept) == len(last.choices):
         return chosen, unexplained, ()
@@ -135,7 +137,7 @@ def gated(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, .
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
 
 
-def without(chosen: Chosen, effects: Collection[str]) -> Chosen:
+def refitted_without(chosen: Chosen, effects: Collection[str]) -> Chosen:
     """The fit again without some effects."""
     kept = [choice for choice in chosen.kept if choice.effect.id not in effects]
     return replace(chosen, fit=chosen.last.searcher.fit(kept, chosen.last.noise))
@@ -183,7 +185,7 @@ def _doubted(weights: dict[str, float], chosen: Chosen, term: Term) -> dict[str,
     """
     own = set(term.needs) | {"target_mm", "direction"}
     last = chosen.last
-    columns = last.searcher.bench.campaign.columns
+    columns = last.searcher.linear.campaign.columns
     hits = [hit for hit in chosen.hits if set(hit.structure.columns) <= own]
     if not hits:
         return weights
@@ -202,7 +204,7 @@ def _separate_by(effect: Effect, rival: str) -> str:
 
 
 def _carriers(
-    chosen: Chosen, doubtful: Mapping[str, Term], structures: Sequence[Carried], campaign: Campaign
+    chosen: Chosen, doubtful: Mapping[str, Term], structures: Sequence[StructureEstimate], campaign: CampaignRows
 ) -> Iterator[Carrier]:
     """doubtful: the terms of findings that a cause outside the catalogue explains better than their own effect."""
     last = chosen.last
@@ -210,10 +212,10 @@ def _carriers(
     for structure, size_um in zip(structures, sizes_um, strict=True):
         yield Carrier(structure.columns, size_um, structure.probability)
     for selected in chosen.selections:
-        for effect, stranger in selected.foreign.items():
+        for effect, foreign_structure in selected.foreign.items():
             if effect in doubtful:
                 rms_um = rms_of_term(doubtful[effect], campaign.columns)
-                yield Carrier(stranger.columns, rms_um, math.exp(-max(stranger.gain, 0.0)))
+                yield Carrier(foreign_structure.columns, rms_um, math.exp(-max(foreign_structure.gain, 0.0)))
     if last.memory is not None:
         found = last.memory
         yield Carrier((campaign.survey.time_column,), found.rms_um, math.exp(-found.log_odds))

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.noise.evidence import Bench, Frame, Noise
+from hil.diagnosis.campaign import CampaignRows, prepare
+from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
 from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
-from hil.diagnosis.verdict.hypotheses import imagined
+from hil.diagnosis.verdict.hypotheses import unseen_causes
 from hil.effects import ALL, Effect, Form
 from hil.effects.cyclic import COMMON_MM
 from hil.records.rows import Records
@@ -85,8 +85,8 @@ def check_campaign(
     with threadpool_limits(1, "blas"):
         campaign = prepare(records, pitches_mm)
         repeats = repeats_of(campaign)
-        frame = _frame(campaign)
-        parts = {effect.id: _parts(campaign, frame, effect) for effect in effects}
+        projection = _projection(campaign)
+        parts = {effect.id: _parts(campaign, projection, effect) for effect in effects}
         visible = tuple(name for name, part in parts.items() if part is not None and part.share >= BLIND)
         gaps = [
             *_repeat_gap(repeats),
@@ -99,16 +99,16 @@ def check_campaign(
     return CampaignCheck(len(campaign), campaign.runs, repeats, tuple(gaps), visible)
 
 
-def repeats_of(campaign: Campaign) -> int:
+def repeats_of(campaign: CampaignRows) -> int:
     """Degrees of freedom for pure error: rows at a target and direction that were measured before."""
     keys = np.round(campaign.x / NEAR_MM) * campaign.d + 1e-3 * campaign.d
     return len(keys) - len(np.unique(keys))
 
 
-def _frame(campaign: Campaign) -> Frame:
+def _projection(campaign: CampaignRows) -> Projection:
     free = campaign.repeated
     noise = Noise(offset=0.8) if free else Noise(offset=0.8, even=START_ROUGHNESS, odd=START_ROUGHNESS)
-    return Bench(campaign).frame(noise, campaign.error_um)
+    return LinearCampaign(campaign).projection(noise, campaign.error_um)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class _Part:
     forms: tuple[tuple[Form, Floats], ...]
 
 
-def _parts(campaign: Campaign, frame: Frame, effect: Effect) -> _Part | None:
+def _parts(campaign: CampaignRows, projection: Projection, effect: Effect) -> _Part | None:
     """None where the records allow no form of the effect."""
     best, kept = 0.0, []
     forms = [form for form in effect.forms(campaign.survey) if form.scan]
@@ -132,20 +132,20 @@ def _parts(campaign: Campaign, frame: Frame, effect: Effect) -> _Part | None:
         )
         for choice in some:
             columns = choice.columns(campaign)
-            rest, share = _beside(frame, columns)
+            rest, share = _beside(projection, columns)
             best = max(best, share)
             if share >= BLIND and not form.shrunk:
                 kept.append((form, rest))
     return _Part(best, tuple(kept)) if forms else None
 
 
-def _beside(frame: Frame, columns: Floats) -> tuple[Floats, float]:
+def _beside(projection: Projection, columns: Floats) -> tuple[Floats, float]:
     """Columns (n, k) with the table projected out, orthonormal, and the largest remaining share of a column's norm."""
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    w = frame.prepared(columns / scale)
-    design = np.hstack([frame.whitened.table, frame.beside])
-    shadow = frame.shadow(w)
-    rest = w - design @ (frame.inverse_lower.T @ shadow)
+    w = projection.prepared(columns / scale)
+    design = np.hstack([projection.whitened.table, projection.beside])
+    shadow = projection.shadow(w)
+    rest = w - design @ (projection.inverse_lower.T @ shadow)
     share = float(np.max(np.linalg.norm(rest, axis=0)))
     left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
     return np.asarray(left[:, sizes > max(1e-3 * float(sizes[0]), 1e-12)]), share
@@ -158,7 +158,7 @@ def _repeat_gap(repeats: int) -> list[Gap]:
     return [Gap("repeats", (), what, float(repeats))]
 
 
-def _pitch_gaps(campaign: Campaign, likely: Sequence[float], given: Sequence[float]) -> list[Gap]:
+def _pitch_gaps(campaign: CampaignRows, likely: Sequence[float], given: Sequence[float]) -> list[Gap]:
     """Pitches with which all targets are in step."""
     span = 2 * campaign.survey.half_span_mm
     found = []
@@ -172,7 +172,7 @@ def _pitch_gaps(campaign: Campaign, likely: Sequence[float], given: Sequence[flo
     return found
 
 
-def _order_gap(campaign: Campaign) -> list[Gap]:
+def _order_gap(campaign: CampaignRows) -> list[Gap]:
     """Runs that only go one way through the travel confound position with time."""
     worst = 1.0
     for run in range(campaign.runs):
@@ -195,10 +195,10 @@ def _blind_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
     return [Gap("blind", tuple(shares), what, max(shares.values()))]
 
 
-def _missing_gaps(campaign: Campaign, effects: Sequence[Effect], parts: dict[str, _Part | None]) -> list[Gap]:
+def _missing_gaps(campaign: CampaignRows, effects: Sequence[Effect], parts: dict[str, _Part | None]) -> list[Gap]:
     """Effects for which a column is missing, or never changed."""
     wanted: dict[str, dict[str, None]] = {}
-    for unseen in imagined(campaign, effects):
+    for unseen in unseen_causes(campaign, effects):
         part = parts[unseen.effect.id]
         if part is None or part.share < BLIND:
             wanted.setdefault(unseen.effect.id, {})[unseen.column] = None
@@ -218,7 +218,7 @@ def _missing_gaps(campaign: Campaign, effects: Sequence[Effect], parts: dict[str
     return gaps
 
 
-def _why(campaign: Campaign, column: str) -> str:
+def _why(campaign: CampaignRows, column: str) -> str:
     if column == MOTION and not np.any(np.nan_to_num(campaign.columns.get(MOTION, np.zeros(1)))):
         return "every row was captured at rest"
     return f"{column} never changed" if column in campaign.columns else f"{column} was not written down"

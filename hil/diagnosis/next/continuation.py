@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.next.feasible import THERMOMETER
 from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns
-from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection
 from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
 from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
 from hil.diagnosis.verdict.hypotheses import (
@@ -26,12 +26,12 @@ from hil.diagnosis.verdict.hypotheses import (
     SET,
     Hypothesis,
     Unseen,
-    imagined,
     is_set,
     response,
     searcher_of,
     segments,
     smooth_courses,
+    unseen_causes,
 )
 from hil.effects import Effect, Form
 from hil.effects.history import time_column
@@ -56,19 +56,19 @@ SAME = 0.1
 """Share of an error that a form may miss and still represent it."""
 
 
-class Drawing:
+class Continuation:
     """The records, and the error by each cause in them; `discrimination` predicts a run after them."""
 
     def __init__(self, records: Records, declared: Model | None, causes: Sequence[Hypothesis], means: Means) -> None:
         self.declared, self.means = declared, means
         base = segments(records)[-1]
         searcher = searcher_of(base, declared, [cause.effect for cause in causes])
-        self.base = searcher.bench.campaign
+        self.base = searcher.linear.campaign
         self.causes = [_as_in(self.base, cause) for cause in causes]
         self.noise = Noise(offset=TYPICAL_OFFSET)
         if declared is None:
             self.noise = replace(self.noise, even=START_ROUGHNESS, odd=START_ROUGHNESS)
-        frame = searcher.frame(self.noise)
+        projection = searcher.projection(self.noise)
         self.so_far: list[Floats] = []
         self.noise_um = np.inf
         for cause in self.causes:
@@ -78,13 +78,13 @@ class Drawing:
                 self.noise_um = min(self.noise_um, fit.white_um)
             elif cause.unseen is not None:
                 design = cause.unseen.design
-                solution = frame.solve(design)
+                solution = projection.solve(design)
                 self.so_far.append(design @ solution.coefficients)
                 self.noise_um = min(self.noise_um, float(np.sqrt(solution.variance)))
             else:
                 self.so_far.append(np.zeros(len(self.base)))
         if not np.isfinite(self.noise_um):
-            self.noise_um = float(np.sqrt(frame.solve(np.zeros((len(self.base), 0))).variance))
+            self.noise_um = float(np.sqrt(projection.solve(np.zeros((len(self.base), 0))).variance))
         self.shape: Shape | None = None if declared is None else DeclaredShape.of(declared.table, self.noise_um)
         self.terms = [
             searcher.fit([cause.choice], self.noise).found[0] if cause.choice is not None else None
@@ -161,7 +161,9 @@ class Drawing:
         return whole
 
     # -- what the cause would do -------------------------------------------------------------------------------------------
-    def _continued(self, index: int, whole: Campaign, later: Columns, plan: Columns, varied: Sequence[str]) -> Floats:
+    def _continued(
+        self, index: int, whole: CampaignRows, later: Columns, plan: Columns, varied: Sequence[str]
+    ) -> Floats:
         """Error by a cause in the run, µm, shape (m,)."""
         cause, so_far = self.causes[index], self.so_far[index]
         drawn = self._through_new(cause.effect, whole, varied, so_far)
@@ -191,7 +193,7 @@ class Drawing:
         coefficients = np.linalg.lstsq(_constant(unseen, self.base.columns), so_far, rcond=1e-9)[0]
         return np.asarray(_constant(unseen, later) @ coefficients)
 
-    def _through_new(self, effect: Effect, whole: Campaign, varied: Sequence[str], so_far: Floats) -> Floats | None:
+    def _through_new(self, effect: Effect, whole: CampaignRows, varied: Sequence[str], so_far: Floats) -> Floats | None:
         """By a form of the effect that reads a column which the run varies for the first time, if such a form fits the
         records.
         """
@@ -233,34 +235,36 @@ class Drawing:
         return np.asarray(drawn @ [last, size])
 
     # -- how well rivals could follow --------------------------------------------------------------------------------------
-    def _misfits(self, campaign: Campaign, drawn: Floats, logged: Columns | None) -> Floats:
+    def _misfits(self, campaign: CampaignRows, drawn: Floats, logged: Columns | None) -> Floats:
         """Σ(f_i - f_j)²/σ² with j fitted to the error by i (a column of `drawn`), beside table and offsets, shape
         (causes, causes).
         """
         shape = SplineShape(campaign.basis) if self.shape is None else self.shape
-        bench = Bench(campaign, shape)
-        frame = bench.frame(self.noise, drawn)
+        linear = LinearCampaign(campaign, shape)
+        projection = linear.projection(self.noise, drawn)
         out = np.empty((len(self.causes), len(self.causes)))
         for j, cause in enumerate(self.causes):
             left = np.ones(drawn.shape[1])
             designs = self._designs(campaign, cause.effect, logged or {})
             if designs:
-                left = np.minimum(left, _left(frame, designs))
+                left = np.minimum(left, _left(projection, designs))
             if cause.choice is not None and cause.choice.form.shrunk:
                 random = cause.effect.basis(_refreshed(cause, campaign), cause.choice.theta, campaign.columns)
                 extra = Extra(random[:, :0], random * np.sqrt(max(cause.choice.variance, 1.0)))
-                left = np.minimum(left, bench.frame(self.noise, drawn, extra).rss / frame.rss)
-            out[:, j] = left * frame.rss
+                left = np.minimum(left, linear.projection(self.noise, drawn, extra).rss / projection.rss)
+            out[:, j] = left * projection.rss
         read = {name.split("_")[0] for name in logged or {}}
         loose = [j for j, cause in enumerate(self.causes) if cause.choice is not None and cause.choice.form.shrunk]
         for j, cause in enumerate(self.causes):
-            free = [u for u in imagined(campaign, [cause.effect]) if u.wanders and u.column.split("_")[0] not in read]
+            free = [
+                u for u in unseen_causes(campaign, [cause.effect]) if u.wanders and u.column.split("_")[0] not in read
+            ]
             if loose and free:
                 out[:, j] = np.minimum(out[:, j], out[:, loose[0]])
         out -= np.diag(out)[:, None]  # the misfit of a cause to its own prediction is no information
         return np.asarray(np.maximum(out, 0.0) / self.noise_um**2)
 
-    def _designs(self, campaign: Campaign, effect: Effect, logged: Columns) -> list[Floats]:
+    def _designs(self, campaign: CampaignRows, effect: Effect, logged: Columns) -> list[Floats]:
         """Every way in which an effect could be fitted to records and run."""
         designs = [
             choice.columns(campaign)
@@ -271,7 +275,7 @@ class Drawing:
         n, m = len(self.base), len(campaign) - len(self.base)
         old = {name: values[:n] for name, values in campaign.columns.items()}
         new = {name: values[n:] for name, values in campaign.columns.items()}
-        for unseen in imagined(campaign, [effect]):
+        for unseen in unseen_causes(campaign, [effect]):
             name = unseen.column
             if not m or name not in REST or name in ALONG:
                 designs.append(unseen.design)
@@ -283,7 +287,7 @@ class Drawing:
         return designs
 
 
-def _as_in(base: Campaign, cause: Hypothesis) -> Hypothesis:
+def _as_in(base: CampaignRows, cause: Hypothesis) -> Hypothesis:
     """A cause as it applies to these rows, which may lack the column of its form in other rows; without a form where
     none applies.
     """
@@ -292,7 +296,7 @@ def _as_in(base: Campaign, cause: Hypothesis) -> Hypothesis:
         return cause
     alike = [
         other
-        for other in imagined(base, [cause.effect])
+        for other in unseen_causes(base, [cause.effect])
         if unseen is None
         or (other.column, other.form.name, other.design.shape[1])
         == (unseen.column, unseen.form.name, unseen.design.shape[1])
@@ -312,26 +316,26 @@ def _constant(unseen: Unseen, columns: Columns) -> Floats:
     return unseen.effect.basis(unseen.form, unseen.form.starts[0], {**columns, unseen.column: np.asarray(level)})
 
 
-def _refreshed(cause: Hypothesis, campaign: Campaign) -> Form:
+def _refreshed(cause: Hypothesis, campaign: CampaignRows) -> Form:
     """The same form with its constants for these rows."""
     form = cause.choice.form if cause.choice is not None else None
     found = [f for f in cause.effect.forms(campaign.survey) if form is not None and f.name == form.name]
     return found[0]
 
 
-def _left(frame: Frame, designs: Sequence[Floats]) -> Floats:
+def _left(projection: Projection, designs: Sequence[Floats]) -> Floats:
     """Remaining share of the squared errors (b,) after the best of some designs (n, k), shape (b,)."""
-    least = np.ones(np.shape(frame.rss))
+    least = np.ones(np.shape(projection.rss))
     for width in sorted({design.shape[1] for design in designs}):
         alike = [design for design in designs if design.shape[1] == width]
-        w = frame.prepared(np.hstack(alike))
-        shadow = frame.shadow(w)
+        w = projection.prepared(np.hstack(alike))
+        shadow = projection.shadow(w)
         blocks = w.reshape(len(w), -1, width).transpose(1, 0, 2)
         hidden = shadow.reshape(len(shadow), -1, width).transpose(1, 0, 2)
         gram = blocks.transpose(0, 2, 1) @ blocks
         root = np.sqrt(np.maximum(np.einsum("ckk->ck", gram), 1e-300))
         gram = (gram - hidden.transpose(0, 2, 1) @ hidden) / (root[:, :, None] * root[:, None, :])
-        b = (w.T @ frame.y - shadow.T @ frame.y_shadow).reshape(len(alike), width, -1) / root[:, :, None]
+        b = (w.T @ projection.y - shadow.T @ projection.y_shadow).reshape(len(alike), width, -1) / root[:, :, None]
         explained = np.sum(b * np.linalg.solve(gram + HIDDEN * np.eye(width), b), axis=1)
-        least = np.minimum(least, 1.0 - np.max(explained, axis=0) / frame.rss)
+        least = np.minimum(least, 1.0 - np.max(explained, axis=0) / projection.rss)
     return np.maximum(least, 0.0)

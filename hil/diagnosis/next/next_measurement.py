@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.next.continuation import Drawing
+from hil.diagnosis.next.continuation import Continuation
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means, PlannedRun
 from hil.diagnosis.verdict.hypotheses import Hypothesis, weigh
@@ -103,13 +103,13 @@ def outlook(
             return Outlook(causes, ())
         runs = feasible_runs(means, first_run=int(np.max(records.run)) + 1, seed=seed)
         runs = tuple(run for run in runs if (persons or not run.person) and run.name not in made)
-        drawing = Drawing(records, declared, left, means)
-        prospects = [_prospect(drawing, left, run) for run in runs]
+        continuation = Continuation(records, declared, left, means)
+        prospects = [_prospect(continuation, left, run) for run in runs]
         return Outlook(causes, tuple(sorted(prospects, key=lambda p: -p.worth)))
 
 
-def _prospect(drawing: Drawing, causes: Sequence[Hypothesis], run: PlannedRun) -> Prospect:
-    apart = drawing.discrimination(run)
+def _prospect(continuation: Continuation, causes: Sequence[Hypothesis], run: PlannedRun) -> Prospect:
+    apart = continuation.discrimination(run)
     pairs: dict[tuple[str, str], float] = {}
     worth = 0.0
     for i, j in itertools.combinations(range(len(causes)), 2):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dtrtri
 
-from hil.diagnosis.campaign import Campaign
+from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.table import Shape, ShapeColumns, SplineShape
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ class TableColumns:
     offset: Floats
 
     @classmethod
-    def of(cls, campaign: Campaign, shape: Shape) -> TableColumns:
+    def of(cls, campaign: CampaignRows, shape: Shape) -> TableColumns:
         """The columns of a table shape at a campaign's rows."""
         return cls(shape.columns(campaign.x, campaign.d), run_columns(campaign))
 
@@ -122,7 +122,7 @@ def side_by_side(first: Floats, second: Floats) -> Floats:
     return np.hstack([first, second]) if second.shape[1] else first
 
 
-def run_columns(campaign: Campaign) -> Floats:
+def run_columns(campaign: CampaignRows) -> Floats:
     """Indicator of each run, shape (n, r); none for a single run."""
     count = campaign.runs if campaign.runs > 1 else 0
     return np.asarray(campaign.run[:, None] == np.arange(count), dtype=np.float64)
@@ -131,7 +131,7 @@ def run_columns(campaign: Campaign) -> Floats:
 class Whitened:
     """Rows of a campaign under one (ar, rho): covariance 1 + ar²·rho^|lag| within each pass, table columns whitened."""
 
-    def __init__(self, campaign: Campaign, table: TableColumns, ar: float, rho: float) -> None:
+    def __init__(self, campaign: CampaignRows, table: TableColumns, ar: float, rho: float) -> None:
         self.campaign, self.columns, self.ar, self.rho = campaign, table, ar, rho
         self._bounds = np.flatnonzero(np.concatenate([[True], np.diff(campaign.sweep) != 0, [True]]))
         self._inverse: dict[int, Floats] = {}
@@ -167,7 +167,7 @@ class Whitened:
         return out
 
 
-class Frame:
+class Projection:
     """A campaign under one noise model, with the table, the offsets and further columns projected out.
 
     whitened: the rows; noise: with the same (ar, rho); y: errors (n,) or (n, b), raw
@@ -327,15 +327,15 @@ def bayes_factor(explained: Reals, rss: Floats, dof: int, width: Ints | int, inf
     return np.asarray(0.5 * (dof - width) * math.log1p(g) - 0.5 * dof * np.log1p(g * left))
 
 
-def random_gain(frame: Frame, design: Floats) -> tuple[Floats, Floats]:
+def random_gain(projection: Projection, design: Floats) -> tuple[Floats, Floats]:
     """Log evidence of the columns (n, r) as one random effect over none, and its best variance ratio.
 
-    Each of shape () or (b,) as the errors of the frame.
+    Each of shape () or (b,) as the errors of the projection.
     """
-    w = frame.prepared(design)
-    shadow = frame.shadow(w)
-    b = w.T @ frame.y - shadow.T @ frame.y_shadow
-    return evidence_of_random(w.T @ w - shadow.T @ shadow, b, frame.rss, frame.dof)
+    w = projection.prepared(design)
+    shadow = projection.shadow(w)
+    b = w.T @ projection.y - shadow.T @ projection.y_shadow
+    return evidence_of_random(w.T @ w - shadow.T @ shadow, b, projection.rss, projection.dof)
 
 
 def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple[Floats, Floats]:
@@ -350,10 +350,10 @@ def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple
     return np.max(gains, axis=0), ratios[np.argmax(gains, axis=0)]
 
 
-class Bench:
+class LinearCampaign:
     """A campaign as a linear model: the shape of its table, its columns, and the whitenings made so far."""
 
-    def __init__(self, campaign: Campaign, shape: Shape | None = None) -> None:
+    def __init__(self, campaign: CampaignRows, shape: Shape | None = None) -> None:
         self.campaign = campaign
         self.shape: Shape = SplineShape(campaign.basis) if shape is None else shape
         self.table = TableColumns.of(campaign, self.shape)
@@ -373,8 +373,8 @@ class Bench:
             self._whitened[key] = Whitened(self.campaign, self.table, *key)
         return self._whitened[key]
 
-    def frame(
+    def projection(
         self, noise: Noise, y: Floats, beside: Extra | None = None, out: NDArray[np.bool_] | None = None
-    ) -> Frame:
-        """The projection of errors y under a noise model, see `Frame`."""
-        return Frame(self.whitened(noise), noise, y, beside, out)
+    ) -> Projection:
+        """The projection of errors y under a noise model, see `Projection`."""
+        return Projection(self.whitened(noise), noise, y, beside, out)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 
-from hil.diagnosis.noise.evidence import MOST_OFFSET, Bench, Extra, Noise, log_prior
+from hil.diagnosis.noise.evidence import MOST_OFFSET, Extra, LinearCampaign, Noise, log_prior
 
 Floats = NDArray[np.float64]
 
@@ -27,10 +27,10 @@ class Profile:
     """Evidence of noise parameters of one (ar, rho), from cross products alone: cheap enough to optimise over."""
 
     def __init__(
-        self, bench: Bench, start: Noise, y: Floats, extra: Extra, out: NDArray[np.bool_] | None = None
+        self, linear: LinearCampaign, start: Noise, y: Floats, extra: Extra, out: NDArray[np.bool_] | None = None
     ) -> None:
-        self.bench, self.start = bench, start
-        whitened = bench.whitened(start)
+        self.linear, self.start = linear, start
+        whitened = linear.whitened(start)
         keep = slice(None) if out is None else ~out
         self.columns = whitened.columns
         self.random = extra.random.shape[1]
@@ -116,7 +116,7 @@ class Profile:
 
 
 def fit_noise(
-    bench: Bench,
+    linear: LinearCampaign,
     y: Floats,
     extra: Extra,
     start: Noise,
@@ -136,7 +136,7 @@ def fit_noise(
     for i, (ar, rho) in enumerate(correlations):
         if best is not None and i > WEAK_CORRELATIONS and best[1].ar == 0.0:
             break
-        profile = Profile(bench, replace(start, ar=ar, rho=rho), y, extra, out)
+        profile = Profile(linear, replace(start, ar=ar, rho=rho), y, extra, out)
         step, trials = (1.2, 30) if point is None and not near else (0.4, 30 if not near else 12)
         value, found = profile.best(profile.pack(start) if point is None else point, step, trials)
         if best is None or value > best[0]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign, campaign_of, columns_of
+from hil.diagnosis.campaign import CampaignRows, campaign_of, columns_of
 from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ class AllRows:
         return cls(columns_of(records), records.uncorrected_error_um, kept_rows(records.run, seed))
 
     @property
-    def searched(self) -> Campaign:
+    def searched(self) -> CampaignRows:
         """The selected rows. Raises InputError for fewer than 4."""
         kept = {name: values[self.kept] for name, values in self.columns.items()}
         return campaign_of(kept, self.error_um[self.kept])

@@ -21,7 +21,7 @@ from hil.app.report.blocks import Block, DataTable, Drawing, Heading, said
 from hil.app.report.data import plain
 from hil.app.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
 from hil.app.report.views import label_of, list_of, object_of, objects_of, value_of
-from hil.diagnosis.report.mean_curves import Curve, mean_curve
+from hil.diagnosis.report.mean_curves import MeanCurve, mean_curve
 from hil.diagnosis.report.spectrum import EXCEEDED, Spectrum, spectrum
 from hil.records.rows import Floats
 
@@ -41,7 +41,7 @@ class Panel:
     x: Floats
     left_um: Floats
     direction: Floats
-    curves: tuple[Curve, ...]
+    curves: tuple[MeanCurve, ...]
 
 
 def panels_plot(panels: Sequence[Panel], theme: Theme, ground: Ground = fresh) -> FigureBase:

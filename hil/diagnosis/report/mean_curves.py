@@ -25,7 +25,7 @@ BAND = 0.95
 
 
 @dataclass(frozen=True)
-class Curve:
+class MeanCurve:
     """label: of its rows; at: mean of the column in each bin, ascending; mean, low, high: of the residual, µm; rows in
     it; each (k,)
 
@@ -41,7 +41,7 @@ class Curve:
     levels: bool
 
 
-def mean_curve(label: str, x: Floats, residual_um: Floats) -> Curve:
+def mean_curve(label: str, x: Floats, residual_um: Floats) -> MeanCurve:
     """The curve of rows, each array (n,), n ≥ 1. A bin of a single row has no band (low and high are NaN)."""
     level = _levels(x)
     levels = level is not None
@@ -53,7 +53,7 @@ def mean_curve(label: str, x: Floats, residual_um: Floats) -> Curve:
     dof = np.maximum(rows - 1, 1)
     half = student.ppf((1 + BAND) / 2, dof) * np.sqrt(square / dof / rows)
     half[rows < 2] = np.nan
-    return Curve(label, at, mean, mean - half, mean + half, rows, levels)
+    return MeanCurve(label, at, mean, mean - half, mean + half, rows, levels)
 
 
 def _levels(x: Floats) -> Index | None:

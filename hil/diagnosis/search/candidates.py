@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign
-from hil.diagnosis.noise.evidence import Frame, Whitened, bayes_factor, evidence_of_random
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.noise.evidence import Projection, Whitened, bayes_factor, evidence_of_random
 from hil.diagnosis.search.fit import Choice, grid_choices
 from hil.effects import Effect, Form
 
@@ -48,7 +48,7 @@ class Blocks:
         return cls._side_by_side(blocks, [block.shape[1] for block in blocks], rows, none > 0, none)
 
     @classmethod
-    def of_choices(cls, choices: Sequence[Choice], campaign: Campaign) -> Blocks:
+    def of_choices(cls, choices: Sequence[Choice], campaign: CampaignRows) -> Blocks:
         parts: list[Floats] = []
         widths: list[int] = []
         for _, same in itertools.groupby(choices, lambda choice: (id(choice.effect), id(choice.form))):
@@ -101,7 +101,7 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.choices)
 
-    def of_one_place(self, campaign: Campaign) -> Candidates:
+    def of_one_place(self, campaign: CampaignRows) -> Candidates:
         """The candidates of effects that refinement may make local, at the lowest of their parameters."""
         local = set()
         for index in self.forms:
@@ -123,7 +123,7 @@ class Candidates:
         return self._stacks[key]
 
 
-def enumerate_candidates(campaign: Campaign, effects: Sequence[Effect]) -> Candidates:
+def enumerate_candidates(campaign: CampaignRows, effects: Sequence[Effect]) -> Candidates:
     """Every effect in every form of the first search that the records allow, at every grid point."""
     choices: list[Choice] = []
     forms: list[Ints] = []
@@ -177,7 +177,7 @@ class Scores:
     variance: Floats
 
 
-def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
+def score(projection: Projection, stack: Stack, *, blind: float = BLIND) -> Scores:
     """Scores every block by itself beside the projected columns. A block with less than `blind` of its norm remaining
     gets -inf.
     """
@@ -185,15 +185,15 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
     w = stack.w
     cross = stack.cross
     raw = stack.raw
-    gone = w[:0] if frame.out is None else w[frame.out]
-    if frame.out is not None:
-        cross = cross - frame.whitened.table[frame.out].T @ gone
+    gone = w[:0] if projection.out is None else w[projection.out]
+    if projection.out is not None:
+        cross = cross - projection.whitened.table[projection.out].T @ gone
         raw = raw - np.einsum("nj,nj->j", gone, gone)
-    if frame.beside.shape[1]:
-        cross = np.concatenate([cross, frame.beside.T @ w])
-    shadow = frame.solve_lower(cross)
-    many = frame.y.ndim == 2
-    zy: Reals = stack.seen_of_many(frame.rest) if many else (w.T @ frame.rest)[:, None]
+    if projection.beside.shape[1]:
+        cross = np.concatenate([cross, projection.beside.T @ w])
+    shadow = projection.solve_lower(cross)
+    many = projection.y.ndim == 2
+    zy: Reals = stack.seen_of_many(projection.rest) if many else (w.T @ projection.rest)[:, None]
     left = raw - np.einsum("pj,pj->j", shadow, shadow)
     explained = np.zeros((len(blocks), zy.shape[1]), dtype=zy.dtype)
     visible = np.zeros(len(blocks))
@@ -210,13 +210,13 @@ def score(frame: Frame, stack: Stack, *, blind: float = BLIND) -> Scores:
             explained[which] = _explained_by_pairs(left[index], inner, scale, zy[index])
         else:
             explained[which] = _explained_by_blocks(inner, scale, zy[index])
-    rss = np.atleast_1d(frame.rss)
-    gain = bayes_factor(explained, rss[None, :], frame.dof, blocks.width[:, None], frame.rows)
+    rss = np.atleast_1d(projection.rss)
+    gain = bayes_factor(explained, rss[None, :], projection.dof, blocks.width[:, None], projection.rows)
     variance = np.ones(len(blocks))
     for i in np.flatnonzero(blocks.shrunk):
         mine = blocks.where(int(i))
         normal = w[:, mine].T @ w[:, mine] - gone[:, mine].T @ gone[:, mine] - shadow[:, mine].T @ shadow[:, mine]
-        values, ratios = evidence_of_random(normal, zy[mine], rss, frame.dof)
+        values, ratios = evidence_of_random(normal, zy[mine], rss, projection.dof)
         gain[i], variance[i], visible[i] = values, float(ratios[0]), 1.0
     gain += blocks.log_prior[:, None]
     gain[visible < blind] = -np.inf

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign
-from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import fit_noise
 from hil.diagnosis.search.candidates import BLIND, Candidates, enumerate_candidates, score
 from hil.diagnosis.search.fit import Choice, JointFit, Known, Setting, start_noise, static_part
-from hil.diagnosis.search.judge import FoldJudge, FoldScout, Hit, NullJudge, Scout
+from hil.diagnosis.search.judge import FoldJudge, FoldStructureSearch, Hit, NullJudge, StructureSearch
 from hil.diagnosis.search.searcher import FULL, LIGHT, Searcher
 from hil.diagnosis.search.select import Selected, select
 from hil.diagnosis.search.structure import Catalogue, static_structures, structures
@@ -38,7 +38,7 @@ class Problem:
     declared: the known model or that in force, with its own setting, candidates and catalogue
     """
 
-    campaign: Campaign
+    campaign: CampaignRows
     free: Setting
     candidates: Candidates
     catalogue: Catalogue
@@ -51,34 +51,34 @@ class Problem:
     static_catalogue: Catalogue | None = None
 
 
-def problem_of(campaign: Campaign, effects: Sequence[Effect], declared: Model | None, seed: int) -> Problem:
+def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Model | None, seed: int) -> Problem:
     """Computes everything that is needed once per campaign."""
     candidates = enumerate_candidates(campaign, effects)
     catalogue = structures(campaign)
     n = len(campaign)
-    bench = Bench(campaign)
+    linear = LinearCampaign(campaign)
     error = campaign.error_um if declared is None else campaign.error_um - declared.error_um(campaign.columns)
-    plain = fit_noise(bench, error, Extra.none(n), start_noise(campaign), correlations=((0.0, 0.0),))
-    frame = bench.frame(plain, error)
-    share = score(frame, candidates.stack(frame.whitened)).visible
+    plain = fit_noise(linear, error, Extra.none(n), start_noise(campaign), correlations=((0.0, 0.0),))
+    projection = linear.projection(plain, error)
+    share = score(projection, candidates.stack(projection.whitened)).visible
     visible = {name: float(np.max(share[candidates.effect == i])) for i, name in enumerate(candidates.effects)}
     if declared is None:
-        free = Setting(bench, error, Known.none(n))
+        free = Setting(linear, error, Known.none(n))
         return Problem(campaign, free, candidates, catalogue, plain, visible, seed)
-    noise_um = float(np.sqrt(frame.solve(np.zeros((n, 0))).variance))
+    noise_um = float(np.sqrt(projection.solve(np.zeros((n, 0))).variance))
     known = Known.of(declared, campaign, noise_um)
     shape = DeclaredShape.of(declared.table, noise_um)
     lacking = [e for e in effects if e.static or visible.get(e.id, 0.0) < BLIND]
     return Problem(
         campaign,
-        Setting(bench, error, known),
+        Setting(linear, error, known),
         candidates,
         catalogue,
         plain,
         visible,
         seed,
         declared,
-        Setting(Bench(campaign, shape), error, known),
+        Setting(LinearCampaign(campaign, shape), error, known),
         enumerate_candidates(campaign, lacking),
         static_structures(campaign),
     )
@@ -119,41 +119,46 @@ class Chosen:
 
 def choose(problem: Problem) -> Chosen:
     """The choice on all rows, tested by simulated null campaigns."""
-    judge, scout = NullJudge(problem.seed), Scout(problem.catalogue, problem.seed)
-    first = select(Searcher(problem.free, problem.candidates), scout, judge, start_noise(problem.campaign))
-    critical = Critical(judge.critical(), scout.critical)
+    judge, structure_search = NullJudge(problem.seed), StructureSearch(problem.catalogue, problem.seed)
+    first = select(Searcher(problem.free, problem.candidates), structure_search, judge, start_noise(problem.campaign))
+    critical = Critical(judge.critical(), structure_search.critical)
     if problem.given is None or problem.static is None or problem.static_catalogue is None:
         return Chosen((first,), first.searcher.fit(first.choices, first.noise), (critical,))
-    judge, scout = NullJudge(problem.seed), Scout(problem.static_catalogue, problem.seed)
+    judge, structure_search = NullJudge(problem.seed), StructureSearch(problem.static_catalogue, problem.seed)
     searcher = _second(problem, problem.given, problem.static, first, None)
-    second = select(searcher, scout, judge, first.noise, first.choices)
+    second = select(searcher, structure_search, judge, first.noise, first.choices)
     fit = second.searcher.fit(second.choices, second.noise)
-    return Chosen((first, second), fit, (critical, Critical(judge.critical(), scout.critical)))
+    return Chosen((first, second), fit, (critical, Critical(judge.critical(), structure_search.critical)))
 
 
 def choose_without(problem: Problem, out: Mask, whole: Chosen) -> Chosen:
     """The choice with rows left out, by the critical gains on all rows; the noise fit starts at that of all rows."""
     searcher = Searcher(problem.free, problem.candidates, out, LIGHT)
     noise = whole.selections[0].noise
-    first = select(searcher, _scout(problem.catalogue, whole, 0), FoldJudge(whole.critical[0].effects), noise)
+    first = select(
+        searcher, _fold_structure_search(problem.catalogue, whole, 0), FoldJudge(whole.critical[0].effects), noise
+    )
     if problem.given is None or problem.static is None or problem.static_catalogue is None:
         return Chosen((first,), first.searcher.fit(first.choices, first.noise, uncertain=False))
     searcher = _second(problem, problem.given, problem.static, first, out)
-    scout, judge = _scout(problem.static_catalogue, whole, 1), FoldJudge(whole.critical[1].effects)
-    second = select(searcher, scout, judge, first.noise, first.choices)
+    structure_search, judge = (
+        _fold_structure_search(problem.static_catalogue, whole, 1),
+        FoldJudge(whole.critical[1].effects),
+    )
+    second = select(searcher, structure_search, judge, first.noise, first.choices)
     return Chosen((first, second), second.searcher.fit(second.choices, second.noise, uncertain=False))
 
 
-def _scout(catalogue: Catalogue, whole: Chosen, step: int) -> FoldScout | None:
+def _fold_structure_search(catalogue: Catalogue, whole: Chosen, step: int) -> FoldStructureSearch | None:
     """The search for structure without some rows, where all rows showed any."""
     selected = whole.selections[step]
-    return FoldScout(catalogue, whole.critical[step].structure) if selected.hits or selected.shapes else None
+    return FoldStructureSearch(catalogue, whole.critical[step].structure) if selected.hits or selected.shapes else None
 
 
 def _second(problem: Problem, given: Setting, static: Candidates, first: Selected, out: Mask | None) -> Searcher:
     """The searcher against the declared table, with the part of the found effects that it may have absorbed."""
     columns = first.searcher.extra(first.choices).free
-    setting = replace(given, static=static_part(problem.free.bench, columns))
+    setting = replace(given, static=static_part(problem.free.linear, columns))
     searcher = Searcher(setting, static, out, LIGHT if out is not None else FULL)
     searcher.nuisance = first.searcher.nuisance
     return searcher

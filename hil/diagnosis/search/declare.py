@@ -40,7 +40,7 @@ def fit_with(records: Records, wanted: Sequence[Effect]) -> Model:
         chosen: list[Choice] = []
         missing = {effect.id for effect in wanted}
         while missing:
-            searcher.tame(chosen, noise)
+            searcher.limit_outliers(chosen, noise)
             best = next((r for r in rank(searcher, chosen, noise) if r.effect in missing), None)
             if best is None:
                 names = ", ".join(sorted(missing))

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise, Solution
+from hil.diagnosis.campaign import CampaignRows, prepare
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection, Solution
 from hil.diagnosis.noise.noise_fit import fit_noise
 from hil.diagnosis.table import SplineShape, StaticPart
 from hil.effects import Action, Effect, Form, Term
@@ -37,11 +37,11 @@ class Choice:
     variance: float = 1.0
     steps: tuple[float, ...] = field(default=(), compare=False)
 
-    def columns(self, campaign: Campaign) -> Floats:
+    def columns(self, campaign: CampaignRows) -> Floats:
         """Design columns, shape (n, k)."""
         return self.effect.basis(self.form, self.theta, campaign.columns)
 
-    def extra(self, campaign: Campaign) -> Extra:
+    def extra(self, campaign: CampaignRows) -> Extra:
         """Its columns in a fit: free, or random and scaled to unit variance ratio."""
         columns = self.columns(campaign)
         none = columns[:, :0]
@@ -88,7 +88,7 @@ def grid_choices(effect: Effect, form: Form) -> list[Choice]:
     ]
 
 
-def start_noise(campaign: Campaign) -> Noise:
+def start_noise(campaign: CampaignRows) -> Noise:
     """Start of the noise fit: a free table on repeated targets, a smooth one elsewhere."""
     if campaign.repeated:
         return Noise()
@@ -103,7 +103,7 @@ def fit_model(records: Records) -> Model:
     setting = Setting.free(prepare(records))
     y = setting.error_um
     start = Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
-    noise = fit_noise(setting.bench, y, Extra.none(len(y)), start, correlations=((0.0, 0.0),))
+    noise = fit_noise(setting.linear, y, Extra.none(len(y)), start, correlations=((0.0, 0.0),))
     return joint_fit(setting, noise, y, ()).extended
 
 
@@ -125,7 +125,7 @@ class Known:
         return cls((), (), Extra.none(rows))
 
     @classmethod
-    def of(cls, model: Model, campaign: Campaign, noise_um: float) -> Known:
+    def of(cls, model: Model, campaign: CampaignRows, noise_um: float) -> Known:
         """The terms of a declared model; noise_um: standard deviation of the white noise."""
         roots, columns = [], []
         for term in model.terms:
@@ -169,24 +169,24 @@ class JointFit:
 class Setting:
     """The data of a joint fit.
 
-    bench: campaign and shape of the table; error_um: to be explained by table and terms, shape (n,)
+    linear: campaign and shape of the table; error_um: to be explained by table and terms, shape (n,)
     known: declared terms; static: part of the choices that the declared table may have absorbed, free in the fit
     """
 
-    bench: Bench
+    linear: LinearCampaign
     error_um: Floats
     known: Known
     static: StaticPart | None = None
 
     @classmethod
-    def free(cls, campaign: Campaign) -> Setting:
+    def free(cls, campaign: CampaignRows) -> Setting:
         """The table fitted from the records themselves, nothing declared."""
-        return cls(Bench(campaign), campaign.error_um, Known.none(len(campaign)))
+        return cls(LinearCampaign(campaign), campaign.error_um, Known.none(len(campaign)))
 
     @property
     def always(self) -> Extra:
         """The columns that are in every fit."""
-        campaign = self.bench.campaign
+        campaign = self.linear.campaign
         if self.static is None:
             return self.known.extra
         columns = self.static.at(campaign.x, campaign.d)
@@ -209,20 +209,20 @@ def joint_fit(
     coefficients and non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all
     other terms free.
     """
-    bench = setting.bench
-    campaign = bench.campaign
+    linear = setting.linear
+    campaign = linear.campaign
     n = len(campaign)
     extras = [choice.extra(campaign) for choice in choices]
     free = np.hstack([np.zeros((n, 0)), *(extra.free for extra in extras)])
     random = np.hstack([np.zeros((n, 0)), *(extra.random for extra in extras)])
     always = setting.always.plus(Extra.none(n) if nuisance is None else nuisance)
-    frame = bench.frame(noise, y, Extra(always.free, np.hstack([random, always.random])), out)
-    solution = frame.solve(free)
-    p, w = bench.table.stacked.shape[1], bench.table.table_width
-    posterior = frame.inverse_lower.T @ frame.inverse_lower * solution.variance if uncertain else None
-    terms = _terms(campaign, frame, solution, choices, posterior)
+    projection = linear.projection(noise, y, Extra(always.free, np.hstack([random, always.random])), out)
+    solution = projection.solve(free)
+    p, w = linear.table.stacked.shape[1], linear.table.table_width
+    posterior = projection.inverse_lower.T @ projection.inverse_lower * solution.variance if uncertain else None
+    terms = _terms(campaign, projection, solution, choices, posterior)
     white = float(np.sqrt(solution.variance))
-    about = {"rows": frame.rows, "runs": campaign.runs, "white_noise_um": white}
+    about = {"rows": projection.rows, "runs": campaign.runs, "white_noise_um": white}
     start = p + random.shape[1]
     middle = start + setting.known.extra.random.shape[1]
     declared = setting.known.updated(solution.table[start:middle])
@@ -230,7 +230,7 @@ def joint_fit(
     nuisance_um = np.asarray(unnamed @ solution.table[middle : middle + unnamed.shape[1]])
 
     def table_of(coefficients: Floats) -> PitchTable:
-        table = bench.shape.tabulate(coefficients, None if posterior is None else posterior[:w, :w])
+        table = linear.shape.tabulate(coefficients, None if posterior is None else posterior[:w, :w])
         if setting.static is not None:
             q = always.free.shape[1]
             table = setting.static.added_to(table, solution.table[len(solution.table) - q :])
@@ -241,20 +241,24 @@ def joint_fit(
     if len(machine) == len(whole.terms):
         return JointFit(whole, whole, tuple(terms), white, nuisance_um)
     foreign = np.sum([t.error_um(campaign.columns) for t in terms if t.effect.action is not Action.COMPENSATE], axis=0)
-    static = bench.frame(noise, foreign, None, out).solve(free[:, :0]).table
+    static = linear.projection(noise, foreign, None, out).solve(free[:, :0]).table
     table = table_of(solution.table[:w] + static[:w])
     return JointFit(whole, Model(table, tuple(machine), about), tuple(terms), white, nuisance_um)
 
 
 def _terms(
-    campaign: Campaign, frame: Frame, solution: Solution, choices: Sequence[Choice], posterior: Floats | None
+    campaign: CampaignRows,
+    projection: Projection,
+    solution: Solution,
+    choices: Sequence[Choice],
+    posterior: Floats | None,
 ) -> list[Term]:
     """The terms of the choices, from a solution with their free columns solved for and their random ones next to the table.
 
     posterior: covariance of the solution's table part, µm²; without it the terms get none
     """
     extras = [choice.extra(campaign) for choice in choices]
-    first_random = frame.whitened.table.shape[1]
+    first_random = projection.whitened.table.shape[1]
     parts: list[Floats] = []
     at_free, at_random = 0, first_random
     for choice, extra in zip(choices, extras, strict=True):
@@ -268,7 +272,7 @@ def _terms(
     if posterior is None:
         return [choice.as_term(part) for choice, part in zip(choices, parts, strict=True)]
     slopes = [_slopes(campaign, choice, part) for choice, part in zip(choices, parts, strict=True)]
-    normal, _ = frame.normal(np.hstack([np.zeros((len(campaign), 0)), *(extra.free for extra in extras), *slopes]))
+    normal, _ = projection.normal(np.hstack([np.zeros((len(campaign), 0)), *(extra.free for extra in extras), *slopes]))
     covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) * solution.variance
     terms: list[Term] = []
     at_slope, at_free, at_random = at_free, 0, first_random
@@ -286,17 +290,17 @@ def _terms(
     return terms
 
 
-def static_part(bench: Bench, columns: Floats) -> StaticPart | None:
+def static_part(linear: LinearCampaign, columns: Floats) -> StaticPart | None:
     """The part of some columns (n, q) that the table of a free setting can hold; None without columns."""
-    if not columns.shape[1] or not isinstance(bench.shape, SplineShape):
+    if not columns.shape[1] or not isinstance(linear.shape, SplineShape):
         return None
     smooth = Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
-    w = bench.table.table_width
-    coefficients = [bench.frame(smooth, column).solve(columns[:, :0]).table[:w] for column in columns.T]
-    return StaticPart(bench.shape, np.column_stack(coefficients))
+    w = linear.table.table_width
+    coefficients = [linear.projection(smooth, column).solve(columns[:, :0]).table[:w] for column in columns.T]
+    return StaticPart(linear.shape, np.column_stack(coefficients))
 
 
-def _slopes(campaign: Campaign, choice: Choice, coefficients: Floats) -> Floats:
+def _slopes(campaign: CampaignRows, choice: Choice, coefficients: Floats) -> Floats:
     """Derivative of the effect's error to its non-linear parameters, shape (n, t)."""
     out = np.zeros((len(campaign), len(choice.theta)))
     for i, value in enumerate(choice.theta):

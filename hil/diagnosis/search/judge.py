@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.noise.evidence import MOST_OFFSET, Bench, Extra, Frame, Noise, random_gain
+from hil.diagnosis.noise.evidence import MOST_OFFSET, Extra, LinearCampaign, Noise, Projection, random_gain
 from hil.diagnosis.search.candidates import score
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.null import CAMPAIGNS, Null, null_maxima, simulate, tail_probability
@@ -30,9 +30,9 @@ FALSE_STRUCTURE = 0.002
 """Rate of structures found on a campaign without any."""
 WINNER = 0.02
 """Largest probability in noise of the winning effect by itself, once any effect is significant."""
-SURE = 35.0
+ACCEPTED_FROM = 35.0
 """Log Bayes factor accepted without a simulation."""
-HOPELESS = 2.0
+REJECTED_BELOW = 2.0
 """Log Bayes factor below which no simulation is made."""
 REFINEMENT = 5.0
 """Log Bayes factor that refinement of a grid point may add."""
@@ -40,8 +40,8 @@ STRUCTURE_CAMPAIGNS = 300
 NEAR_OFFSET = 0.2
 """Difference of run offsets from which the null is also profiled at their median."""
 OFFSETS = np.linspace(0.0, MOST_OFFSET, 9)
-USUAL = 12.0
-USUAL_STRUCTURE = 12.0
+DEFAULT_CRITICAL = 12.0
+DEFAULT_CRITICAL_STRUCTURE = 12.0
 """Critical log Bayes factors of effects and of structures where no null was simulated."""
 
 
@@ -55,19 +55,19 @@ class NullJudge:
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
         top = stage.ranking[0].evidence - stage.before
-        if top > SURE:
+        if top > ACCEPTED_FROM:
             return True
-        if top < HOPELESS:
+        if top < REJECTED_BELOW:
             return False
         if self.probability(stage, searcher, chosen, noise) >= FALSE_FINDINGS:
             return False
         winner = stage.ranking[0].effect
         return self.null is None or winner not in self.null.maxima or float(self.null.probability(winner, top)) < WINNER
 
-    def hopeful(self, effect: str, gain: float) -> bool:
+    def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether this gain of a grid point may become significant by refinement."""
         del effect
-        return gain > HOPELESS - REFINEMENT
+        return gain > REJECTED_BELOW - REFINEMENT
 
     def probability(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> float:
         """Probability in noise alone that any effect reaches the gain of the best one."""
@@ -76,11 +76,11 @@ class NullJudge:
             offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
             typical = replace(noise, offset=float(np.median(offsets)))
             far = abs(typical.offset - noise.offset) > NEAR_OFFSET
-            smooth = smoother(noise) if searcher.bench.rough else ()
+            smooth = smoother(noise) if searcher.linear.rough else ()
             noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
             beside = searcher.extra(chosen)
             self.asked[key] = null_maxima(
-                searcher.bench, searcher.candidates, noises, offsets, beside, seed=self.seed, smooth=smooth
+                searcher.linear, searcher.candidates, noises, offsets, beside, seed=self.seed, smooth=smooth
             )
         null = self.null = self.asked[key]
         values = [
@@ -122,11 +122,11 @@ class FoldJudge:
     critical: dict[str, float]
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
-        return any(r.evidence - stage.before > self.critical.get(r.effect, USUAL) for r in stage.ranking)
+        return any(r.evidence - stage.before > self.critical.get(r.effect, DEFAULT_CRITICAL) for r in stage.ranking)
 
-    def hopeful(self, effect: str, gain: float) -> bool:
+    def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether this gain of a grid point may become significant by refinement."""
-        return gain > self.critical.get(effect, USUAL) - REFINEMENT
+        return gain > self.critical.get(effect, DEFAULT_CRITICAL) - REFINEMENT
 
 
 @dataclass(frozen=True)
@@ -145,43 +145,43 @@ class Hit:
         return Extra(whole[:, :0], whole * math.sqrt(self.variance))
 
 
-def hit_of(frame: Frame, structure: Structure, gain: float, probability: float) -> Hit:
-    """The structure with its variance fitted under a frame."""
-    _, variance = random_gain(frame, structure.whole)
+def hit_of(projection: Projection, structure: Structure, gain: float, probability: float) -> Hit:
+    """The structure with its variance fitted under a projection."""
+    _, variance = random_gain(projection, structure.whole)
     return Hit(structure, float(variance), gain, probability)
 
 
 @dataclass
-class Scout:
+class StructureSearch:
     """The search for structure outside the catalogue; stores the gain that is just significant for the folds."""
 
     catalogue: Catalogue
     seed: int
-    critical: float = USUAL_STRUCTURE
+    critical: float = DEFAULT_CRITICAL_STRUCTURE
 
-    def __call__(self, frame: Frame, bench: Bench) -> Hit | None:
+    def __call__(self, projection: Projection, linear: LinearCampaign) -> Hit | None:
         """The structure of highest gain beside the projected columns, if it is significant."""
-        found = clearest(frame, self.catalogue)
+        found = clearest(projection, self.catalogue)
         if found is None or found[1] < 0.0:
             return None
         structure, gain = found
         probability = 0.0
-        if gain < SURE:
-            probability = self._probability(frame, bench, structure, gain)
+        if gain < ACCEPTED_FROM:
+            probability = self._probability(projection, linear, structure, gain)
             if probability >= FALSE_STRUCTURE:
                 return None
-        return hit_of(frame, structure, gain, probability)
+        return hit_of(projection, structure, gain, probability)
 
-    def _probability(self, frame: Frame, bench: Bench, structure: Structure, gain: float) -> float:
+    def _probability(self, projection: Projection, linear: LinearCampaign, structure: Structure, gain: float) -> float:
         catalogue = self.catalogue
-        y = simulate(bench, frame.noise, np.full(STRUCTURE_CAMPAIGNS, frame.noise.offset), self.seed + 1)
-        null = bench.frame(frame.noise, y, frame.extra)
+        y = simulate(linear, projection.noise, np.full(STRUCTURE_CAMPAIGNS, projection.noise.offset), self.seed + 1)
+        null = linear.projection(projection.noise, y, projection.extra)
         tests = 1 + len(catalogue.fine)
         if structure in catalogue.fine:
             sample, _ = random_gain(null, structure.design)
             return tests * float(tail_probability(sample, float(np.min(sample)) - 1.0, gain))
         maxima = np.max(score(null, catalogue.stack(null.whitened)).gain, axis=0)
-        floor = -2.0 * float(np.log1p(frame.rows))
+        floor = -2.0 * float(np.log1p(projection.rows))
         grid = np.linspace(2.0, 30.0, 57)
         good = grid[tests * tail_probability(maxima, floor, grid) < FALSE_STRUCTURE]
         self.critical = float(good[0]) if len(good) else 30.0
@@ -189,26 +189,26 @@ class Scout:
 
 
 @dataclass(frozen=True)
-class FoldScout:
+class FoldStructureSearch:
     """The same with a run left out, by the critical gain on all rows."""
 
     catalogue: Catalogue
     critical: float
 
-    def __call__(self, frame: Frame, bench: Bench) -> Hit | None:
-        del bench
-        found = clearest(frame, self.catalogue)
+    def __call__(self, projection: Projection, linear: LinearCampaign) -> Hit | None:
+        del linear
+        found = clearest(projection, self.catalogue)
         if found is None or found[1] < self.critical:
             return None
-        return hit_of(frame, found[0], found[1], 0.0)
+        return hit_of(projection, found[0], found[1], 0.0)
 
 
-def clearest(frame: Frame, catalogue: Catalogue) -> tuple[Structure, float] | None:
+def clearest(projection: Projection, catalogue: Catalogue) -> tuple[Structure, float] | None:
     """The structure of highest gain and that gain; None where there is no structure to test."""
     gains: list[float] = []
     if len(catalogue.structures):
-        gains.extend(score(frame, catalogue.stack(frame.whitened)).gain)
-    gains.extend(float(random_gain(frame, s.design)[0]) for s in catalogue.fine)
+        gains.extend(score(projection, catalogue.stack(projection.whitened)).gain)
+    gains.extend(float(random_gain(projection, s.design)[0]) for s in catalogue.fine)
     if not gains:
         return None
     top = int(np.argmax(gains))

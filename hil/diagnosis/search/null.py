@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
-from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection
 from hil.diagnosis.search.candidates import Candidates, score
 
 Floats = NDArray[np.float64]
@@ -62,23 +62,23 @@ def tail_probability(sample: Floats, floor: float, value: Floats | float) -> Flo
     return np.asarray(np.maximum(gumbel, gamma))
 
 
-def simulate(bench: Bench, noise: Noise, offsets: Floats, seed: int) -> Floats:
+def simulate(linear: LinearCampaign, noise: Noise, offsets: Floats, seed: int) -> Floats:
     """Campaigns of table roughness, run offsets and noise alone, unit white noise, shape (n, count).
 
     offsets: standard deviation of the run offsets of each campaign, shape (count,)
     """
     rng = np.random.default_rng(seed)
     count = len(offsets)
-    y = bench.whitened(noise).colour(rng.normal(size=(len(bench.campaign), count)))
-    ridge = bench.table.ridge(noise)[: bench.table.table_width]
+    y = linear.whitened(noise).colour(rng.normal(size=(len(linear.campaign), count)))
+    ridge = linear.table.ridge(noise)[: linear.table.table_width]
     random = np.flatnonzero(ridge > 0)
-    parts = bench.table.stacked[:, random] / np.sqrt(ridge[random])
+    parts = linear.table.stacked[:, random] / np.sqrt(ridge[random])
     y += parts @ rng.normal(size=(parts.shape[1], count))
-    return np.asarray(y + bench.table.offset @ (offsets * rng.normal(size=(bench.table.offset.shape[1], count))))
+    return np.asarray(y + linear.table.offset @ (offsets * rng.normal(size=(linear.table.offset.shape[1], count))))
 
 
 def null_maxima(
-    bench: Bench,
+    linear: LinearCampaign,
     candidates: Candidates,
     noises: Sequence[Noise],
     offsets: Floats,
@@ -92,17 +92,17 @@ def null_maxima(
     offsets: standard deviation of the run offsets of each simulated campaign, shape (b,)
     smooth: noise models over which effects that may be a feature of one place are profiled too, and none beside them
     """
-    y = simulate(bench, noises[0], offsets, seed)
+    y = simulate(linear, noises[0], offsets, seed)
     count = len(offsets)
     best_null = np.full(count, -np.inf)
     best = np.full((len(candidates.effects), count), -np.inf)
     for noise in noises:
-        best_null = _raise(best, best_null, bench.frame(noise, y, beside), candidates)
+        best_null = _raise(best, best_null, linear.projection(noise, y, beside), candidates)
     best_null = np.tile(best_null, (len(best), 1))
-    local = candidates.of_one_place(bench.campaign)
+    local = candidates.of_one_place(linear.campaign)
     mine = np.unique(local.effect)
     for noise in smooth if len(local) else ():
-        best_null[mine] = _raise(best, best_null[mine], bench.frame(noise, y, beside), local)
+        best_null[mine] = _raise(best, best_null[mine], linear.projection(noise, y, beside), local)
     maxima, floor, narrowest = {}, {}, {}
     log_rows = float(np.log1p(len(y)))
     for index, name in enumerate(candidates.effects):
@@ -116,9 +116,9 @@ def null_maxima(
     return Null(maxima, floor, narrowest, log_rows)
 
 
-def _raise(best: Floats, best_null: Floats, frame: Frame, candidates: Candidates) -> Floats:
-    """Raise the best evidence of each effect, shape (e, b), to that in a frame; the best evidence of none, shape (…, b)."""
-    gains = score(frame, candidates.stack(frame.whitened)).gain
+def _raise(best: Floats, best_null: Floats, projection: Projection, candidates: Candidates) -> Floats:
+    """Raise the best evidence of each effect, shape (e, b), to that in a projection; the best evidence of none, shape (…, b)."""
+    gains = score(projection, candidates.stack(projection.whitened)).gain
     for index in np.unique(candidates.effect):
-        best[index] = np.maximum(best[index], frame.log_null + np.max(gains[candidates.effect == index], axis=0))
-    return np.asarray(np.maximum(best_null, frame.log_null))
+        best[index] = np.maximum(best[index], projection.log_null + np.max(gains[candidates.effect == index], axis=0))
+    return np.asarray(np.maximum(best_null, projection.log_null))

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.noise.evidence import Frame, Noise
+from hil.diagnosis.noise.evidence import Noise, Projection
 from hil.diagnosis.search.candidates import score
 from hil.diagnosis.search.fit import Choice, grid_choices
 from hil.diagnosis.search.refine import Trials, refine, score_choices
-from hil.diagnosis.search.searcher import Searcher, View, with_point
+from hil.diagnosis.search.searcher import ConditionalSearch, Searcher, with_point
 from hil.effects import Form
 
 SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))
@@ -39,28 +39,31 @@ class Ranked:
 
 
 def rank(
-    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, hopeful: Callable[[Ranked], bool] | None = None
+    searcher: Searcher,
+    chosen: Sequence[Choice],
+    noise: Noise,
+    may_become_significant: Callable[[Ranked], bool] | None = None,
 ) -> tuple[Ranked, ...]:
     """Every effect at its best beside the chosen ones, best first; empty where no grid point is promising."""
-    view = View(searcher, chosen)
-    rough = _rough(view, noise)
-    if not rough or (hopeful is not None and not any(hopeful(r) for r in rough)):
+    conditional = ConditionalSearch(searcher, chosen)
+    rough = _rough(conditional, noise)
+    if not rough or (may_become_significant is not None and not any(may_become_significant(r) for r in rough)):
         return ()
-    return _enriched(view, _profiled(view, _refined(view, rough), noise))
+    return _enriched(conditional, _profiled(conditional, _refined(conditional, rough), noise))
 
 
-def _rough(view: View, noise: Noise) -> list[Ranked]:
+def _rough(conditional: ConditionalSearch, noise: Noise) -> list[Ranked]:
     """The best grid point of each form, under the noise as fitted and, where the search is thorough, under white noise."""
-    searcher, candidates, effort = view.searcher, view.searcher.candidates, view.searcher.effort
+    searcher, candidates, effort = conditional.searcher, conditional.searcher.candidates, conditional.searcher.effort
     found: dict[int, Ranked] = {}
     for trial in dict.fromkeys((noise, noise.calm()) if effort.correlations else (noise,)):
-        frame = view.frame(trial)
-        gains = score(frame, candidates.stack(frame.whitened)).gain
+        projection = conditional.projection(trial)
+        gains = score(projection, candidates.stack(projection.whitened)).gain
         for key, index in enumerate(candidates.forms):
             top = index[int(np.argmax(gains[index]))]
-            if candidates.choices[top].effect.id in searcher.barred:
+            if candidates.choices[top].effect.id in searcher.excluded:
                 continue
-            value = view.base(trial) + float(gains[top])
+            value = conditional.base(trial) + float(gains[top])
             if np.isfinite(value) and (key not in found or value > found[key].evidence):
                 found[key] = Ranked(candidates.choices[top], value, trial)
     ordered = sorted(found.values(), key=lambda r: -r.evidence)
@@ -69,82 +72,82 @@ def _rough(view: View, noise: Noise) -> list[Ranked]:
     return [r for r in ordered if r.effect in best and r.evidence > best[r.effect] - 8.0]
 
 
-def _refined(view: View, rough: Sequence[Ranked]) -> list[Ranked]:
+def _refined(conditional: ConditionalSearch, rough: Sequence[Ranked]) -> list[Ranked]:
     out: list[Ranked] = []
     for trial in dict.fromkeys(r.noise for r in rough):
         mine = [r.choice for r in rough if r.noise == trial]
-        refined = refine(view.frame(trial), mine, view.searcher.effort.rounds)
-        out.extend(Ranked(choice, view.base(trial) + gain, trial) for choice, gain in refined)
+        refined = refine(conditional.projection(trial), mine, conditional.searcher.effort.rounds)
+        out.extend(Ranked(choice, conditional.base(trial) + gain, trial) for choice, gain in refined)
     return out
 
 
-def _profiled(view: View, refined: Sequence[Ranked], noise: Noise) -> list[Ranked]:
+def _profiled(conditional: ConditionalSearch, refined: Sequence[Ranked], noise: Noise) -> list[Ranked]:
     """The evidence of each at its best noise model of the grid; the best form of each effect."""
-    best = _best_of(view, refined, [with_point(noise, *point) for point in view.searcher.effort.grid])
-    best = _smoothed(view, best)
+    best = _best_of(conditional, refined, [with_point(noise, *point) for point in conditional.searcher.effort.grid])
+    best = _smoothed(conditional, best)
     first: dict[str, Ranked] = {}
     for r in sorted(best, key=lambda r: -r.evidence):
         first.setdefault(r.effect, r)
-    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, view, r.noise)) for r in first.values()]
+    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, conditional, r.noise)) for r in first.values()]
     return sorted(judged, key=lambda r: -r.evidence)
 
 
-def _smoothed(view: View, ranked: Sequence[Ranked]) -> list[Ranked]:
+def _smoothed(conditional: ConditionalSearch, ranked: Sequence[Ranked]) -> list[Ranked]:
     """Local features beside smoother tables: the table has bulged at the place of the feature."""
     best = list(ranked)
-    bench = view.searcher.bench
-    survey = bench.campaign.survey
+    linear = conditional.searcher.linear
+    survey = linear.campaign.survey
     which = [i for i, r in enumerate(ranked) if r.choice.effect.is_local(r.choice.form, r.choice.theta, survey)]
-    if not view.searcher.effort.correlations or not bench.rough:
+    if not conditional.searcher.effort.correlations or not linear.rough:
         return best
     for start in dict.fromkeys(ranked[i].noise for i in which):
         mine = [i for i in which if ranked[i].noise == start]
-        for i, found in zip(mine, _best_of(view, [ranked[i] for i in mine], smoother(start)), strict=True):
+        for i, found in zip(mine, _best_of(conditional, [ranked[i] for i in mine], smoother(start)), strict=True):
             best[i] = found
     return best
 
 
-def _best_of(view: View, ranked: Sequence[Ranked], noises: Sequence[Noise]) -> list[Ranked]:
+def _best_of(conditional: ConditionalSearch, ranked: Sequence[Ranked], noises: Sequence[Noise]) -> list[Ranked]:
     """Each with the noise model of highest evidence, its own or one of some others."""
     best = list(ranked)
-    trials = Trials([r.choice for r in ranked], view.searcher.bench.campaign)
+    trials = Trials([r.choice for r in ranked], conditional.searcher.linear.campaign)
     for noise in noises:
-        gains, choices = trials.score(view.frame(noise))
-        for i, value in enumerate(view.base(noise) + gains):
+        gains, choices = trials.score(conditional.projection(noise))
+        for i, value in enumerate(conditional.base(noise) + gains):
             if value > best[i].evidence:
                 best[i] = Ranked(choices[i], float(value), noise)
     return best
 
 
-def _penalty(choice: Choice, view: View, noise: Noise) -> float:
+def _penalty(choice: Choice, conditional: ConditionalSearch, noise: Noise) -> float:
     penalty = -choice.effect.log_odds
     if not choice.form.shrunk:
-        coefficients = view.frame(noise).estimate(choice.columns(view.searcher.bench.campaign))
+        coefficients = conditional.projection(noise).estimate(choice.columns(conditional.searcher.linear.campaign))
         penalty += IMPLAUSIBLE if choice.effect.implausible(choice.as_term(coefficients)) else 0.0
     return penalty
 
 
-def _enriched(view: View, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
+def _enriched(conditional: ConditionalSearch, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     """The first few again with their refining forms."""
     out = list(ranked)
-    effort, refining = view.searcher.effort, view.searcher.candidates.refining
+    effort, refining = conditional.searcher.effort, conditional.searcher.candidates.refining
     for i, r in enumerate(ranked[: effort.rich]):
         more = richer(r.choice, refining[r.effect]) if r.evidence > ranked[0].evidence - 60.0 else []
         if not more:
             continue
-        frame = view.frame(r.noise)
-        for choice, gain in refine(frame, _best_of_each_form(frame, more), effort.rounds):
-            value = view.base(r.noise) + gain - _penalty(choice, view, r.noise) - RICHER
+        projection = conditional.projection(r.noise)
+        for choice, gain in refine(projection, _best_of_each_form(projection, more), effort.rounds):
+            value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - RICHER
             if value > out[i].evidence:
                 out[i] = Ranked(choice, value, r.noise)
     return tuple(sorted(out, key=lambda r: -r.evidence))
 
 
-def _best_of_each_form(frame: Frame, choices: Sequence[Choice]) -> list[Choice]:
+def _best_of_each_form(projection: Projection, choices: Sequence[Choice]) -> list[Choice]:
     forms = [(choice.form.name, choice.form.inputs) for choice in choices]
     if len(set(forms)) == len(forms):
         return list(choices)
-    gains, _ = score_choices(frame, choices)
+    gains, _ = score_choices(projection, choices)
     tops: dict[tuple[str, tuple[str, ...]], int] = {}
     for j, form in enumerate(forms):
         if form not in tops or gains[j] > gains[tops[form]]:

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign
-from hil.diagnosis.noise.evidence import Frame
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.noise.evidence import Projection
 from hil.diagnosis.search.candidates import Blocks, Stack, score
 from hil.diagnosis.search.fit import Choice
 from hil.effects import NonLinear
@@ -32,29 +32,29 @@ OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}
 class Trials:
     """Some choices with their columns, scored under several projections."""
 
-    def __init__(self, choices: Sequence[Choice], campaign: Campaign) -> None:
+    def __init__(self, choices: Sequence[Choice], campaign: CampaignRows) -> None:
         self.choices, self.blocks = choices, Blocks.of_choices(choices, campaign)
         self._stack: Stack | None = None
 
-    def score(self, frame: Frame) -> tuple[Floats, list[Choice]]:
-        """Gain of the choices under a frame, shape (c,), and the choices with the variance of the shrunk ones set."""
-        if self._stack is None or self._stack.whitened is not frame.whitened:
-            self._stack = Stack(frame.whitened, self.blocks)
-        scores = score(frame, self._stack)
+    def score(self, projection: Projection) -> tuple[Floats, list[Choice]]:
+        """Gain of the choices under a projection, shape (c,), and the choices with the variance of the shrunk ones set."""
+        if self._stack is None or self._stack.whitened is not projection.whitened:
+            self._stack = Stack(projection.whitened, self.blocks)
+        scores = score(projection, self._stack)
         return scores.gain, [
             replace(choice, variance=float(v)) if choice.form.shrunk else choice
             for choice, v in zip(self.choices, scores.variance, strict=True)
         ]
 
 
-def score_choices(frame: Frame, choices: Sequence[Choice]) -> tuple[Floats, list[Choice]]:
+def score_choices(projection: Projection, choices: Sequence[Choice]) -> tuple[Floats, list[Choice]]:
     """Gain of some choices under one projection, shape (c,), and the choices with the variance of the shrunk ones
     set.
     """
-    return Trials(choices, frame.whitened.campaign).score(frame)
+    return Trials(choices, projection.whitened.campaign).score(projection)
 
 
-def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> list[tuple[Choice, float]]:
+def refine(projection: Projection, choices: Sequence[Choice], rounds: int = ROUNDS) -> list[tuple[Choice, float]]:
     """Each choice with its parameters at a local maximum of the evidence, and its gain there."""
     best = list(choices)
     steps = [[FIRST * step for step in choice.steps] for choice in choices]
@@ -69,7 +69,7 @@ def refine(frame: Frame, choices: Sequence[Choice], rounds: int = ROUNDS) -> lis
                 owner.append(i)
         if not trials:
             break
-        found, trials = score_choices(frame, trials)
+        found, trials = score_choices(projection, trials)
         owners = np.array(owner)
         for i in dict.fromkeys(owner):
             mine = np.flatnonzero(owners == i)

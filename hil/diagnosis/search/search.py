@@ -53,7 +53,7 @@ class Judge(Protocol):
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool: ...
 
-    def hopeful(self, effect: str, gain: float) -> bool:
+    def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether an effect of this gain at a grid point may become significant by refinement."""
 
 
@@ -63,7 +63,7 @@ def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
     if least == 0.0:
         return False
     fit = searcher.fit([choice], noise, uncertain=False)
-    rms = float(np.std(fit.found[0].error_um(searcher.bench.campaign.columns)))
+    rms = float(np.std(fit.found[0].error_um(searcher.linear.campaign.columns)))
     return rms < least * fit.white_um * math.hypot(1.0, noise.ar)
 
 
@@ -78,9 +78,9 @@ def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choic
     if not flexible or not searcher.effort.correlations:
         return found
     kept = searcher.y, searcher.nuisance
-    searcher.barred = frozenset(flexible)
+    searcher.excluded = frozenset(flexible)
     other = _forward(searcher, noise, judge, start)
-    searcher.barred = frozenset()
+    searcher.excluded = frozenset()
     several = len(other.choices) > len(found.choices)
     worth, _ = searcher.profiled_evidence(found.choices, found.noise)
     if several and searcher.profiled_evidence(other.choices, other.noise)[0] > worth:
@@ -94,16 +94,16 @@ def _forward(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Cho
     chosen: list[Choice] = list(start)
     stages: list[Stage] = []
     while len(chosen) < MOST_TERMS + len(start):
-        searcher.tame(chosen, noise)
+        searcher.limit_outliers(chosen, noise)
         before, _ = searcher.profiled_evidence(chosen, noise)
-        ranking = rank(searcher, chosen, noise, partial(_hopeful, judge, before))
+        ranking = rank(searcher, chosen, noise, partial(_may_become_significant, judge, before))
         stage = Stage(before, ranking, False)
         if not ranking or not judge(stage, searcher, chosen, noise):
             stages.append(stage)
             break
         top = ranking[0]
         if is_noise(searcher, top.choice, top.noise):
-            searcher.add_nuisance(top.choice.extra(searcher.bench.campaign))
+            searcher.add_nuisance(top.choice.extra(searcher.linear.campaign))
             continue
         stages.append(replace(stage, taken=True))
         chosen.append(top.choice)
@@ -112,8 +112,8 @@ def _forward(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Cho
     return Selection(tuple(chosen), noise, tuple(stages))
 
 
-def _hopeful(judge: Judge, before: float, ranked: Ranked) -> bool:
-    return judge.hopeful(ranked.effect, ranked.evidence - before)
+def _may_become_significant(judge: Judge, before: float, ranked: Ranked) -> bool:
+    return judge.may_become_significant(ranked.effect, ranked.evidence - before)
 
 
 def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0) -> list[Choice]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.noise.evidence import Extra, Frame, Noise
+from hil.diagnosis.noise.evidence import Extra, Noise, Projection
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.search.candidates import Candidates
 from hil.diagnosis.search.fit import Choice, JointFit, Setting, joint_fit
@@ -25,10 +25,10 @@ GRID = tuple(
     for offset in (0.0, 0.25, 0.6)
 )
 """Noise models over which each candidate is profiled."""
-MOST_FRAMES = 40
+MOST_PROJECTIONS = 40
 CONTENDERS = 8
 RICH_CONTENDERS = 3
-TAME, TAME_TAIL = 3.2, 1.5
+OUTLIER_LIMIT, OUTLIER_TAIL = 3.2, 1.5
 """Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger one applies, so that a real
 bulge is kept.
 """
@@ -60,12 +60,12 @@ class Searcher:
         self, setting: Setting, candidates: Candidates, out: Mask | None = None, effort: Effort = FULL
     ) -> None:
         self.setting, self.candidates, self.out, self.effort = setting, candidates, out, effort
-        self.bench = setting.bench
+        self.linear = setting.linear
         self.raw = self.y = setting.error_um
         self.nuisance = Extra.none(len(self.y))
-        self._frames: dict[Noise, Frame] = {}
-        self._tamed: tuple[tuple[Choice, ...], Noise] | None = None
-        self.barred: frozenset[str] = frozenset()  # effects that are excluded at present
+        self._projections: dict[Noise, Projection] = {}
+        self._limited_for: tuple[tuple[Choice, ...], Noise] | None = None
+        self.excluded: frozenset[str] = frozenset()  # effects that are excluded at present
 
     @property
     def always(self) -> Extra:
@@ -75,14 +75,14 @@ class Searcher:
     def add_nuisance(self, extra: Extra) -> None:
         """Adds nuisance columns to every later fit."""
         self.nuisance = self.nuisance.plus(extra)
-        self._frames.clear()
-        self._tamed = None
+        self._projections.clear()
+        self._limited_for = None
 
     def restore(self, y: Floats, nuisance: Extra) -> None:
         """Restores earlier errors and nuisance columns."""
         self.y, self.nuisance = y, nuisance
-        self._frames.clear()
-        self._tamed = None
+        self._projections.clear()
+        self._limited_for = None
 
     def fit(self, choices: Sequence[Choice], noise: Noise, *, uncertain: bool = True) -> JointFit:
         """Table and terms estimated together, with covariances if `uncertain`."""
@@ -94,39 +94,39 @@ class Searcher:
         """The columns of some choices, and those of every fit."""
         total = self.always
         for choice in choices:
-            total = total.plus(choice.extra(self.bench.campaign))
+            total = total.plus(choice.extra(self.linear.campaign))
         return total
 
-    def frame(self, noise: Noise, beside: Extra | None = None) -> Frame:
+    def projection(self, noise: Noise, beside: Extra | None = None) -> Projection:
         """The projection with the columns `beside` in the fit, or with those of every fit (cached)."""
         if beside is not None:
-            return self.bench.frame(noise, self.y, beside, self.out)
-        if noise not in self._frames:
-            if len(self._frames) >= MOST_FRAMES:
-                self._frames.clear()
-            self._frames[noise] = self.bench.frame(noise, self.y, self.always, self.out)
-        return self._frames[noise]
+            return self.linear.projection(noise, self.y, beside, self.out)
+        if noise not in self._projections:
+            if len(self._projections) >= MOST_PROJECTIONS:
+                self._projections.clear()
+            self._projections[noise] = self.linear.projection(noise, self.y, self.always, self.out)
+        return self._projections[noise]
 
-    def tame(self, choices: Sequence[Choice], noise: Noise) -> None:
+    def limit_outliers(self, choices: Sequence[Choice], noise: Noise) -> None:
         """Limits rows far beyond the residual of the bulk of the rows (Huber), for all later steps."""
         asked = tuple(choices), noise
-        if asked == self._tamed:
+        if asked == self._limited_for:
             return
-        self._tamed = asked
-        frame = self.bench.frame(noise, self.raw, self.extra(choices), self.out)
-        residual = frame.solve(np.zeros((len(self.raw), 0))).residual
+        self._limited_for = asked
+        projection = self.linear.projection(noise, self.raw, self.extra(choices), self.out)
+        residual = projection.solve(np.zeros((len(self.raw), 0))).residual
         kept = residual if self.out is None else residual[~self.out]
         size = np.abs(kept - np.median(kept))
-        limit = max(TAME * 1.4826 * float(np.median(size)), TAME_TAIL * float(np.quantile(size, 0.95)))
+        limit = max(OUTLIER_LIMIT * 1.4826 * float(np.median(size)), OUTLIER_TAIL * float(np.quantile(size, 0.95)))
         excess = residual - np.clip(residual, -limit, limit)
-        self.y = self.raw - frame.whitened.colour(excess) if np.any(excess) else self.raw
-        self._frames.clear()
+        self.y = self.raw - projection.whitened.colour(excess) if np.any(excess) else self.raw
+        self._projections.clear()
 
     def fit_noise(self, choices: Sequence[Choice], start: Noise) -> Noise:
         """The noise model of highest evidence with the choices in the fit."""
         grid = self.effort.correlations or tuple(dict.fromkeys(((0.0, 0.0), (start.ar, start.rho))))
         near = not self.effort.correlations
-        return fit_noise(self.bench, self.y, self.extra(choices), start, correlations=grid, near=near, out=self.out)
+        return fit_noise(self.linear, self.y, self.extra(choices), start, correlations=grid, near=near, out=self.out)
 
     def evidence(self, choices: Sequence[Choice], noise: Noise) -> float:
         """Log marginal likelihood of table, noise and some choices, up to a constant of the rows."""
@@ -135,9 +135,9 @@ class Searcher:
     def _evidence(self, choices: Sequence[Choice], extra: Extra, noise: Noise) -> float:
         always = self.always
         shrunk = extra.random.shape[1] > always.random.shape[1]
-        frame = self.frame(noise, Extra(always.free, extra.random) if shrunk else None)
+        projection = self.projection(noise, Extra(always.free, extra.random) if shrunk else None)
         known = sum(choice.log_prior for choice in choices)
-        return float(frame.log_null) + frame.gain(extra.free[:, always.free.shape[1] :]) + known
+        return float(projection.log_null) + projection.gain(extra.free[:, always.free.shape[1] :]) + known
 
     def profiled_evidence(self, choices: Sequence[Choice], noise: Noise) -> tuple[float, Noise]:
         """Best evidence of the choices over the grid of noise models."""
@@ -148,22 +148,22 @@ class Searcher:
         return values[best], trials[best]
 
 
-class View:
+class ConditionalSearch:
     """A searcher with some choices in every fit: projections and base evidences, cached."""
 
     def __init__(self, searcher: Searcher, chosen: Sequence[Choice]) -> None:
         self.searcher, self.chosen = searcher, chosen
         self._extra = searcher.extra(chosen)
-        self._frames: dict[Noise, Frame] = {}
+        self._projections: dict[Noise, Projection] = {}
         self._base: dict[Noise, float] = {}
 
-    def frame(self, noise: Noise) -> Frame:
+    def projection(self, noise: Noise) -> Projection:
         """The projection with the choices in the fit."""
         if not self.chosen:
-            return self.searcher.frame(noise)
-        if noise not in self._frames:
-            self._frames[noise] = self.searcher.frame(noise, self._extra)
-        return self._frames[noise]
+            return self.searcher.projection(noise)
+        if noise not in self._projections:
+            self._projections[noise] = self.searcher.projection(noise, self._extra)
+        return self._projections[noise]
 
     def base(self, noise: Noise) -> float:
         """Log evidence of the choices, under a noise model."""
@@ -171,7 +171,7 @@ class View:
             if self.chosen:
                 self._base[noise] = self.searcher.evidence(self.chosen, noise)
             else:
-                self._base[noise] = float(self.frame(noise).log_null)
+                self._base[noise] = float(self.projection(noise).log_null)
         return self._base[noise]
 
 

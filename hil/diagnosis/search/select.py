@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.search.candidates import score
 from hil.diagnosis.search.fit import Choice
-from hil.diagnosis.search.judge import FoldScout, Hit, Scout, hit_of
+from hil.diagnosis.search.judge import FoldStructureSearch, Hit, StructureSearch, hit_of
 from hil.diagnosis.search.rank import rank
 from hil.diagnosis.search.search import Judge, Stage, search
 from hil.diagnosis.search.searcher import Searcher
@@ -43,7 +43,7 @@ it.
 
 
 @dataclass(frozen=True)
-class Stranger:
+class ForeignStructure:
     """The best structure of other columns in place of an effect: log odds against the effect, gain over none."""
 
     columns: tuple[str, ...]
@@ -67,7 +67,7 @@ class Selected:
     stages: tuple[Stage, ...]
     hits: tuple[Hit, ...] = ()
     shapes: tuple[Hit, ...] = ()
-    foreign: dict[str, Stranger] = field(default_factory=dict)
+    foreign: dict[str, ForeignStructure] = field(default_factory=dict)
     memory: Memory | None = None
 
     def beyond(self, log_odds: float) -> set[str]:
@@ -82,13 +82,17 @@ class Selected:
 
 
 def select(
-    searcher: Searcher, scout: Scout | FoldScout | None, judge: Judge, noise: Noise, start: Sequence[Choice] = ()
+    searcher: Searcher,
+    structure_search: StructureSearch | FoldStructureSearch | None,
+    judge: Judge,
+    noise: Noise,
+    start: Sequence[Choice] = (),
 ) -> Selected:
-    """The terms that the records require beside those of `start`, and the remaining structure where `scout` is
+    """The terms that the records require beside those of `start`, and the remaining structure where `structure_search` is
     given.
     """
     noise = searcher.fit_noise(start, noise)
-    searcher.tame(start, noise)
+    searcher.limit_outliers(start, noise)
     found = search(searcher, noise, judge, start)
     stages = list(found.stages)
     chosen, noise = list(found.choices), found.noise
@@ -96,14 +100,14 @@ def select(
         chosen = drop(searcher, chosen, noise, len(start), SLIGHT)
     hits: list[Hit] = []
     shapes: list[Hit] = []
-    foreign: dict[str, Stranger] = {}
+    foreign: dict[str, ForeignStructure] = {}
     swaps = 0
-    while scout is not None and len(hits) < MOST_STRUCTURES:
-        hit = scout(searcher.frame(noise, searcher.extra(chosen)), searcher.bench)
+    while structure_search is not None and len(hits) < MOST_STRUCTURES:
+        hit = structure_search(searcher.projection(noise, searcher.extra(chosen)), searcher.linear)
         if hit is None:
-            if isinstance(scout, FoldScout):
+            if isinstance(structure_search, FoldStructureSearch):
                 break
-            foreign, chosen, taken = _foreign(searcher, scout.catalogue, chosen, noise, len(start))
+            foreign, chosen, taken = _foreign(searcher, structure_search.catalogue, chosen, noise, len(start))
             if taken is None:
                 break
             if isinstance(taken, Stage):
@@ -129,10 +133,10 @@ def select(
         found = search(searcher, noise, judge, chosen)
         stages.extend(found.stages)
         chosen, noise = drop(searcher, found.choices, found.noise, len(start)), found.noise
-    searcher.tame(chosen, noise)
-    if scout is not None and not isinstance(scout, FoldScout):
+    searcher.limit_outliers(chosen, noise)
+    if structure_search is not None and not isinstance(structure_search, FoldStructureSearch):
         stages.extend(_contests(searcher, chosen, noise, stages, len(start)))
-    left = None if scout is None else memory(searcher, chosen, noise)
+    left = None if structure_search is None else memory(searcher, chosen, noise)
     return Selected(searcher, tuple(chosen), noise, tuple(stages), tuple(hits), tuple(shapes), foreign, left)
 
 
@@ -158,39 +162,39 @@ def drop(
 
 def _foreign(
     searcher: Searcher, catalogue: Catalogue, chosen: Sequence[Choice], noise: Noise, fixed: int
-) -> tuple[dict[str, Stranger], list[Choice], Hit | Stage | None]:
+) -> tuple[dict[str, ForeignStructure], list[Choice], Hit | Stage | None]:
     """Tests whether a structure of other columns fits better than some terms: all together, those of one effect, a
     single one.
 
     Returns the best structure for each effect. Where one fits better: the remaining terms, and the structure, or the
     stage at which an effect as good as the structure is taken.
     """
-    odds: dict[str, Stranger] = {}
+    odds: dict[str, ForeignStructure] = {}
     worth = searcher.profiled_evidence(chosen, noise)[0]
     for group in _groups(chosen, fixed):
         rest = [choice for i, choice in enumerate(chosen) if i not in group]
         own = {"target_mm", "direction"}.union(*(chosen[i].form.inputs for i in group))
         base, calm = searcher.profiled_evidence(rest, noise)
-        stranger = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
-        if not np.any(stranger):
+        of_other_columns = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
+        if not np.any(of_other_columns):
             continue
-        best: Stranger | None = None
+        best: ForeignStructure | None = None
         for trial in dict.fromkeys((noise, calm)):
-            frame = searcher.frame(trial, searcher.extra(rest))
-            gains = np.where(stranger, score(frame, catalogue.stack(frame.whitened)).gain, -np.inf)
+            projection = searcher.projection(trial, searcher.extra(rest))
+            gains = np.where(of_other_columns, score(projection, catalogue.stack(projection.whitened)).gain, -np.inf)
             top = int(np.argmax(gains))
             total = searcher.evidence(rest, trial) + float(gains[top])
             if total > worth + REPLACE / len(group) and total > base + REPLACE:
                 ranking = rank(searcher, rest, noise)
                 if ranking and ranking[0].evidence > max(total - REPLACE, worth):
                     return odds, rest, Stage(base, ranking, True)
-                return odds, rest, hit_of(frame, catalogue.structures[top], float(gains[top]), 0.0)
+                return odds, rest, hit_of(projection, catalogue.structures[top], float(gains[top]), 0.0)
             if best is None or total - worth > best.log_odds:
-                best = Stranger(catalogue.structures[top].columns, total - worth, float(gains[top]))
+                best = ForeignStructure(catalogue.structures[top].columns, total - worth, float(gains[top]))
         names = {chosen[i].effect.id for i in group}
         if len(names) == 1 and best is not None:
             (name,) = names
-            odds[name] = max(odds.get(name, best), best, key=lambda stranger: stranger.log_odds)
+            odds[name] = max(odds.get(name, best), best, key=lambda foreign_structure: foreign_structure.log_odds)
     return odds, list(chosen), None
 
 
@@ -222,7 +226,7 @@ def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noi
     rms = structure_rms(searcher, hit, chosen, noise)
     for choice, size in zip(chosen, _sizes(searcher, chosen, noise), strict=True):
         own = set(choice.form.inputs) - {"target_mm", "direction"}
-        if columns <= own | {searcher.bench.campaign.survey.time_column} and rms < SHAPE * size:
+        if columns <= own | {searcher.linear.campaign.survey.time_column} and rms < SHAPE * size:
             return True
     return False
 
@@ -241,13 +245,13 @@ def _not_outgrown(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise:
 
 def _sizes(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> list[float]:
     """RMS of each term over the rows, µm."""
-    columns = searcher.bench.campaign.columns
+    columns = searcher.linear.campaign.columns
     return [float(np.std(term.error_um(columns))) for term in searcher.fit(chosen, noise, uncertain=False).found]
 
 
 def structure_rms(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> float:
     """RMS of a structure over the rows beside some choices, µm."""
-    frame = searcher.frame(noise, searcher.extra(chosen))
-    a, b = frame.normal(hit.structure.whole)
+    projection = searcher.projection(noise, searcher.extra(chosen))
+    a, b = projection.normal(hit.structure.whole)
     coefficients = np.linalg.solve(a + np.eye(len(a)) / hit.variance, b)
     return float(np.std(hit.structure.whole @ coefficients))

@@ -58,9 +58,9 @@ def _strength_um(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> 
     extra = searcher.extra(chosen)
     odds, values = np.zeros(len(AROUND)), np.zeros(len(AROUND))
     for i, (ar, rho) in enumerate(AROUND):
-        frame = searcher.frame(replace(noise, ar=ar, rho=rho), extra)
-        odds[i] = float(frame.log_null) - frame.noise.log_prior()
-        values[i] = ar * float(np.sqrt(frame.rss / frame.dof))
+        projection = searcher.projection(replace(noise, ar=ar, rho=rho), extra)
+        odds[i] = float(projection.log_null) - projection.noise.log_prior()
+        values[i] = ar * float(np.sqrt(projection.rss / projection.dof))
     weight = np.exp(odds - np.max(odds))
     weight /= np.sum(weight)
     mean = float(weight @ values)

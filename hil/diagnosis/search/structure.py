@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign
+from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Whitened
 from hil.diagnosis.search.candidates import Blocks, Stack
 from hil.effects.base import Columns, Form
@@ -66,7 +66,7 @@ class Catalogue:
         return self._stacks[key]
 
 
-def structures(campaign: Campaign) -> Catalogue:
+def structures(campaign: CampaignRows) -> Catalogue:
     """Single columns, columns with direction, pairs and pairs with direction, of all columns that vary."""
     survey = campaign.survey
     names = [name for name in sorted(survey.varying) if name not in SKIPPED and _usable(campaign, name)]
@@ -98,12 +98,12 @@ def structures(campaign: Campaign) -> Catalogue:
     return Catalogue(tuple(found), blocks, _fine(campaign))
 
 
-def static_structures(campaign: Campaign) -> Catalogue:
+def static_structures(campaign: CampaignRows) -> Catalogue:
     """Functions of position and direction alone, for a declared table."""
     return Catalogue((), Blocks.of([], len(campaign)), _fine(campaign))
 
 
-def _fine(campaign: Campaign) -> tuple[Structure, ...]:
+def _fine(campaign: CampaignRows) -> tuple[Structure, ...]:
     """Position dependence finer than the table, alike and opposite in the two directions."""
     if campaign.repeated or not campaign.survey.has("target_mm"):
         return ()
@@ -117,5 +117,5 @@ def _fine(campaign: Campaign) -> tuple[Structure, ...]:
     return tuple(out)
 
 
-def _usable(campaign: Campaign, name: str) -> bool:
+def _usable(campaign: CampaignRows, name: str) -> bool:
     return not (name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM))

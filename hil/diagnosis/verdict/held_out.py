@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.noise.thin import AllRows
-from hil.diagnosis.search.carried import carried
 from hil.diagnosis.search.choose import Chosen, Problem, choose_without
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.refine import refine
-from hil.diagnosis.search.searcher import LIGHT, Searcher, View
+from hil.diagnosis.search.searcher import LIGHT, ConditionalSearch, Searcher
 from hil.diagnosis.search.select import Selected
+from hil.diagnosis.search.structure_estimate import structure_estimates
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,7 +37,7 @@ class HeldOut:
     gain: by effect chosen on all rows, the reduction of squared error in each fold, shape (folds,), µm²: everything
     refitted without the fold, with and without the effect
     structure: the same of unexplained structure, where the choice without the fold finds any
-    carried: prediction of that structure, as a term of a model, for each row, (n,); carried_gain: its reduction of
+    structure_term_um: prediction of that structure, as a term of a model, for each row, (n,); structure_term_gain: its reduction of
     squared error in each fold
     """
 
@@ -46,8 +46,8 @@ class HeldOut:
     setup: Floats
     gain: dict[str, Floats]
     structure: Floats
-    carried: Floats
-    carried_gain: Floats
+    structure_term_um: Floats
+    structure_term_gain: Floats
     how: str
 
 
@@ -73,7 +73,7 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
     before, after, setup, carries = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gain: dict[str, list[float]] = {}
     count = int(np.max(fold)) + 1
-    structure, carried_gain = np.zeros(count), np.zeros(count)
+    structure, structure_term_gain = np.zeros(count), np.zeros(count)
     for index in range(count):
         out, left = fold == index, fold_of_all == index
         columns = {name: values[left] for name, values in rows.columns.items()}
@@ -83,21 +83,21 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
         else:
             plain = Searcher(problem.free, problem.candidates, out, LIGHT)
             noise = plain.fit_noise((), problem.plain)
-            plain.tame((), noise)
+            plain.limit_outliers((), noise)
             base = plain.fit((), noise, uncertain=False).extended
         before[left] = y[left] - base.error_um(columns)
         setup[left] = y[left] - chosen.fit.whole.error_um(columns)
         after[left] = y[left] - chosen.fit.extended.error_um(columns)
         last = chosen.last
-        for found in carried(last.searcher, chosen.hits, last.choices, last.noise):
+        for found in structure_estimates(last.searcher, chosen.hits, last.choices, last.noise):
             carries[left] += found.error_um(columns)
-        carried_gain[index] = float(np.sum(setup[left] ** 2) - np.sum((setup[left] - carries[left]) ** 2))
+        structure_term_gain[index] = float(np.sum(setup[left] ** 2) - np.sum((setup[left] - carries[left]) ** 2))
         for effect, fall in gains_without(problem, whole.last, out).items():
             gain.setdefault(effect, []).append(fall)
         kept = setup[rows.kept[out]]
         structure[index] = float(np.sum(kept**2) - np.sum((kept - chosen.fit.nuisance_um[out]) ** 2))
     by_effect = {name: np.array(values) for name, values in gain.items()}
-    return HeldOut(before, after, setup, by_effect, structure, carries, carried_gain, how)
+    return HeldOut(before, after, setup, by_effect, structure, carries, structure_term_gain, how)
 
 
 def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:
@@ -116,8 +116,8 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
     run = (campaign.run[out][:, None] == np.unique(campaign.run[out])).astype(np.float64)
     refound = list(selected.choices)
     for i, choice in enumerate(refound):
-        view = View(searcher, [*refound[:i], *refound[i + 1 :]])
-        refound[i] = refine(view.frame(selected.noise), [choice], LIGHT.rounds)[0][0]
+        conditional = ConditionalSearch(searcher, [*refound[:i], *refound[i + 1 :]])
+        refound[i] = refine(conditional.projection(selected.noise), [choice], LIGHT.rounds)[0][0]
 
     def left(choices: Sequence[Choice]) -> float:
         model = searcher.fit(choices, selected.noise, uncertain=False).whole
@@ -131,7 +131,7 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
     return {name: left([c for c in refound if c.effect.id != name]) - everything for name in names}
 
 
-def earns_its_place(gain: Floats) -> bool:
+def improves_held_out(gain: Floats) -> bool:
     """Whether the mean of a gain per fold, shape (folds,), exceeds zero by more than its standard error.
 
     Of five folds or more the best and the worst are left out: without the first run, an effect of time has no

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.noise.evidence import Bench, Noise
+from hil.diagnosis.campaign import CampaignRows, prepare
+from hil.diagnosis.noise.evidence import LinearCampaign, Noise
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.choose import problem_of
 from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, start_noise
 from hil.diagnosis.search.rank import rank
-from hil.diagnosis.search.searcher import GRID, Effort, Searcher, View
+from hil.diagnosis.search.searcher import GRID, ConditionalSearch, Effort, Searcher
 from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import complete, time_column
 from hil.effects.model import Model
@@ -167,22 +167,22 @@ def _weigh_part(
 ) -> list[Hypothesis]:
     """The gain of each cause over none in records of complete columns; causes that they cannot show are left out."""
     searcher = searcher_of(records, declared, effects)
-    campaign = searcher.bench.campaign
+    campaign = searcher.linear.campaign
     rest = [choice_of(term) for term in beside if all(name in campaign.columns for name in term.needs)]
     noise = searcher.fit_noise(rest, start_noise(campaign))
     before, _ = searcher.profiled_evidence(rest, noise)
     found: dict[str, Hypothesis] = {}
     for ranked in rank(searcher, rest, noise):
-        if declared is not None and _stands_still(campaign, ranked.choice, searcher.fit([ranked.choice], noise)):
+        if declared is not None and _is_static(campaign, ranked.choice, searcher.fit([ranked.choice], noise)):
             continue
         found[ranked.effect] = Hypothesis(ranked.choice.effect, 0.0, ranked.evidence - before, ranked.choice, None)
-    view = View(searcher, rest)
+    conditional = ConditionalSearch(searcher, rest)
     noises = [noise, noise.calm(), *(replace(noise, ar=a, rho=r, offset=o) for a, r, o in WIDE.grid)]
-    frames = [(view.frame(trial), view.base(trial)) for trial in dict.fromkeys(noises)]
-    for unseen in imagined(campaign, effects):
-        if _hidden(frames[0][0].prepared(unseen.design), frames[0][0].normal(unseen.design)[0]):
+    projections = [(conditional.projection(trial), conditional.base(trial)) for trial in dict.fromkeys(noises)]
+    for unseen in unseen_causes(campaign, effects):
+        if _hidden(projections[0][0].prepared(unseen.design), projections[0][0].normal(unseen.design)[0]):
             continue
-        gain = max(base + frame.gain(unseen.design) for frame, base in frames) - before - UNSEEN
+        gain = max(base + projection.gain(unseen.design) for projection, base in projections) - before - UNSEEN
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
@@ -194,7 +194,7 @@ def _weigh_part(
     return list(found.values())
 
 
-def _stands_still(campaign: Campaign, choice: Choice, fit: JointFit) -> bool:
+def _is_static(campaign: CampaignRows, choice: Choice, fit: JointFit) -> bool:
     """Whether a cause that depends on time was present from the first row on, so that a table would hold it.
 
     A drift that settles at once is a shape along the travel under another name.
@@ -203,8 +203,8 @@ def _stands_still(campaign: Campaign, choice: Choice, fit: JointFit) -> bool:
         return False
     drawn = fit.found[0].error_um(campaign.columns)
     noise = Noise(offset=1.0, even=START_ROUGHNESS, odd=START_ROUGHNESS)
-    frame = Bench(campaign).frame(noise, drawn - float(np.mean(drawn)))
-    return bool(float(frame.rss) < STILL**2 * float(np.sum(frame.y**2)))
+    projection = LinearCampaign(campaign).projection(noise, drawn - float(np.mean(drawn)))
+    return bool(float(projection.rss) < STILL**2 * float(np.sum(projection.y**2)))
 
 
 def _hidden(prepared: Floats, left: Floats) -> bool:
@@ -226,7 +226,7 @@ def choice_of(term: Term) -> Choice:
     return Choice(term.effect, term.form, term.theta, variance=10.0)
 
 
-def imagined(campaign: Campaign, effects: Sequence[Effect]) -> list[Unseen]:
+def unseen_causes(campaign: CampaignRows, effects: Sequence[Effect]) -> list[Unseen]:
     """Each way in which an effect could act through a column that the campaign lacks or never changed."""
     survey = campaign.survey
     out: list[Unseen] = []
@@ -247,7 +247,7 @@ def imagined(campaign: Campaign, effects: Sequence[Effect]) -> list[Unseen]:
     return out
 
 
-def _levels(campaign: Campaign) -> dict[str, float]:
+def _levels(campaign: CampaignRows) -> dict[str, float]:
     """Columns that are set and did not change, at the level they had."""
     found = {}
     for name in ("velocity_mm_s", "load_kg", *(n for n in campaign.columns if re.fullmatch(r"pos_\w+_mm", n))):

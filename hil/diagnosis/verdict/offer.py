@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hil.diagnosis.result import Diagnosis, Figures
-from hil.diagnosis.search.carried import Carried
-from hil.diagnosis.verdict.held_out import HeldOut, earns_its_place
+from hil.diagnosis.search.structure_estimate import StructureEstimate
+from hil.diagnosis.verdict.held_out import HeldOut, improves_held_out
 from hil.effects.non_parametric import CAUSE_UNKNOWN
 from hil.records.rows import Floats
 
@@ -22,7 +22,7 @@ motion.
 
 
 def offered(
-    diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldOut, fitted_um: Floats, alone: Figures
+    diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_out: HeldOut, fitted_um: Floats, alone: Figures
 ) -> Diagnosis:
     """The diagnosis with this correction beside it, and a note where something is unexplained.
 
@@ -34,7 +34,7 @@ def offered(
         notes = (f"no correction without a known cause either ({OPTION}): {reason}",) if diagnosis.unexplained else ()
         return replace(diagnosis, non_parametric=reason, notes=(*diagnosis.notes, *notes))
     terms = tuple(term for structure in structures for term in structure.terms)
-    after = Figures.of(left_out.after - left_out.carried)
+    after = Figures.of(left_out.after - left_out.structure_term_um)
     along = "; ".join(" × ".join(structure.columns) for structure in structures)
     extended = replace(
         diagnosis.extended,
@@ -45,8 +45,8 @@ def offered(
     taken = replace(
         diagnosis,
         extended=extended,
-        after_um=left_out.after - left_out.carried,
-        setup_um=left_out.setup - left_out.carried,
+        after_um=left_out.after - left_out.structure_term_um,
+        setup_um=left_out.setup - left_out.structure_term_um,
         residual_um=diagnosis.residual_um - fitted_um,
         recommended=after.rms_um < alone.rms_um,
         notes=(*diagnosis.notes, *(f"{OPTION}: {term.effect.explain(term)}" for term in terms), f"{OPTION}: {worth}"),
@@ -55,7 +55,7 @@ def offered(
     return replace(diagnosis, non_parametric=taken, notes=(*diagnosis.notes, note))
 
 
-def _reason(diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldOut) -> str:
+def _reason(diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_out: HeldOut) -> str:
     """Why there is no such correction; empty where there is one."""
     if not diagnosis.unexplained:
         return "nothing is left unexplained"
@@ -67,7 +67,7 @@ def _reason(diagnosis: Diagnosis, structures: Sequence[Carried], left_out: HeldO
     unknown = {name for structure in structures for name in structure.columns} & AFTERWARDS
     if unknown:
         return f"{' and '.join(sorted(unknown))} is not known when a command is issued"
-    before, after = Figures.of(left_out.after), Figures.of(left_out.after - left_out.carried)
-    if not earns_its_place(left_out.carried_gain) or after.rms_um >= before.rms_um:
+    before, after = Figures.of(left_out.after), Figures.of(left_out.after - left_out.structure_term_um)
+    if not improves_held_out(left_out.structure_term_gain) or after.rms_um >= before.rms_um:
         return f"on runs left out it does not help for sure ({after.rms_um:.3g} µm RMS, without it {before.rms_um:.3g})"
     return ""

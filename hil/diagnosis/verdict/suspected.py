@@ -13,7 +13,7 @@ import numpy as np
 from hil.diagnosis.result import Finding
 from hil.diagnosis.search.choose import Chosen, Problem
 from hil.diagnosis.search.fit import Choice
-from hil.diagnosis.verdict.held_out import ONCE, earns_its_place, folds, gains_without
+from hil.diagnosis.verdict.held_out import ONCE, folds, gains_without, improves_held_out
 from hil.effects import Action
 
 SURE_NAME = 0.5
@@ -22,7 +22,7 @@ WANDER = 0.5
 """RMS of a drift, over that of the noise, which noise may reach."""
 
 
-def is_faint(finding: Finding, noise_um: float) -> bool:
+def is_below_noise(finding: Finding, noise_um: float) -> bool:
     """Whether noise of this standard deviation may have drifted as much; an effect of position and direction alone is
     no drift.
     """
@@ -30,7 +30,7 @@ def is_faint(finding: Finding, noise_um: float) -> bool:
     return not effect.static and finding.confidence < SURE_NAME and finding.rms_um < WANDER * noise_um
 
 
-def faint_note(finding: Finding) -> str:
+def suspected_note(finding: Finding) -> str:
     """The note in place of a finding."""
     rivals = ", ".join(f"{rival.effect} {rival.confidence:.2f}" for rival in finding.rivals)
     return (
@@ -44,7 +44,7 @@ LIKELY = 2.0
 """Log odds against none from which an effect is considered."""
 
 
-def leaning(problem: Problem, chosen: Chosen) -> Choice | None:
+def unproven_choice(problem: Problem, chosen: Chosen) -> Choice | None:
     """The best unproven effect of the machine itself, where nothing else was found and it predicts runs left out."""
     first, last = chosen.selections[0], chosen.last
     if chosen.fit.found or any(selected.hits for selected in chosen.selections) or not first.stages:
@@ -59,5 +59,5 @@ def leaning(problem: Problem, chosen: Chosen) -> Choice | None:
         fold, _ = folds(problem.campaign.run)
         trial = replace(last, choices=(ranked.choice,))
         gains = [gains_without(problem, trial, fold == i)[effect.id] for i in range(int(np.max(fold)) + 1)]
-        return ranked.choice if earns_its_place(np.array(gains)) else None
+        return ranked.choice if improves_held_out(np.array(gains)) else None
     return None

@@ -7,14 +7,14 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.search.candidates import Blocks, Stack, enumerate_candidates, score
 from hil.effects import ALL
 from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep
 
 CAMPAIGN = prepare(campaign(lambda c: wavy(c) + 0.5 * np.sin(c["target_mm"] / 2.1), runs=4, targets=10))
-BENCH = Bench(CAMPAIGN)
+BENCH = LinearCampaign(CAMPAIGN)
 N = len(CAMPAIGN)
 NOISE = Noise(ar=0.7, rho=0.9, offset=0.3, even=200.0, odd=50.0)
 RNG = np.random.default_rng(3)
@@ -25,9 +25,9 @@ MIXED = Blocks.of([RNG.normal(size=(N, width)) for width in (1, 2, 1, 3, 5, 2)],
 @pytest.mark.parametrize("beside", [0, 2])
 def test_the_scores_are_the_gains_of_each_block_alone(out: np.ndarray | None, beside: int) -> None:
     extra = Extra(RNG.normal(size=(N, beside)), np.zeros((N, 0)))
-    frame = BENCH.frame(NOISE, CAMPAIGN.error_um, extra, out)
-    scores = score(frame, Stack(frame.whitened, MIXED))
-    expected = [frame.gain(MIXED.block(i)) for i in range(len(MIXED))]
+    projection = BENCH.projection(NOISE, CAMPAIGN.error_um, extra, out)
+    scores = score(projection, Stack(projection.whitened, MIXED))
+    expected = [projection.gain(MIXED.block(i)) for i in range(len(MIXED))]
     np.testing.assert_allclose(scores.gain, expected, atol=1e-4)
     assert np.all(scores.visible > 0.2)
 
@@ -35,9 +35,9 @@ def test_the_scores_are_the_gains_of_each_block_alone(out: np.ndarray | None, be
 def test_many_errors_are_scored_as_each_one_is() -> None:
     y = np.column_stack([CAMPAIGN.error_um, RNG.normal(size=N), np.cos(CAMPAIGN.x)])
     stack = Stack(BENCH.whitened(NOISE), MIXED)
-    many = score(BENCH.frame(NOISE, y), stack).gain
+    many = score(BENCH.projection(NOISE, y), stack).gain
     for i in range(3):
-        one = score(BENCH.frame(NOISE, y[:, i]), stack).gain
+        one = score(BENCH.projection(NOISE, y[:, i]), stack).gain
         np.testing.assert_allclose(many[:, i], one, atol=1e-3)
 
 
@@ -51,8 +51,8 @@ def test_columns_of_any_size_are_scored_and_empty_ones_never() -> None:
     )
     y = np.column_stack([CAMPAIGN.error_um, RNG.normal(size=N)])
     for errors in (y, y[:, 0]):
-        frame = BENCH.frame(NOISE, errors)
-        gain = score(frame, Stack(frame.whitened, blocks)).gain
+        projection = BENCH.projection(NOISE, errors)
+        gain = score(projection, Stack(projection.whitened, blocks)).gain
         np.testing.assert_allclose(gain[[0, 2]], gain[[1, 1]], atol=1e-3)
         np.testing.assert_allclose(gain[[3, 5]], gain[[4, 4]], atol=1e-3)
         assert np.all(np.isneginf(gain[6:]))
@@ -61,8 +61,8 @@ def test_columns_of_any_size_are_scored_and_empty_ones_never() -> None:
 def test_what_a_table_holds_is_invisible_and_never_scored() -> None:
     x, d = CAMPAIGN.x, CAMPAIGN.d
     blocks = Blocks.of([np.ones((N, 1)), (x * d)[:, None], d[:, None], RNG.normal(size=(N, 1))], N)
-    frame = BENCH.frame(NOISE, CAMPAIGN.error_um)
-    scores = score(frame, Stack(frame.whitened, blocks))
+    projection = BENCH.projection(NOISE, CAMPAIGN.error_um)
+    scores = score(projection, Stack(projection.whitened, blocks))
     assert np.all(np.isneginf(scores.gain[:3]))
     assert np.all(scores.visible[:3] < 0.01)
     assert np.isfinite(scores.gain[3])
@@ -83,8 +83,8 @@ def test_every_form_of_the_first_search_is_there_at_every_point_of_its_grid() ->
 def test_the_scan_of_periods_peaks_where_least_squares_does() -> None:
     candidates = enumerate_candidates(CAMPAIGN, (Cyclic(),))
     plain = Noise(even=1e-6, odd=1e-6)
-    frame = BENCH.frame(plain, CAMPAIGN.error_um)
-    gains = score(frame, candidates.stack(frame.whitened)).gain
+    projection = BENCH.projection(plain, CAMPAIGN.error_um)
+    gains = score(projection, candidates.stack(projection.whitened)).gain
     y = CAMPAIGN.error_um
     line = np.column_stack([np.ones(N), CAMPAIGN.x, CAMPAIGN.d, CAMPAIGN.d * CAMPAIGN.x])
     some = range(0, len(candidates), 7)
@@ -101,8 +101,8 @@ def test_a_jump_is_placed_between_its_rows(after: int) -> None:
     rows = np.arange(N)
     y = CAMPAIGN.error_um + np.where(rows > after, 6.0, 0.0)
     candidates = enumerate_candidates(CAMPAIGN, (DatumStep(),))
-    frame = BENCH.frame(Noise(even=10.0, odd=10.0), y)
-    found = candidates.choices[int(np.argmax(score(frame, candidates.stack(frame.whitened)).gain))]
+    projection = BENCH.projection(Noise(even=10.0, odd=10.0), y)
+    found = candidates.choices[int(np.argmax(score(projection, candidates.stack(projection.whitened)).gain))]
     time_s = CAMPAIGN.columns["time_s"]
     assert time_s[after] < found.theta[0] < time_s[after + 1]
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.noise.evidence import Bench, Extra, Frame, Noise, bayes_factor, random_gain
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection, bayes_factor, random_gain
 from hil.diagnosis.noise.noise_fit import fit_noise
 
 CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
-BENCH = Bench(CAMPAIGN)
+BENCH = LinearCampaign(CAMPAIGN)
 Y = CAMPAIGN.error_um
 N = len(Y)
 NOISES = [
@@ -64,18 +64,20 @@ def test_whitened_rows_are_uncorrelated_and_colouring_is_the_way_back(noise: Noi
 @pytest.mark.parametrize("out", [None, CAMPAIGN.run == 2], ids=["all rows", "without a run"])
 def test_evidence_of_noise_models_and_residuals_are_those_of_the_whole_matrices(out: np.ndarray | None) -> None:
     rows = np.arange(N) if out is None else np.flatnonzero(~out)
-    frames = [BENCH.frame(noise, Y, None, out) for noise in NOISES]
+    projections = [BENCH.projection(noise, Y, None, out) for noise in NOISES]
     expected = [reml(*dense(noise, rows), Y[rows]) for noise in NOISES]
-    values = [float(frame.log_null) - noise.log_prior() for frame, noise in zip(frames, NOISES, strict=True)]
+    values = [
+        float(projection.log_null) - noise.log_prior() for projection, noise in zip(projections, NOISES, strict=True)
+    ]
     if out is None:  # with a run left out its random columns stay in the fit, where they add nothing to compare
         np.testing.assert_allclose(np.diff(values), np.diff([value for value, _ in expected]), atol=1e-5)
-    np.testing.assert_allclose([float(f.rss) for f in frames], [rss for _, rss in expected], rtol=1e-6)
+    np.testing.assert_allclose([float(f.rss) for f in projections], [rss for _, rss in expected], rtol=1e-6)
 
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_columns_are_estimated_by_generalised_least_squares(noise: Noise) -> None:
     y = Y + COLUMNS @ [0.7, -1.1]
-    solution = BENCH.frame(noise, y).solve(COLUMNS)
+    solution = BENCH.projection(noise, y).solve(COLUMNS)
     v, x = dense(noise, np.arange(N))
     x = np.hstack([COLUMNS, x])
     inverse = np.linalg.inv(v)
@@ -93,15 +95,15 @@ def test_a_run_left_out_is_a_run_that_was_never_there() -> None:
     out = CAMPAIGN.run == 1
     spoilt = Y + np.where(out, 1e3, 0.0)
     for noise in NOISES:
-        a, b = (BENCH.frame(noise, y, None, out) for y in (Y, spoilt))
+        a, b = (BENCH.projection(noise, y, None, out) for y in (Y, spoilt))
         assert float(a.rss) == pytest.approx(float(b.rss), rel=1e-9)
         assert a.gain(COLUMNS) == pytest.approx(b.gain(COLUMNS), abs=1e-9)
         assert a.rows == np.count_nonzero(~out)
 
 
 def test_columns_beside_are_as_good_as_solved_for() -> None:
-    beside = BENCH.frame(NOISES[1], Y, Extra(COLUMNS[:, :1], COLUMNS[:, :0]))
-    together = BENCH.frame(NOISES[1], Y).solve(COLUMNS)
+    beside = BENCH.projection(NOISES[1], Y, Extra(COLUMNS[:, :1], COLUMNS[:, :0]))
+    together = BENCH.projection(NOISES[1], Y).solve(COLUMNS)
     assert beside.solve(COLUMNS[:, 1:]).coefficients[0] == pytest.approx(together.coefficients[1], rel=1e-6)
 
 
@@ -121,8 +123,8 @@ def test_a_random_effect_gains_what_its_marginal_likelihood_does() -> None:
     design = np.column_stack([np.sin(CAMPAIGN.columns["time_s"] / 60.0 * k) for k in range(1, 7)])
     y = Y + design @ [0.4, -0.3, 0.5, 0.1, -0.2, 0.3]
     noise = NOISES[0]
-    frame: Frame = BENCH.frame(noise, y)
-    gain, variance = random_gain(frame, design)
+    projection: Projection = BENCH.projection(noise, y)
+    gain, variance = random_gain(projection, design)
     v, x = dense(noise, np.arange(N))
     with_it, _ = reml(v + float(variance) * design @ design.T, x, y)
     without, _ = reml(v, x, y)

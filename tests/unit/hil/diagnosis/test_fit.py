@@ -43,7 +43,7 @@ def test_terms_that_follow_each_other_are_estimated_together() -> None:
     lag = grid_choices(VelocityLag(), VelocityLag().forms(prepared.survey)[0])[0]
     jump = next(c for c in grid_choices(DatumStep(), DatumStep().forms(prepared.survey)[0]) if c.theta[0] > 400.0)
     fit = joint_fit(setting, SMOOTH, setting.error_um, [lag, jump])
-    table = setting.bench.table
+    table = setting.linear.table
     wide = np.hstack([lag.columns(prepared), jump.columns(prepared), table.stacked])
     ridge = np.concatenate([[0.0, 0.0], table.ridge(SMOOTH)])
     expected = np.linalg.solve(wide.T @ wide + np.diag(ridge), wide.T @ setting.error_um)
@@ -80,7 +80,7 @@ def test_a_declared_term_moves_as_far_as_its_uncertainty_allows(std: float, foll
     )
     error_um = prepared.error_um - declared.terms[0].error_um(prepared.columns)
     free = Setting.free(prepared)
-    setting = Setting(free.bench, error_um, Known.of(declared, prepared, 0.3))
+    setting = Setting(free.linear, error_um, Known.of(declared, prepared, 0.3))
     moved = joint_fit(setting, SMOOTH, error_um, ()).whole.terms[0].coefficients[0]
     assert moved == pytest.approx(0.03 if follows else 0.02, abs=0.003)
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
-from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.search.choose import Chosen, choose, choose_without, problem_of
-from hil.diagnosis.verdict.held_out import earns_its_place, folds
+from hil.diagnosis.verdict.held_out import folds, improves_held_out
 from hil.effects import Effect
 from hil.effects.load_deflection import LoadDeflection
 from hil.effects.velocity_lag import VelocityLag
@@ -46,7 +46,7 @@ def whole() -> Chosen:
     return choose(problem_of(CAMPAIGN, EFFECTS, None, 0))
 
 
-def without(prepared: Campaign, whole: Chosen) -> Chosen:
+def without(prepared: CampaignRows, whole: Chosen) -> Chosen:
     return choose_without(problem_of(prepared, EFFECTS, None, 0), OUT, whole)
 
 
@@ -86,10 +86,10 @@ def test_a_gain_counts_when_it_is_above_its_standard_error_whatever_the_unit(gai
     values = np.array(gain)
     clear = np.mean(values) - np.std(values, ddof=1) / np.sqrt(len(values))
     if abs(clear) > 1e-9:
-        assert earns_its_place(unit * values) == (clear > 0)
-    assert not earns_its_place(-np.abs(values))
+        assert improves_held_out(unit * values) == (clear > 0)
+    assert not improves_held_out(-np.abs(values))
 
 
 def test_one_fold_that_likes_it_does_not_speak_for_all() -> None:
-    assert not earns_its_place(np.array([50.0, -0.1, -0.1, -0.1, -0.1]))
-    assert earns_its_place(np.array([3.0, 2.0, 2.5, 2.0, 3.0]))
+    assert not improves_held_out(np.array([50.0, -0.1, -0.1, -0.1, -0.1]))
+    assert improves_held_out(np.array([3.0, 2.0, 2.5, 2.0, 3.0]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.correction.compensation import MotionHistory
-from hil.diagnosis.next.continuation import TYPICAL_OFFSET, Drawing
+from hil.diagnosis.next.continuation import TYPICAL_OFFSET, Continuation
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means, Point, motion_columns
 from hil.diagnosis.verdict.hypotheses import joined, segments, weigh
@@ -40,7 +40,7 @@ def test_discrimination_is_what_a_refit_by_hand_leaves() -> None:
     records, means = one_feed(), Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0))
     causes = [cause for cause in weigh(records, FLAT, ALL) if cause.id in ("backlash", "velocity_lag")]
     feeds = next(plan for plan in feasible_runs(means, first_run=3) if plan.name == "feeds")
-    drawing = Drawing(records, FLAT, causes, means)
+    drawing = Continuation(records, FLAT, causes, means)
     first, second = [cause.id for cause in causes].index("backlash"), [c.id for c in causes].index("velocity_lag")
     plan = motion_columns(feeds.points, means)
     direction = np.concatenate([records.direction, plan["direction"]])
@@ -127,7 +127,7 @@ def test_a_cause_that_only_earlier_rows_show_is_drawn_by_what_the_last_rows_have
     new = short.with_column("temp_screw_c", 20.0 + 0.01 * np.arange(len(short)))
     causes = [cause for cause in weigh(old, FLAT, ALL) if cause.weight > 0.01]
     assert any(cause.unseen is not None for cause in causes)
-    drawing = Drawing(joined([old, new]), FLAT, causes, Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0)))
+    drawing = Continuation(joined([old, new]), FLAT, causes, Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0)))
     assert [len(so_far) for so_far in drawing.so_far] == [len(new)] * len(causes)
     runs = feasible_runs(Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0)), first_run=5)
     assert all(np.all(np.isfinite(drawing.discrimination(run))) for run in runs[:3])

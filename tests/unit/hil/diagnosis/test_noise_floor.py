@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.campaigns import campaign, wavy
 
-from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.campaign import CampaignRows, prepare
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
@@ -34,13 +34,13 @@ DEFLECTIONS = np.array(
 SLOPE = 7.3e-7
 
 
-def white_um(bench: Bench, noise: Noise, y: np.ndarray, columns: int = 0) -> float:
+def white_um(linear: LinearCampaign, noise: Noise, y: np.ndarray, columns: int = 0) -> float:
     """Standard deviation of the white noise beside the table and the first powers of the position."""
-    z = np.vander(np.asarray(bench.campaign.x) / 1e6, 3)[:, :columns]
-    return math.sqrt(bench.frame(noise, y).solve(z).variance)
+    z = np.vander(np.asarray(linear.campaign.x) / 1e6, 3)[:, :columns]
+    return math.sqrt(linear.projection(noise, y).solve(z).variance)
 
 
-def load_cell() -> Campaign:
+def load_cell() -> CampaignRows:
     """Loads as positions, deflections as errors; a straight line taken off, which every model here holds."""
     error_um = DEFLECTIONS - SLOPE * LOADS
     columns = {"run": np.repeat([1.0, 2.0], 20), "direction": np.ones(40), "target_mm": LOADS}
@@ -51,13 +51,13 @@ def test_what_models_of_the_certified_load_cell_leave_against_its_pure_error() -
     cell = load_cell()
     assert cell.repeated
     y = cell.error_um
-    free = Bench(cell)
+    free = LinearCampaign(cell)
     pure = white_um(free, FREE, y)
     assert pure == pytest.approx(math.sqrt(np.mean((y[:20] - y[20:]) ** 2) / 2), rel=1e-5)
-    line = Bench(
-        Campaign(**{**vars(cell), "basis": TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)})
+    line = LinearCampaign(
+        CampaignRows(**{**vars(cell), "basis": TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)})
     )
-    straight = line.frame(FREE, y)
+    straight = line.projection(FREE, y)
     curved = straight.solve((cell.x[:, None] / 1e6) ** 2)
     left_by_line = float(straight.rss)
     left_by_curve = curved.variance * 37
@@ -76,13 +76,13 @@ def test_what_models_of_the_certified_load_cell_leave_against_its_pure_error() -
 
 def test_the_evidence_takes_the_curve_of_the_load_cell_and_nothing_beyond_it() -> None:
     cell = load_cell()
-    line = Bench(
-        Campaign(**{**vars(cell), "basis": TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)})
+    line = LinearCampaign(
+        CampaignRows(**{**vars(cell), "basis": TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)})
     )
     u = (cell.x[:, None] - 1.6e6) / 1.4e6
     square = u**2
-    assert line.frame(FREE, cell.error_um).gain(square) > 50.0
-    beside = line.frame(FREE, cell.error_um, Extra(square, square[:, :0]))
+    assert line.projection(FREE, cell.error_um).gain(square) > 50.0
+    beside = line.projection(FREE, cell.error_um, Extra(square, square[:, :0]))
     for power in (3, 4, 5):
         assert beside.gain(u**power) < 0.0
 
@@ -91,15 +91,15 @@ def test_the_evidence_takes_the_curve_of_the_load_cell_and_nothing_beyond_it() -
 def test_the_floor_of_scattered_targets_is_that_of_repeated_ones(scatter: float) -> None:
     """Pooled over the cells where targets repeat; where they do not, what a smooth table leaves comes to the same."""
     prepared = prepare(campaign(wavy, noise_um=0.3, runs=8, scatter=scatter, seed=4))
-    bench = Bench(prepared)
+    linear = LinearCampaign(prepared)
     y = prepared.error_um
-    noise = fit_noise(bench, y, Extra.none(len(y)), start_noise(prepared), correlations=((0.0, 0.0),))
-    floor = white_um(bench, noise, y)
+    noise = fit_noise(linear, y, Extra.none(len(y)), start_noise(prepared), correlations=((0.0, 0.0),))
+    floor = white_um(linear, noise, y)
     assert floor == pytest.approx(0.3, rel=0.1)
     if scatter == 0.0:
         cells = y.reshape(8, 24)
         pooled = math.sqrt(float(np.mean(np.var(cells, axis=0, ddof=1))))
-        assert white_um(bench, FREE, y) == pytest.approx(pooled, rel=1e-6)
+        assert white_um(linear, FREE, y) == pytest.approx(pooled, rel=1e-6)
 
 
 def test_rows_far_out_do_not_raise_the_floor() -> None:
@@ -111,8 +111,8 @@ def test_rows_far_out_do_not_raise_the_floor() -> None:
     setting = Setting.free(prepared)
     searcher = Searcher(setting, enumerate_candidates(prepared, ()))
     smooth = searcher.fit_noise((), start_noise(prepared))
-    searcher.tame((), smooth)
-    raised, tamed = (white_um(setting.bench, smooth, y) for y in (setting.error_um, searcher.y))
+    searcher.limit_outliers((), smooth)
+    raised, tamed = (white_um(setting.linear, smooth, y) for y in (setting.error_um, searcher.y))
     assert raised > 3 * 0.3
     assert 0.9 * 0.3 < tamed < 0.3 + 0.3 * (raised - 0.3)
 
@@ -125,8 +125,8 @@ def test_heavy_tails_keep_the_standard_deviation_they_have() -> None:
         prepared = prepare(campaign(wavy, noise_um=noise_um, runs=8, scatter=0.0))
         setting = Setting.free(prepared)
         searcher = Searcher(setting, enumerate_candidates(prepared, ()))
-        searcher.tame((), FREE)
-        floors.append(white_um(setting.bench, FREE, searcher.y))
+        searcher.limit_outliers((), FREE)
+        floors.append(white_um(setting.linear, FREE, searcher.y))
     assert np.mean(floors) == pytest.approx(0.3, rel=0.12)
 
 
@@ -146,10 +146,10 @@ def test_noise_that_lasts_is_told_from_noise_that_does_not() -> None:
             (0.2 * rng.normal(size=240) + 0.3 * steady, lasting),
         ):
             prepared = prepare(campaign(noise_um=noise_um, runs=5, targets=24, scatter=0.0))
-            bench = Bench(prepared)
+            linear = LinearCampaign(prepared)
             y = prepared.error_um
-            noise = fit_noise(bench, y, Extra.none(240), FREE, correlations=CORRELATIONS)
-            found.append((noise.ar, white_um(bench, noise, y) * math.hypot(1.0, noise.ar)))
+            noise = fit_noise(linear, y, Extra.none(240), FREE, correlations=CORRELATIONS)
+            found.append((noise.ar, white_um(linear, noise, y) * math.hypot(1.0, noise.ar)))
     assert np.median([ar for ar, _ in white]) == 0.0
     assert np.mean([floor for _, floor in white]) == pytest.approx(0.3, rel=0.1)
     assert np.median([ar for ar, _ in lasting]) > 0.5

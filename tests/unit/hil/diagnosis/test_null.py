@@ -10,7 +10,7 @@ from scipy import stats
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.search.candidates import enumerate_candidates, score
 from hil.diagnosis.search.null import CAMPAIGNS, null_maxima, simulate, tail_probability
 from hil.diagnosis.search.rank import smoother
@@ -32,7 +32,7 @@ def sensors(c: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.
 
 
 CAMPAIGN = prepare(campaign(wavy, runs=5, targets=10, travel_mm=60.0, sensors=sensors))
-BENCH = Bench(CAMPAIGN)
+BENCH = LinearCampaign(CAMPAIGN)
 N = len(CAMPAIGN)
 NOISE = Noise(ar=0.6, rho=0.6, offset=0.3, even=100.0, odd=30.0)
 EFFECTS: tuple[Effect, ...] = (Cyclic(), DatumStep(), LostMotion(), VelocityLag())
@@ -43,8 +43,8 @@ def test_chances_of_the_best_candidate_are_uniform_on_noise(effect: Effect) -> N
     """Four distributions of 300 campaigns each, judged on 800 others."""
     candidates = enumerate_candidates(CAMPAIGN, (effect,))
     offsets = np.full(CAMPAIGNS, NOISE.offset)
-    frame = BENCH.frame(NOISE, simulate(BENCH, NOISE, np.full(800, NOISE.offset), seed=12))
-    fresh = np.max(score(frame, candidates.stack(frame.whitened)).gain, axis=0)
+    projection = BENCH.projection(NOISE, simulate(BENCH, NOISE, np.full(800, NOISE.offset), seed=12))
+    fresh = np.max(score(projection, candidates.stack(projection.whitened)).gain, axis=0)
     nulls = [null_maxima(BENCH, candidates, (NOISE,), offsets, Extra.none(N), seed=seed) for seed in range(4)]
     chances = np.concatenate([null.probability(effect.id, fresh) for null in nulls])
     for level in (0.01, 0.05, 0.2):

@@ -11,8 +11,8 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis import Diagnosis, diagnose
 from hil.diagnosis.result import Carrier, Figures, Finding, RivalFound
-from hil.diagnosis.search.carried import Carried
 from hil.diagnosis.search.structure import Structure
+from hil.diagnosis.search.structure_estimate import StructureEstimate
 from hil.diagnosis.verdict.held_out import HeldOut
 from hil.diagnosis.verdict.offer import offered
 from hil.effects import Effect, Estimate
@@ -74,10 +74,10 @@ ROWS = 40
 COLUMNS = {"coolant_l_min": np.linspace(3.0, 7.0, ROWS), "torque_percent": np.linspace(-9.0, 9.0, ROWS)}
 
 
-def left(*columns: str) -> Carried:
+def left(*columns: str) -> StructureEstimate:
     form = smooth_form(columns, [spread_of(name, COLUMNS) for name in columns], with_direction=False)
     structure = Structure(columns, np.zeros((ROWS, 1)), form, COLUMNS)
-    return Carried((structure,), np.array([1.0, 0, 0, 0]), np.zeros((4, 4)), 0.001)
+    return StructureEstimate((structure,), np.array([1.0, 0, 0, 0]), np.zeros((4, 4)), 0.001)
 
 
 def a_diagnosis(*, unexplained: bool = True) -> tuple[Diagnosis, HeldOut]:
@@ -104,7 +104,7 @@ def test_it_is_had_where_every_condition_is_met() -> None:
     assert told.non_parametric.after.rms_um == pytest.approx(0.1)
 
 
-def refused(said: Diagnosis, structures: list[Carried], left_out: HeldOut) -> str:
+def refused(said: Diagnosis, structures: list[StructureEstimate], left_out: HeldOut) -> str:
     told = offered(said, structures, left_out, np.zeros(ROWS), Figures(9.0, 9.0))
     assert isinstance(told.non_parametric, str)
     assert told.extended == said.extended
@@ -120,7 +120,7 @@ def test_a_column_that_is_read_after_the_motion_cannot_correct_it() -> None:
 @pytest.mark.parametrize(("gain", "carried_um"), [([9.0, -8.0, 9.0, -10.0], 0.9), ([9.0, 8.0, 9.0, 10.0], -0.1)])
 def test_what_does_not_help_on_runs_left_out_is_refused(gain: list[float], carried_um: float) -> None:
     said, left_out = a_diagnosis()
-    left_out = replace(left_out, carried=carried_um * left_out.after, carried_gain=np.array(gain))
+    left_out = replace(left_out, structure_term_um=carried_um * left_out.after, structure_term_gain=np.array(gain))
     assert "on runs left out it does not help" in refused(said, [left("coolant_l_min")], left_out)
 
 

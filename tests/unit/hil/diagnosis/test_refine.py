@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from support.campaigns import campaign, wavy
 
-from hil.diagnosis.campaign import Campaign, prepare
+from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.search.candidates import enumerate_candidates, score
 from hil.diagnosis.search.fit import Choice, Setting, joint_fit
@@ -20,25 +20,25 @@ STIFF = Noise(even=1e-7, odd=1e-7)
 """A table of straight lines, so that plain least squares says the same."""
 
 
-def line(prepared: Campaign) -> np.ndarray:
+def line(prepared: CampaignRows) -> np.ndarray:
     x = prepared.x / 300.0
     return np.column_stack([np.ones(len(x)), x, prepared.d, prepared.d * x])
 
 
-def refined(prepared: Campaign, effect: Effect) -> tuple[Setting, Choice]:
+def refined(prepared: CampaignRows, effect: Effect) -> tuple[Setting, Choice]:
     """The best grid point of an effect's first form, refined."""
     setting = Setting.free(prepared)
     candidates = enumerate_candidates(prepared, (effect,))
-    frame = setting.bench.frame(STIFF, setting.error_um)
-    gains = score(frame, candidates.stack(frame.whitened)).gain
+    projection = setting.linear.projection(STIFF, setting.error_um)
+    gains = score(projection, candidates.stack(projection.whitened)).gain
     index = candidates.forms[0]
     top = candidates.choices[index[int(np.argmax(gains[index]))]]
-    (choice, gain), *_ = refine(frame, [top])
+    (choice, gain), *_ = refine(projection, [top])
     assert gain >= np.max(gains[index]) - 1e-9
     return setting, choice
 
 
-def left(prepared: Campaign, columns: np.ndarray) -> np.ndarray:
+def left(prepared: CampaignRows, columns: np.ndarray) -> np.ndarray:
     """Residual sums of squares of the error on lines and columns (n, m, k), for each of m: shape (m,)."""
     q, _ = np.linalg.qr(line(prepared))
     y = prepared.error_um - q @ (q.T @ prepared.error_um)
@@ -54,7 +54,7 @@ def waves(x: np.ndarray, periods_mm: np.ndarray) -> np.ndarray:
     return np.stack([np.sin(angle), np.cos(angle)], axis=2)
 
 
-def fades(prepared: Campaign, lengths_mm: np.ndarray) -> np.ndarray:
+def fades(prepared: CampaignRows, lengths_mm: np.ndarray) -> np.ndarray:
     """Shape (n, m, 1)."""
     since = prepared.columns["since_reversal_mm"][:, None]
     return (prepared.d[:, None] * np.exp(-since / lengths_mm))[:, :, None]

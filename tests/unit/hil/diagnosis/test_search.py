@@ -82,7 +82,7 @@ def test_gains_of_the_whole_campaign_decide_in_the_folds(lagging: tuple[Searcher
     searcher, found = lagging
     gain = found.stages[0].ranking[0].evidence - found.stages[0].before
     for critical, taken in ((gain - 1.0, ["velocity_lag"]), (gain + 1.0, [])):
-        searcher.tame((), found.noise)
+        searcher.limit_outliers((), found.noise)
         judge = FoldJudge(dict.fromkeys(("cyclic", "velocity_lag", "load_deflection", "thermal_drift"), critical))
         assert names(search(searcher, found.stages[0].ranking[0].noise, judge)) == taken
 

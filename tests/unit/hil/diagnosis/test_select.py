@@ -10,7 +10,7 @@ from support.campaigns import campaign, wavy
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
-from hil.diagnosis.search.judge import NullJudge, Scout
+from hil.diagnosis.search.judge import NullJudge, StructureSearch
 from hil.diagnosis.search.searcher import LIGHT, Searcher
 from hil.diagnosis.search.select import Selected, select
 from hil.diagnosis.search.structure import structures
@@ -34,7 +34,7 @@ def selected(error_um: Callable[[dict[str, Array]], Array]) -> Selected:
     prepared = prepare(campaign(lambda c: wavy(c) + error_um(c), sensors=sensors))
     candidates = enumerate_candidates(prepared, (VelocityLag(), LoadDeflection()))
     searcher = Searcher(Setting.free(prepared), candidates, None, LIGHT)
-    return select(searcher, Scout(structures(prepared), 0), NullJudge(0), start_noise(prepared))
+    return select(searcher, StructureSearch(structures(prepared), 0), NullJudge(0), start_noise(prepared))
 
 
 def names(found: Selected) -> list[str]:

@@ -15,7 +15,7 @@ from hil.diagnosis.next.planned_run import Means
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.result import Finding, RivalFound
 from hil.diagnosis.screen import ShownFinding
-from hil.diagnosis.verdict.suspected import faint_note
+from hil.diagnosis.verdict.suspected import suspected_note
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
@@ -126,7 +126,7 @@ def test_parts_of_what_is_said_are_said_too() -> None:
     assert de.said("temp_screw_c × target_mm; load_kg") == "Temperatur Spindel × Position; Last"
     assert de.said("temp_screw_c") == "Temperatur Spindel"
     assert de.said("Temp screw, °C") == "Temperatur Spindel, °C"
-    faint = faint_note(
+    faint = suspected_note(
         Finding(term(ALL[0], next(iter(ALL[0].forms(survey_of(columns())))), columns()), 0.3, "", RIVALS, 0.2)
     )
     assert de.said(faint).startswith(

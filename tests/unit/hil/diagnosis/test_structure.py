@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from support.campaigns import campaign, wavy
 
-from hil.diagnosis.campaign import Campaign, prepare
-from hil.diagnosis.noise.evidence import Bench, Extra, Noise
+from hil.diagnosis.campaign import CampaignRows, prepare
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import fit_noise
 from hil.diagnosis.search.fit import start_noise
-from hil.diagnosis.search.judge import Hit, Scout, clearest
+from hil.diagnosis.search.judge import Hit, StructureSearch, clearest
 from hil.diagnosis.search.structure import structures
 
 Array = np.ndarray
@@ -28,15 +28,15 @@ def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
 
 def found(
     error_um: Callable[[dict[str, Array]], Array], *, runs: int = 4, scatter: float = 0.5, seed: int = 1
-) -> tuple[Campaign, Hit | None]:
+) -> tuple[CampaignRows, Hit | None]:
     """A campaign of this error, and the structure that is seen in it beside a smooth table."""
     prepared = prepare(
         campaign(lambda c: wavy(c) + error_um(c), sensors=sensors, runs=runs, scatter=scatter, seed=seed)
     )
-    bench = Bench(prepared)
+    linear = LinearCampaign(prepared)
     y = prepared.error_um
-    noise = fit_noise(bench, y, Extra.none(len(y)), start_noise(prepared), correlations=((0.0, 0.0),))
-    return prepared, Scout(structures(prepared), seed=0)(bench.frame(noise, y), bench)
+    noise = fit_noise(linear, y, Extra.none(len(y)), start_noise(prepared), correlations=((0.0, 0.0),))
+    return prepared, StructureSearch(structures(prepared), seed=0)(linear.projection(noise, y), linear)
 
 
 @pytest.mark.parametrize(
@@ -77,9 +77,9 @@ def test_where_targets_repeat_nothing_is_asked_between_them() -> None:
 def test_the_clearest_structure_is_the_one_of_the_highest_gain() -> None:
     prepared, _ = found(lambda c: 0.8 * c["load_kg"])
     catalogue = structures(prepared)
-    frame = Bench(prepared).frame(Noise(even=100.0, odd=10.0), prepared.error_um)
-    gains = [frame.gain(s.design) for s in catalogue.structures]
-    best = clearest(frame, catalogue)
+    projection = LinearCampaign(prepared).projection(Noise(even=100.0, odd=10.0), prepared.error_um)
+    gains = [projection.gain(s.design) for s in catalogue.structures]
+    best = clearest(projection, catalogue)
     assert best is not None
     assert best[0] is catalogue.structures[int(np.argmax(gains))]
     assert best[0].columns == ("load_kg",)

@@ -7,7 +7,7 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.noise.evidence import Bench, Noise
+from hil.diagnosis.noise.evidence import LinearCampaign, Noise
 from hil.diagnosis.spline import TableBasis
 from hil.diagnosis.table import DeclaredShape, SplineShape
 from hil.effects.model import PitchTable
@@ -54,9 +54,9 @@ def test_a_declared_table_moves_as_far_as_its_uncertainty_allows(std_um: float, 
     flat = tuple(np.zeros(13))
     covariance = tuple(tuple(row) for row in std_um**2 * np.eye(26))
     declared = DeclaredShape.of(PitchTable(tuple(nodes), flat, flat, tuple(range(13)), covariance), noise_um=0.3)
-    bench = Bench(prepared, declared)
-    width = bench.table.table_width
-    solution = bench.frame(Noise(), prepared.error_um).solve(np.zeros((len(prepared), 0)))
+    linear = LinearCampaign(prepared, declared)
+    width = linear.table.table_width
+    solution = linear.projection(Noise(), prepared.error_um).solve(np.zeros((len(prepared), 0)))
     table = declared.tabulate(solution.table[:width])
     left = np.std(prepared.error_um - table.error_um(prepared.x, prepared.d))
     assert bool(left < 0.35) == moves
@@ -69,8 +69,8 @@ def test_a_declared_table_may_always_move_by_a_constant() -> None:
     forward, backward = (3.0 * np.sin(nodes / 70.0) - 0.8 * d for d in (1.0, -1.0))
     exact = PitchTable(tuple(nodes), tuple(forward), tuple(backward), (0, 60), tuple(map(tuple, 1e-12 * np.eye(4))))
     declared = DeclaredShape.of(exact, noise_um=0.3)
-    bench = Bench(prepared, declared)
+    linear = LinearCampaign(prepared, declared)
     y = prepared.error_um - exact.error_um(prepared.x, prepared.d)
-    solution = bench.frame(Noise(), y).solve(np.zeros((len(prepared), 0)))
-    moved = np.array(declared.tabulate(solution.table[: bench.table.table_width]).forward_um) - forward
+    solution = linear.projection(Noise(), y).solve(np.zeros((len(prepared), 0)))
+    moved = np.array(declared.tabulate(solution.table[: linear.table.table_width]).forward_um) - forward
     np.testing.assert_allclose(moved, 5.0, atol=0.01)

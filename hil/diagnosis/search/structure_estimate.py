@@ -31,7 +31,7 @@ FREE = 1e3
 
 
 @dataclass(frozen=True)
-class Carried:
+class StructureEstimate:
     """The dependence on some columns, by one structure or by several on the same columns, whose size is that of their
     sum.
 
@@ -66,7 +66,9 @@ class Carried:
         return np.asarray(np.sum([term.error_um(columns) for term in self.terms], axis=0), dtype=np.float64)
 
 
-def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise) -> tuple[Carried, ...]:
+def structure_estimates(
+    searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], noise: Noise
+) -> tuple[StructureEstimate, ...]:
     """The structures of the hits, estimated beside the table and some terms; the hits are among the searcher's nuisance
     columns.
     """
@@ -81,7 +83,9 @@ def carried(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], 
         root = np.concatenate([np.full(len(places[i]), math.sqrt(hits[i].variance)) for i in group])
         spread = covariance[np.ix_(place, place)] * np.outer(root, root)
         probability = min(hits[i].probability for i in group)
-        out.append(Carried(tuple(hits[i].structure for i in group), coefficients[place] * root, spread, probability))
+        out.append(
+            StructureEstimate(tuple(hits[i].structure for i in group), coefficients[place] * root, spread, probability)
+        )
     return tuple(out)
 
 
@@ -99,7 +103,7 @@ def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], no
     for hit, place, design in zip(hits, places, _apart(hits), strict=True):
         columns[:, place] = design * math.sqrt(FREE if _few(hit) else hit.variance)
     coefficients, covariance = _solved(searcher, Extra(extra.free, columns), noise)
-    line = searcher.bench.table.shape.free
+    line = searcher.linear.table.shape.free
     out = []
     for group in _groups(hits):
         place = np.concatenate([places[i] for i in group])
@@ -128,10 +132,10 @@ def _few(hit: Hit) -> bool:
 
 def _solved(searcher: Searcher, extra: Extra, noise: Noise) -> tuple[Floats, Floats]:
     """Coefficients of the random columns of a fit, (s,), and their covariance (s, s), with everything else free beside them."""
-    frame = searcher.frame(noise, extra)
-    solution = frame.solve(np.zeros((len(searcher.y), 0)))
-    posterior = frame.inverse_lower.T @ frame.inverse_lower * solution.variance
-    first = frame.whitened.table.shape[1]
+    projection = searcher.projection(noise, extra)
+    solution = projection.solve(np.zeros((len(searcher.y), 0)))
+    posterior = projection.inverse_lower.T @ projection.inverse_lower * solution.variance
+    first = projection.whitened.table.shape[1]
     random = slice(first, first + extra.random.shape[1])
     return solution.table[random], posterior[random, random]
 

@@ -11,11 +11,11 @@ from support.campaigns import campaign, wavy
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.search.candidates import enumerate_candidates
-from hil.diagnosis.search.carried import Carried, carried, rms_of, sizes
 from hil.diagnosis.search.fit import Setting
 from hil.diagnosis.search.judge import hit_of
 from hil.diagnosis.search.searcher import LIGHT, Searcher
 from hil.diagnosis.search.structure import structures
+from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of, sizes, structure_estimates
 from hil.effects import Estimate
 
 Array = np.ndarray
@@ -30,17 +30,17 @@ def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
 
 def found(
     error_um: Callable[[dict[str, Array]], Array], seed: int, *structure: tuple[str, ...]
-) -> list[tuple[Carried, Estimate]]:
+) -> list[tuple[StructureEstimate, Estimate]]:
     """What follows the columns of these structures, each known beforehand to be there, and its size."""
     prepared = prepare(campaign(lambda c: wavy(c) + error_um(c), sensors=sensors, noise_um=NOISE_UM, runs=5, seed=seed))
     searcher = Searcher(Setting.free(prepared), enumerate_candidates(prepared, ()), None, LIGHT)
     by_columns = {one.columns: one for one in structures(prepared).structures}
     hits = []
     for columns in structure:
-        hits.append(hit_of(searcher.frame(SMOOTH), by_columns[columns], 40.0, 0.001))
+        hits.append(hit_of(searcher.projection(SMOOTH), by_columns[columns], 40.0, 0.001))
         searcher.add_nuisance(hits[-1].extra)
     noise = searcher.fit_noise((), SMOOTH)
-    return list(zip(carried(searcher, hits, (), noise), sizes(searcher, hits, (), noise), strict=True))
+    return list(zip(structure_estimates(searcher, hits, (), noise), sizes(searcher, hits, (), noise), strict=True))
 
 
 KNOWN: list[tuple[Callable[[dict[str, Array]], Array], tuple[str, ...]]] = [
