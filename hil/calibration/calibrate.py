@@ -1,4 +1,5 @@
-"""Calibration, system A: measure, compute, prove, store, revise what lies outside, until everything lies inside (JP4875672B2).
+"""Calibration, system A (JP4875672B2): measure, compute tables, prove and store them, revise sections outside the band
+until none is left.
 
 The procedure depends only on its rows: resumed after an interruption, it replays those on disk to the same tables and
 continues with the first missing row.
@@ -133,10 +134,12 @@ NOISE_STD = 3.0
 
 
 def check_proof(before: Records, proof: Records, band: Band | None) -> None:
-    """Whether tables made from `before` did what they were made for, by the runs with them in force. Inside the band they did.
+    """Checks by the runs with the tables in force that tables made from `before` correct what they were made for;
+    tables inside the band do.
 
-    Raises UnprovenError where the mean errors are no smaller in all, by more than twice their uncertainty, or where the error of a
-    section is still there: then one of its rows is wrong, in either pass, or the machine has changed. Errors count from the band.
+    Raises UnprovenError where the mean errors are no smaller overall, by more than twice their uncertainty, or where
+    the error of a section remains: then one of its rows is wrong, in either pass, or the machine has changed. Errors
+    count from the band, µm.
     """
     was, left = _sections(before, band), _sections(proof, band)
     if not any(left.values()) and band is not None:
@@ -173,8 +176,9 @@ def _sections(records: Records, band: Band | None) -> dict[tuple[float, int], fl
 
 
 def _spread_um(records: Records, band: Band | None) -> float:
-    """Standard deviation of a run about the mean of its section: the median of all sections, which one wrong row does not widen. 0.0
-    of a single run."""
+    """Standard deviation of a run about the mean of its section, µm: the median of all sections, which one wrong row
+    does not widen. 0.0 of a single run.
+    """
     spreads = [
         float(np.std(errors_um, ddof=1))
         for target_mm, sign in _sections(records, band)

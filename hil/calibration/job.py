@@ -41,7 +41,7 @@ def run_calibration(
     resume: bool = False,
     recording: str = "",
 ) -> Calibration:
-    """Prepare and calibrate; each set of tables is sealed once it is proven.
+    """Prepares and calibrates; each set of tables is sealed and stored once it is proven.
 
     recording: file name of a replayed recording, "" for a real machine; store: None for a recording, whose tables are
     not stored
@@ -59,7 +59,7 @@ def run_calibration(
 
 
 def calibration_job(axis: AxisConfig, *, resume: bool = False, zero: OfZero = UNSAID) -> Job:
-    """For the desk: returns a Calibration. Raises InputError for a zero that is to be new in a resumed campaign."""
+    """Job that returns a Calibration. Raises InputError for a zero that is to be new in a resumed campaign."""
     zero.check(resume=resume)
 
     def work(place: Workplace) -> Calibration:
@@ -133,7 +133,7 @@ def run_verification(
 def verification_job(
     axis: AxisConfig, *, corrected: bool = True, seed: int = 1, resume: bool = False, zero: OfZero = UNSAID
 ) -> Job:
-    """For the desk: returns a Verified, of the compensation in the axis's store, or of the axis without any."""
+    """Job that returns a Verified, with the compensation in the axis's store, or without any."""
 
     def work(place: Workplace) -> Verified:
         compensation = place.opened_store().load() if corrected else None

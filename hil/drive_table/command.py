@@ -44,7 +44,7 @@ from hil.drive_table.change import (
     snapshot,
     zero_note,
 )
-from hil.drive_table.proof import TOLERANCE_UM, Proof, Way, prove_by_drive, prove_by_instrument
+from hil.drive_table.proof import TOLERANCE_UM, Proof, ProofMotion, prove_by_drive, prove_by_instrument
 from hil.machine.events import Listener
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis

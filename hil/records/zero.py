@@ -148,7 +148,7 @@ def homing_risk(homes: bool, method: int | None) -> str | None:
 
 
 def what_shows_it(zero: Zero, *, absolute_encoder: bool) -> str | None:
-    """What a later connection needs for going on in this zero; None where homing to a switch gives it back."""
+    """What a later connection needs to continue in this zero; None where homing to a switch restores it."""
     if absolute_encoder or (zero.homes and zero.method not in POSITION_DEPENDENT_METHODS):
         return None
     if not zero.homes:
@@ -340,8 +340,8 @@ class ZeroKeeper:
         elif before is not None and not self._tied and not (self._says_homed and self.instrument_zeroed):
             raise ZeroError(
                 f"axis {self.axis}: the instrument counts from another place than on {before.time[:16]}, the axis is not homed to a"
-                f" switch, and its drive {self._drive_statement}: nothing shows that it is the same ([axis] absolute_encoder = true where"
-                f" the drive keeps it){self._new_zero_hint}"
+                f" switch, and its drive {self._drive_statement}: nothing shows that it is the same ([axis] absolute_encoder = true"
+                f" where the drive keeps it){self._new_zero_hint}"
             )
         self.current = replace(current, reference=found)
         write_zero(self.path, self.current)
