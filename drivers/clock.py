@@ -93,4 +93,5 @@ class Deadline:
 
     @property
     def expired(self) -> bool:
+        """Whether the moment has passed."""
         return self._clock.now_ns() >= self.end_ns

@@ -15,6 +15,8 @@ from typing import Self
 
 
 class ReadingStatus(Enum):
+    """Status of a reading; only GOOD has a position."""
+
     GOOD = "good"
     BEAM_LOST = "beam lost"
     HEAD_ERROR = "head error"

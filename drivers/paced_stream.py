@@ -199,6 +199,7 @@ class PacedGroup(SetPointGroup):
             undo_all([("", stream.end) for stream in self._streams])
 
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        """As `SetPointGroup.cycle`, load mm; raises InputError for another number of set-points."""
         if len(positions_load_mm) != len(self._streams):
             raise InputError(f"{len(positions_load_mm)} set-points for {len(self._streams)} axes")
         pairs = list(zip(self._streams, positions_load_mm, strict=True))

@@ -64,6 +64,7 @@ def _beside(value: str, document: Any) -> Path:
 
 
 def not_empty(value: Sized, _: Any) -> Sized:
+    """The value, if it has a member. Raises ValueError for an empty one."""
     if not value:
         raise ValueError
     return value

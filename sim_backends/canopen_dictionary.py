@@ -68,10 +68,12 @@ class Item:
 
     @property
     def key(self) -> Key:
+        """(index, subindex)."""
         return self.index, self.subindex
 
     @property
     def bits(self) -> int:
+        """Length in bits, 0 for strings and domains."""
         return 0 if self.codec is None else 8 * self.codec.size
 
     @property

@@ -231,7 +231,7 @@ class FaultLayer:
 
     # -- time ----------------------------------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
-        """Time has moved on, for the faults and for the drive behind."""
+        """Advance the faults and the drive behind them to now_ns (ns)."""
         self._advance(now_ns)
         if not self._unpowered:
             self._tick(now_ns)
@@ -252,7 +252,7 @@ class FaultLayer:
                 self._send(cob_id, data)
 
     def due_ns(self) -> int | None:
-        """When `tick` is needed at the latest."""
+        """Latest time of the next `tick`, ns; None when nothing is scheduled."""
         times = [] if self._unpowered else [self._due_ns()]
         if self._delayed:
             times.append(self._delayed[0][0])

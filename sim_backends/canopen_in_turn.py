@@ -109,6 +109,7 @@ class DrivesInTurn:
         return station.slave
 
     def master(self) -> MasterBus:
+        """The bus for a master, which closes it."""
         return MasterBus(self.channel, self._drives)
 
     def close(self) -> None:

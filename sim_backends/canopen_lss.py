@@ -25,6 +25,7 @@ class Identity:
 
     @property
     def parts(self) -> tuple[int, int, int, int]:
+        """The four numbers in the order of LSS."""
         return self.vendor_id, self.product_code, self.revision, self.serial
 
 

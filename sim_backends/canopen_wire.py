@@ -70,6 +70,7 @@ class SimWire:
         clock.attach(self._advance, bearable=self._bearable)
 
     def add_node(self) -> Node:
+        """Connect another node."""
         node = Node(self)
         self._nodes.append(node)
         return node

@@ -12,6 +12,8 @@ from enum import Enum
 
 
 class FaultKind(Enum):
+    """Kinds of fault; the comment gives the meaning of `size`."""
+
     # of the interferometer's signal
     BEAM_LOST = "beam lost"  # the count runs away while it lasts
     HEAD_ERROR = "head error"

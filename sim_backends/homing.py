@@ -17,6 +17,8 @@ from sim_backends.servo_parameters import ServoParameters
 
 
 class HomingSensor(Enum):
+    """The switches that a homing method can use."""
+
     NEGATIVE_LIMIT = "negative limit switch"
     POSITIVE_LIMIT = "positive limit switch"
     HOME = "home switch"
@@ -70,15 +72,19 @@ class Switches:
         self._off = self._spread.gauss(0.0, spread) if spread else 0.0
 
     def positive_limit(self, at: float) -> bool:
+        """Whether the positive limit switch is active at this position, shaft counts."""
         return at >= self._p.positive_limit_counts + self._off
 
     def negative_limit(self, at: float) -> bool:
+        """Whether the negative limit switch is active at this position, shaft counts."""
         return at <= self._p.negative_limit_counts + self._off
 
     def home(self, at: float) -> bool:
+        """Whether the home switch is active at this position, shaft counts."""
         return at < self._p.home_switch_counts + self._off
 
     def active(self, sensor: HomingSensor, at: float) -> bool:
+        """Whether a switch is active at this position, shaft counts."""
         if sensor is HomingSensor.HOME:
             return self.home(at)
         return self.negative_limit(at) if sensor is HomingSensor.NEGATIVE_LIMIT else self.positive_limit(at)

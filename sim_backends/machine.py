@@ -78,7 +78,9 @@ class CanDrive:
             raise LinkLostError(f"CAN bus {self._bus.channel_info} does not take a frame: {error}") from error
 
     def serve(self, timeout_s: float) -> None:
-        """Wait at most `timeout_s` seconds for a frame; handle it and those that came with it, each at its time."""
+        """Wait at most `timeout_s` seconds for a frame; handle it and those that came with it, each at its time.
+
+        Raises LinkLostError."""
         for _ in range(_MOST_FRAMES):
             try:
                 message = self._bus.recv(timeout_s)

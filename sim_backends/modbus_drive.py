@@ -124,7 +124,8 @@ class ModbusServer:
 
     # -- time ----------------------------------------------------------------------------------------------------------
     def advance(self, now_ns: int, _dt_s: float) -> None:
-        """Advance the faces to now_ns, after handling the requests received, and send replies delayed until now."""
+        """Advance the faces to now_ns, after handling the requests received, and send replies delayed until now. Raises an error of
+        the thread."""
         if self._stopping:
             return
         if self._error is not None:
@@ -140,7 +141,7 @@ class ModbusServer:
                     late.port.send(late.data)
 
     def bearable(self, now_ns: int) -> int:
-        """For SimClock."""
+        """For SimClock: longest next step, ns."""
         with self._lock:
             longest = self._late[0].due_ns - now_ns if self._late else _FOREVER_NS
             return max(1, min([longest, *(face.bearable(now_ns) for face in self.faces.values())]))

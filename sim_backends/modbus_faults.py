@@ -10,6 +10,8 @@ _WRITES = (5, 6, 15, 16)
 
 
 class WireFaultKind(Enum):
+    """Kinds of fault; the comment says whether the request is carried out."""
+
     LATE_REPLY = "late reply"  # carried out; the reply leaves delay_s of simulated time later
     DISPLACED = "displaced reply"  # carried out; the reply leaves just before the next one on the same wire
     NO_REPLY = "no reply"  # carried out; the reply is lost
@@ -43,6 +45,7 @@ class WireFault:
     code: int = 4
 
     def matches(self, unit: int, function: int) -> bool:
+        """Whether it applies to requests of this unit and function."""
         return (
             self.unit in (None, unit) and self.function in (None, function) and (not self.writes or function in _WRITES)
         )
@@ -59,6 +62,7 @@ class WireFaultPlan:
         self._faults.append((fault, [0]))
 
     def clear(self) -> None:
+        """Remove every fault."""
         self._faults.clear()
 
     def hit_by(self, unit: int, function: int) -> WireFault | None:

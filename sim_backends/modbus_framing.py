@@ -21,6 +21,7 @@ class Frame:
     transaction: int = 0
 
     def with_pdu(self, pdu: bytes) -> Frame:
+        """The same frame with another PDU."""
         return Frame(self.unit, pdu, self.transaction)
 
 

@@ -70,7 +70,9 @@ class _Builder:
 def plan_move(
     position: float, velocity: float, target: float, *, max_velocity: float, acceleration: float, deceleration: float
 ) -> Profile:
-    """The fastest way to rest at target within the limits (all > 0), from any velocity, also one above max_velocity."""
+    """The fastest way to rest at target within the limits (all > 0), from any velocity, also one above max_velocity.
+
+    Units u, u/s, u/s²."""
     build = _Builder(position, velocity)
     stop = _stopping_distance(velocity, deceleration)
     gap = target - position

@@ -81,23 +81,27 @@ class SimulatedServo:
     # -- readings --------------------------------------------------------------------------------------------------
     @property
     def position_demand_counts(self) -> int:
+        """Position demand in the shown frame, counts."""
         return round(self._demand - self._frame)
 
     @property
     def position_actual_counts(self) -> int:
+        """Actual position in the shown frame, counts."""
         return round(self._actual - self._frame)
 
     @property
     def velocity_actual_counts_s(self) -> int:
+        """Actual velocity, counts/s."""
         return round(self._actual_velocity)
 
     @property
     def following_error_counts(self) -> int:
-        """Demand − actual."""
+        """Demand − actual, counts."""
         return round(self._demand) - round(self._actual)
 
     @property
     def torque_actual_permille(self) -> int:
+        """Torque, 0.1 % of rated."""
         if not self.powered:
             return 0
         p = self.parameters
@@ -115,14 +119,17 @@ class SimulatedServo:
 
     @property
     def positive_limit_switch(self) -> bool:
+        """Whether the positive limit switch is active."""
         return self._switches.positive_limit(self._actual)
 
     @property
     def negative_limit_switch(self) -> bool:
+        """Whether the negative limit switch is active."""
         return self._switches.negative_limit(self._actual)
 
     @property
     def home_switch(self) -> bool:
+        """Whether the home switch is active."""
         return self._switches.home(self._actual)
 
     @property
@@ -258,12 +265,14 @@ class SimulatedServo:
         self._moving = True
 
     def cyclic_velocity(self, velocity_counts_s: float) -> None:
+        """Next velocity of a stream, signed counts/s."""
         if not self._takes_orders():
             return
         self.mode = MotionMode.CYCLIC_VELOCITY
         self._ramp_to(velocity_counts_s, self._max_acceleration)
 
     def cyclic_torque(self, torque_permille: int) -> None:
+        """Next torque of a stream, 0.1 % of rated."""
         if not self._takes_orders():
             return
         self.mode = MotionMode.CYCLIC_TORQUE

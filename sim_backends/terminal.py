@@ -147,6 +147,6 @@ class DelayedLine:
             self._waiting.append((due_ns, message))
 
     def release(self, now_ns: int) -> None:
-        """Put the messages that are due on the wire."""
+        """Put the messages that are due at now_ns (ns) on the wire."""
         while self._waiting and self._waiting[0][0] <= now_ns:
             self._wire.put(self._waiting.popleft()[1])

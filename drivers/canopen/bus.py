@@ -155,7 +155,7 @@ class CanLink:
     def send_message(self, message: can.Message, timeout_s: float = SEND_S) -> None:
         """Send a message object that the caller reuses for the next cycle; python-can's buses no longer use it when they return.
 
-        For any thread. Raises LinkLostError when the bus does not take it within `timeout_s`.
+        For any thread. Raises LinkLostError when the bus does not take it within `timeout_s` seconds.
         """
         try:
             self.bus.send(message, timeout_s)
@@ -163,7 +163,8 @@ class CanLink:
             raise LinkLostError(f"CAN frame {message.arbitration_id:03X}h cannot be sent: {error}") from error
 
     def produce_heartbeat(self, node_id: int, period_s: float) -> None:
-        """Send our own heartbeat (operational) every `period_s` until the link is closed; drives that consume it stop when it ends.
+        """Send our own heartbeat (operational) every `period_s` seconds until the link is closed; drives that consume it stop when
+        it ends.
 
         On SocketCAN the kernel's broadcast manager sends it, and stops when this process dies. Requested twice, the shorter
         period holds. Raises LinkLostError.
@@ -181,7 +182,7 @@ class CanLink:
         self._heartbeats[node_id] = (period_s, self.send_periodically(message, period_s))
 
     def send_periodically(self, message: can.Message, period_s: float) -> Any:
-        """Send it every `period_s` until `stop()` of the returned task; on SocketCAN the kernel does it, elsewhere a thread.
+        """Send it every `period_s` seconds until `stop()` of the returned task; on SocketCAN the kernel does it, elsewhere a thread.
 
         Such a thread ends silently when the bus is lost; calls that use the bus then raise. Raises LinkLostError.
         """

@@ -78,6 +78,7 @@ class Pattern:
     value: int
 
     def matches(self, word: int) -> bool:
+        """Whether a word has these bits."""
         return word & self.mask == self.value
 
 

@@ -99,6 +99,7 @@ class CanOpenCorrectionTable(CorrectionTable):
 
     # -- the switch ------------------------------------------------------------------------------------------------------
     def enabled(self) -> bool:
+        """Whether the switch object is on. Raises ProtocolError for a value that is neither on nor off."""
         found = self._node.sdo.read(self.map.enable)
         if found not in (self.map.on, self.map.off):
             raise ProtocolError(

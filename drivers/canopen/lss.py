@@ -35,6 +35,7 @@ class LssAddress:
 
     @property
     def parts(self) -> tuple[int, int, int, int]:
+        """The four numbers in the order in which LSS sends them."""
         return self.vendor_id, self.product_code, self.revision, self.serial
 
     def __str__(self) -> str:

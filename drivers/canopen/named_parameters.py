@@ -114,6 +114,7 @@ class NamedParameters(DriveParameters):
         return self._access.read(self._find(name)).value
 
     def write(self, name: str, value: ParameterValue) -> bool:
+        """As `DriveParameters.write`; raises InputError for a value of another kind too."""
         found = self._find(name)
         kind = kind_of(found.entry.type)
         if self._access.refusal(found) is None and not isinstance(value, FITTING[kind]):

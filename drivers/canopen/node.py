@@ -23,6 +23,8 @@ LOG_LENGTH = 256
 
 
 class NmtCommand(IntEnum):
+    """Command specifiers of NMT (CiA-301, 7.2.8.2.1)."""
+
     START = 0x01
     STOP = 0x02
     PRE_OPERATIONAL = 0x80
@@ -31,6 +33,8 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
+    """NMT states as the heartbeat shows them (CiA-301, 7.2.8.3.2)."""
+
     BOOT_UP = 0x00
     STOPPED = 0x04
     OPERATIONAL = 0x05

@@ -42,10 +42,12 @@ class DataType(Enum):
 
     @property
     def is_number(self) -> bool:
+        """Whether values are numbers (BOOLEAN included), not texts or bytes."""
         return bool(self.format)
 
     @property
     def is_signed(self) -> bool:
+        """Whether values are signed integers."""
         return self.format in ("<b", "<h", "<i", "<q")
 
 
@@ -63,6 +65,7 @@ class Entry:
 
     @property
     def bits(self) -> int:
+        """Length in bits, 0 for texts and bytes."""
         return 8 * self.type.size
 
     @property

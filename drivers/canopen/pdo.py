@@ -57,6 +57,7 @@ class PdoSpec:
 
     @property
     def bits(self) -> int:
+        """Number of bits mapped."""
         return sum(entry.bits for entry in self.entries)
 
     @cached_property

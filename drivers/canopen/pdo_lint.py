@@ -34,6 +34,8 @@ MAX_ENTRIES = 8
 
 
 class Severity(Enum):
+    """Whether a finding prevents the set from being written."""
+
     ERROR = "error"  # the drive would refuse it, or behave dangerously
     WARNING = "warning"
 

@@ -102,6 +102,7 @@ class CanOpenRawParameters(RawParameters):
         return self._keys[entry.address].entry
 
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
+        """A value in its unit -> bytes, little endian. Raises InputError."""
         kind = entry.info.kind
         if not isinstance(value, FITTING[kind]) or isinstance(value, bool):
             raise InputError(f"{value!r} is no {kind.value}")
@@ -112,6 +113,7 @@ class CanOpenRawParameters(RawParameters):
         return int(value) if isinstance(value, bool) else value
 
     def from_raw(self, entry: RawParameter, raw: RawForm) -> bytes:
+        """A raw value -> bytes, little endian. Raises InputError."""
         if isinstance(raw, int):
             if entry.info.kind is not ParameterKind.INTEGER:
                 raise InputError(f"raw is {raw}, expected hexadecimal digits for a {entry.type}")
@@ -269,6 +271,7 @@ class CanOpenRawParameters(RawParameters):
                 raise
 
     def load_defaults(self) -> Steps[None]:
+        """1011h:1 := "load". Raises CapabilityError where it is not done on command."""
         abilities = yield from self._optional(objects.RESTORE_ALL)
         if not isinstance(abilities, int) or not abilities & ON_COMMAND:
             raise CapabilityError(f"drive {self.name}: {objects.RESTORE_ALL} is not done on command")

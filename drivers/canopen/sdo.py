@@ -245,6 +245,7 @@ class SdoClient:
         return type(error)(f"{self.name}: {error}")
 
     def transmit(self, frame: bytes) -> None:
+        """Send a frame of this channel. Raises LinkLostError."""
         self.link.send(SDO_REQUEST + self.node_id, frame)
 
     def send_at_once(self, entry: Entry, value: int) -> None:
@@ -360,7 +361,7 @@ class SdoClient:
         reads_back: bool = True,
         same: Same = operator.eq,
     ) -> Steps[None]:
-        """As `write_bytes`, for a `CanLine`."""
+        """As `write_bytes`, for a `CanLine`; raises the same errors."""
         talk = Conversation(index, subindex)
         running = Running(self, talk, download(talk, data), timeout_s)
         yield from self._turn(running)

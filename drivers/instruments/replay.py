@@ -60,6 +60,7 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
+        """Time from the first to the last row, s."""
         times = self.columns["time_s"]
         return times[-1] - times[0]
 

@@ -46,10 +46,12 @@ class RegisterType(Enum):
 
     @property
     def is_integer(self) -> bool:
+        """Whether values are whole numbers."""
         return self in _INTEGER_CODES
 
     @property
     def is_float(self) -> bool:
+        """Whether values are IEEE 754 numbers."""
         return self in _FLOAT_CODES
 
     @property

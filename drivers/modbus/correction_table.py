@@ -29,6 +29,7 @@ class ModbusCorrectionTable(CorrectionTable):
 
     # -- reading -------------------------------------------------------------------------------------------------------
     def read(self) -> RawTable:
+        """The contents, raw. Raises ProtocolError for an impossible number of points."""
         scalars = {name: each for name, each in self._blocks.scalars.items() if name != "applied"}
         raw = self._access.integers([register.name for register in scalars.values()])
         found = {name: raw[register.name] for name, register in scalars.items()}
@@ -103,6 +104,7 @@ class ModbusCorrectionTable(CorrectionTable):
 
     # -- the switch ----------------------------------------------------------------------------------------------------
     def enabled(self) -> bool:
+        """Whether the switch register is on. Raises ProtocolError for a value that is neither on nor off."""
         blocks = self._blocks
         found = self._access.integers([blocks.enable.name])[blocks.enable.name]
         if found not in (blocks.on, blocks.off):

@@ -73,6 +73,8 @@ AnyNumber = Annotated[str, role(None)]
 
 @dataclass(frozen=True)
 class StateRule:
+    """A condition, and the state that it shows."""
+
     condition: Condition
     state: DriveState
 

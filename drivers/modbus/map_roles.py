@@ -57,7 +57,9 @@ def _usable(register: Register, *, written: bool, what: str) -> None:
 
 
 def role(units: tuple[str, ...] | None, *, written: bool = False, signed: bool = False) -> Via:
-    """The name of a register with a number in one of these units (None: any), to be read or to be written while the axis moves."""
+    """The name of a register with a number in one of these units (None: any), to be read or to be written while the axis moves.
+
+    Its check raises SchemaError."""
 
     def check(register: Register, _: Document) -> str:
         _usable(register, written=written, what="motion")
@@ -128,10 +130,13 @@ Whole = Annotated[Named, _whole(False)]
 
 @dataclass(frozen=True, kw_only=True)
 class ConditionRow(_Masked):
+    """A condition as written in the file."""
+
     register: Whole
     not_value: int | None = None
 
     def condition(self) -> Condition:
+        """The condition. Raises SchemaError."""
         if self.not_value is None:
             return Condition(*self.masked("value", self.value))
         if self.value is not None or self.bit is not None:

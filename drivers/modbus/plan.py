@@ -34,10 +34,12 @@ class Table(Enum):
 
     @property
     def is_bits(self) -> bool:
+        """Whether it holds bits (coils, discrete inputs), not registers."""
         return self in (Table.COIL, Table.DISCRETE)
 
     @property
     def is_writable(self) -> bool:
+        """Whether it can be written (coils, holding registers)."""
         return self in (Table.COIL, Table.HOLDING)
 
 
@@ -58,6 +60,7 @@ class Span:
         return self.start + self.count
 
     def covers(self, other: Span) -> bool:
+        """Whether the other span lies within this one."""
         return self.start <= other.start and other.end <= self.end
 
 

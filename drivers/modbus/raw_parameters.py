@@ -56,6 +56,7 @@ class ModbusLine(Line):
         self.link = link
 
     def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
+        """One job after the other. Raises StateError for a step of another kind of line."""
         results: dict[int, T | BridgeError] = {}
         clock = self.link.clock
         due_ns = dict.fromkeys(range(len(jobs)), clock.now_ns())
@@ -106,6 +107,7 @@ class ModbusRawParameters(RawParameters):
         return self.map.registers[entry.address]
 
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
+        """A value in its unit -> the bytes of its registers, high byte first. Raises InputError."""
         if isinstance(value, bytes):
             raise InputError(f"{value!r} is no {entry.info.kind.value}")
         return _bytes(self._register(entry).encode(value))
@@ -114,6 +116,7 @@ class ModbusRawParameters(RawParameters):
         return self._register(entry).decode(_words(data))
 
     def from_raw(self, entry: RawParameter, raw: RawForm) -> bytes:
+        """A raw value -> the bytes of its registers. Raises InputError."""
         layout = self._register(entry).layout
         if isinstance(raw, int):
             if not layout.type.is_integer:
@@ -271,10 +274,12 @@ class ModbusRawParameters(RawParameters):
         self._parameters.store(state)
 
     def load_defaults(self) -> Steps[None]:
+        """Raises CapabilityError: register maps have no such command."""
         yield from ()
         raise CapabilityError(f"drive {self.name}: its register map has no command to load defaults")
 
     def restart(self) -> Steps[None]:
+        """Raises CapabilityError: only its supply restarts such a drive."""
         yield from ()
         raise CapabilityError(f"drive {self.name}: only its supply starts it anew")
 

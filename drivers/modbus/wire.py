@@ -46,10 +46,12 @@ class Function(IntEnum):
 
     @property
     def is_write(self) -> bool:
+        """Whether it writes."""
         return self in (Function.WRITE_COIL, Function.WRITE_REGISTER, Function.WRITE_COILS, Function.WRITE_REGISTERS)
 
     @property
     def is_bits(self) -> bool:
+        """Whether it accesses bits, not registers."""
         return self in (Function.READ_COILS, Function.READ_DISCRETE, Function.WRITE_COIL, Function.WRITE_COILS)
 
 
@@ -96,6 +98,7 @@ class Request:
 
     @classmethod
     def read(cls, table: Table, span: Span) -> Request:
+        """A read request. Raises InputError for more values than one request may have (V1.1b3, 6.1 to 6.4)."""
         limit = MAX_READ_BITS if table.is_bits else MAX_READ_REGISTERS
         if span.count > limit:
             raise InputError(f"{span.count} values in one request, expected at most {limit}")
@@ -314,6 +317,7 @@ class PymodbusWire:
         self._port.post([self._frame(unit, request, next(self._post_numbers)) for request in requests])
 
     def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
+        """As `Wire.exchange`; raises NoAnswerError, LinkLostError, AbortError, ProtocolError."""
         what = f"Modbus {self.endpoint} unit {unit}, {request}"
         self.connect(within_s)
         try:

@@ -46,7 +46,7 @@ class LostMotion:
 
     @classmethod
     def spread(cls, seed: int, amount_um: float, distance_mm: float, elements: int = 6) -> LostMotion:
-        """`amount_um` in all, half of it built up within about `distance_mm`, the rest over up to some six times that."""
+        """`amount_um` (µm) in all, half of it built up within about `distance_mm`, the rest over up to some six times that."""
         if amount_um == 0.0:
             return cls()
         rng = random.Random(seed)
@@ -57,6 +57,7 @@ class LostMotion:
 
     @property
     def amount_um(self) -> float:
+        """Sum of the elements, µm."""
         return sum(share for _, share in self.elements)
 
 

@@ -65,7 +65,7 @@ class PlantParameters:
 
 
 def ideal_axis(length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
-    """An axis without any error."""
+    """An axis without any error; length in mm, lead in mm per revolution, as below."""
     return PlantParameters(length_mm=length_mm, screw=Screw(lead_mm=lead_mm))
 
 

@@ -40,6 +40,8 @@ class ThermalParameters:
 
 @dataclass(slots=True)
 class ThermalState:
+    """Temperatures of screw and base, °C, and rises of the head, K."""
+
     screw_c: float
     base_c: float
     head_rise_k: float = 0.0
