@@ -238,7 +238,7 @@ class VirtualCorrectionTable(CorrectionTable):
         raw, own = self._raw, self.own
         own.places, own.rising, own.falling, own.backlash = raw.nodes, raw.plus, raw.minus, raw.backlash
         if on and not own.usable():
-            raise StateError(f"drive {self.drive}: its table of {len(raw.plus)} points is none to correct by")
+            raise StateError(f"drive {self.drive}: its table of {len(raw.plus)} points is invalid")
         own.enabled = on
 
     def applied(self) -> int:

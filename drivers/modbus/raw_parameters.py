@@ -281,7 +281,7 @@ class ModbusRawParameters(RawParameters):
     def restart(self) -> Steps[None]:
         """Raises CapabilityError: only its supply restarts such a drive."""
         yield from ()
-        raise CapabilityError(f"drive {self.name}: only its supply starts it anew")
+        raise CapabilityError(f"drive {self.name}: only switching its supply restarts it")
 
 
 def _parameter(register: Register, moving: bool) -> RawParameter:

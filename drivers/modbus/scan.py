@@ -65,7 +65,7 @@ def _ask(link: ModbusLink, unit: int) -> str | None:
     except AbortError as error:
         return None if error.code in _GATEWAY else str(error).rpartition(": ")[2]
     except ProtocolError as error:
-        return f"answers what is no answer: {error}"
+        return f"gives an invalid reply: {error}"
     except NoAnswerError:
         return None
     except LinkLostError:

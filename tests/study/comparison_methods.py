@@ -179,7 +179,7 @@ def lasso_by_runs(data: Data) -> Array:
 
 
 def stlsq_by_runs(data: Data) -> Array:
-    """STLSQ with the threshold that is best on runs left out, the largest within one standard error."""
+    """STLSQ with the threshold that is best on runs left out, the largest within one standard error. Raises ModuleNotFoundError."""
     if STLSQ is None:
         raise ModuleNotFoundError("pysindy is not installed: pip install -e .[test]")
 

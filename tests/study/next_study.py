@@ -1,9 +1,9 @@
-"""The choice of the next measurement judged on machines drawn at random: a standard test without sensors, then what is asked for.
+"""The choice of the next measurement, tested on random machines: a standard test without sensors, then the runs asked for.
 
 Each machine holds one effect and was calibrated before it appeared. It is measured by a standard bidirectional test at fixed targets,
-without any sensor; causes that look alike there are named. Then the run that is asked for is measured on the same machine, up to
-`ROUNDS` times, and the cause that stands first at the end is compared with the truth. Run by hand for the whole study
-(`python tests/study/next_study.py --machines 170`), in a small form by the slow suite.
+without any sensor; the causes that look alike there are named. Then the run asked for is measured on the same machine, up to
+`ROUNDS` times, and the most probable cause at the end is compared with the true one. Run by hand for the whole study
+(`python tests/study/next_study.py --machines 170`), with few machines by the slow suite.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """first: the causes that are left after the standard test; asked: the runs; last: the causes left at the end, with weights."""
+    """first: the causes left after the standard test; asked: the runs; last: the causes left at the end, with weights."""
 
     case: Case
     first: tuple[str, ...]
@@ -56,7 +56,7 @@ class Outcome:
 
     @property
     def named(self) -> bool:
-        """Whether the truth was among the causes left after the standard test."""
+        """Whether the true cause was among those left after the standard test."""
         return self.case.effect in self.first
 
     @property
@@ -88,13 +88,13 @@ def standard_test(machine: PlannedMachine, rng: np.random.Generator, runs: int =
 
 
 def written(columns: Columns, rows: slice, more: tuple[str, ...] = ()) -> Records:
-    """What somebody wrote down of some rows."""
+    """Records of some rows, as a user writes them down."""
     names = ("run", "direction", "target_mm", "measured_mm", "time_s", *more)
     return Records.of({name: columns[name][rows] for name in dict.fromkeys(names)})
 
 
 def appended(plan: Columns, run: PlannedRun, means: Means) -> Columns:
-    """The plan with a run behind it, begun ten minutes later; NaN where nothing is said."""
+    """The plan followed by a run that begins ten minutes later; NaN for values that are not given."""
     more = motion_columns(run.points, means, start_s=float(plan["time_s"][-1]) + 600.0)
     n, m = len(plan["run"]), len(more["run"])
     return {
@@ -127,7 +127,7 @@ def run(case: Case) -> Outcome:
         start = len(plan["run"])
         plan = appended(plan, asked[-1], means)
         measured = machine.measure(plan, rows)
-        always = (*always, *(name for name in asked[-1].adds if not is_set(name)))  # a sensor stays where it was put
+        always = (*always, *(name for name in asked[-1].adds if not is_set(name)))  # an added sensor remains
         more = (*always, "since_reversal_mm", "stroke_mm", *asked[-1].adds)
         parts.append(written(measured, slice(start, None), more))
         look = outlook(joined(parts), declared, means, made=[r.name for r in asked], seed=len(asked))

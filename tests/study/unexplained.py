@@ -1,6 +1,6 @@
-"""What the diagnosis says of machines whose error is in no catalogue: how large it is, and what a correction without a cause is worth.
+"""The diagnosis of machines whose error is in no catalogue: its stated size, and the benefit of a correction without a cause.
 
-`python tests/study/unexplained.py --machines 10` prints for each kind of machine how often something was called unexplained, how often
+`python tests/study/unexplained.py --machines 10` prints for each kind of machine how often an error was called unexplained, how often
 the stated 95 % interval of the RMS that the columns carry holds the true one, and the RMS over the noise on a fresh cold campaign:
 with the extended model, and with the smooth function that `--non-parametric` adds, where that was not refused.
 """

@@ -67,7 +67,8 @@ def kept(path: Path, name: str = "measure") -> Records:
 
 
 def wait_for(condition: Callable[[], bool], what: str, *, unless_ended: subprocess.Popen[str] | None = None) -> None:
-    """Wait for another process; fails after PATIENCE_S seconds, or when a process that should run has ended."""
+    """Wait for another process; fails after PATIENCE_S seconds, or when a process that should run has ended
+    (AssertionError)."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if unless_ended is not None and unless_ended.poll() is not None:

@@ -198,7 +198,7 @@ class FaultyLine:
 
     def _silence(self) -> None:
         self.clock.sleep_s(0.05)
-        raise NoAnswerError("nobody answers")
+        raise NoAnswerError("no answer")
 
     def _take(self, request: int, reply: int) -> None:
         """The time of unit, PDU and check each way, 3.5 characters of silence before the reply (1.75 ms above 19200 baud)."""

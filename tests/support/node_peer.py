@@ -89,7 +89,7 @@ class NodePeer:
             self.events.append(message)
 
     def post(self, do: str, **arguments: Any) -> int:
-        """Send a command without waiting; the answer's number for `answer`."""
+        """Send a command without waiting; the answer's number for `answer`. Raises PeerError."""
         if self._process.stdin is None:
             raise PeerError("the peer has no stdin", None)
         self._number += 1

@@ -110,7 +110,7 @@ class ToyMachine:
         return self.nut_mm + (wave + self.arrival_um) / 1000.0
 
     def count(self) -> None:
-        """Count one call; the chosen one fails."""
+        """Count one call; the chosen one raises `Trouble.error`."""
         self.counted += 1
         if self.counted == self.trouble.at_call:
             raise self.trouble.error()
