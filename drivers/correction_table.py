@@ -48,7 +48,7 @@ class Outside(Enum):
 
 
 class Directions(Enum):
-    """What the table holds for the two directions of motion."""
+    """Contents of the table for the two directions of motion."""
 
     BOTH = "both"  # a curve for each
     BACKLASH = "backlash"  # the curve for rising counts, and an amount to subtract for falling ones
@@ -135,7 +135,7 @@ _SIGNS = "1 (a positive value is added) or -1 (it is subtracted)"
 
 @dataclass(frozen=True, kw_only=True)
 class TableHead:
-    """What a map of any wire says of a table."""
+    """The keys of a table that the maps of all wires share."""
 
     name: Text
     points: int
@@ -158,7 +158,7 @@ class TableHead:
         }
 
     def named(self, holder: Any, expected: str, without: Collection[str] = ()) -> dict[str, Any]:
-        """What stands where, by key. Raises SchemaError for what is lacking, and for what such a table has no use for."""
+        """The parts of the table by key. Raises SchemaError for a key that is missing, or that such a table cannot have."""
         found = {key: getattr(holder, key) for key in (*self.needs(), "applied")}
         for key, needed in self.needs().items():
             used = needed and key not in without

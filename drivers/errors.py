@@ -17,8 +17,8 @@
         ├── LimitError            a target or speed outside the axis file's limits
         ├── CorrectionBoundError  a correction larger or steeper than the axis file allows
         ├── MotionTimeoutError    a motion did not end in its time
-        ├── FollowingErrorError   the axis is not where it was told to be
-        ├── OverspeedError        the axis ran faster than it was told to
+        ├── FollowingErrorError   the axis is further from its set-point than allowed
+        ├── OverspeedError        the axis ran faster than commanded
         ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest; it stays under power instead of being disabled
         └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
 
@@ -31,7 +31,7 @@ from pathlib import Path
 
 
 class BridgeError(Exception):
-    """Root of every error this project raises on purpose."""
+    """Root of every error that this project raises itself."""
 
 
 class TransportError(BridgeError):

@@ -43,7 +43,11 @@ def _drive(document: Document, registers: RegisterMap) -> DriveMap:
         for index, transition in enumerate(getattr(drive, key)):
             if what := _wrong(key, transition, shown):
                 raise document.fail(("drive", key, index), what)
-    for state in shown - {DriveState.ENABLED, DriveState.NOT_READY, *FAULTS}:  # left by the drive itself, or on purpose
+    for state in shown - {
+        DriveState.ENABLED,
+        DriveState.NOT_READY,
+        *FAULTS,
+    }:  # left by the drive itself, or by a fault reset
         if not leads_to_enabled(drive.enable, state):
             raise document.fail("drive.enable", f"has no way from {state.value!r} to operation enabled")
     if not any(DriveState.ENABLED in transition.sources for transition in drive.disable):
