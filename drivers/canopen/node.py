@@ -23,7 +23,7 @@ LOG_LENGTH = 256
 
 
 class NmtCommand(IntEnum):
-    """Command specifiers of NMT (CiA-301, 7.2.8.2.1)."""
+    """Command specifiers of NMT node control (CiA-301, 7.2.8.3.1)."""
 
     START = 0x01
     STOP = 0x02
