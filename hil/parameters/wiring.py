@@ -24,7 +24,7 @@ from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
-from hil.machine.axis_place import held_axis, modbus_endpoint
+from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.wiring import bench_parameters
 from hil.parameters.journal import Journal
 from sim_backends.bench import Bench

@@ -22,7 +22,7 @@ from support.commissioning import Job, kept, look, prepare, rows_of, wait_for
 from support.sim_process import SimProcess, sim
 
 from hil.app.terminal.main import main
-from hil.machine.signals import ENDED, INTERRUPTED, WAY_OUT_S
+from hil.machine.signals import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 WIRES = {
     "modbus tcp": ("modbus", "--tcp", "127.0.0.1:0"),
@@ -44,7 +44,7 @@ class Shop:
 
     def look(self) -> tuple[str, float]:
         """State and position of the drive, as another master sees them."""
-        found = look(self.machine.place["drive"], self.axis.with_name("scan.json"))
+        found = look(self.machine.position_check["drive"], self.axis.with_name("scan.json"))
         return found["state"], found.get("position_counts", found.get("position_raw"))
 
     def stands_disabled(self) -> bool:
@@ -76,7 +76,7 @@ def shop(
             yield Shop(machine, machine, path)
             return
         with sim("laser", "--still", *arguments) as laser:
-            own, other = machine.place["laser"]["port"], laser.place["laser"]["port"]
+            own, other = machine.position_check["laser"]["port"], laser.place["laser"]["port"]
             text = path.read_text(encoding="utf-8").replace(f'"{own}"', f'"{other}"')
             text = text.replace("[instrument]\n", "[instrument]\ninstrument_agrees_within_um = 1e9\n")
             path.write_text(text, encoding="utf-8")
@@ -271,6 +271,6 @@ def test_ctrl_c_twice_ends_a_job_whose_drive_hangs_with_the_axis_stopped(tmp_pat
             took_s = time.monotonic() - asked_s
         assert at.machine.end() == 0, at.machine.errors
         assert (job.returncode, errors) == (INTERRUPTED, ENDED)
-        assert took_s < WAY_OUT_S + 1.0
+        assert took_s < STOP_WITHIN_S + 1.0
         assert at.machine.left is not None
         assert at.machine.left["moving"] is False, "told to stop, although no SDO is answered"
