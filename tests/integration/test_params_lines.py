@@ -17,8 +17,8 @@ from drivers.modbus.wear import WearLedger
 from drivers.raw_parameters import Pause, RawParameters, Steps
 from hil.parameters.download import Target, download
 from hil.parameters.report import Ending, JobReport
+from hil.parameters.tasks import run_together
 from hil.parameters.transaction import DriveJob
-from hil.parameters.works import run_together
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.clock import SimClock
 

@@ -14,8 +14,8 @@ from drivers.errors import NoAnswerError
 from drivers.raw_parameters import RawParameters, Steps
 from hil.parameters.download import Target, download
 from hil.parameters.report import Ending
+from hil.parameters.tasks import run_together
 from hil.parameters.transaction import DriveJob
-from hil.parameters.works import run_together
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
 COUNT = 12
