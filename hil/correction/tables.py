@@ -1,7 +1,7 @@
 """Correction tables of one axis, and the arithmetic of system A on them (JP4875672B2).
 
-What may go in: frozen tables and pure functions of tables. Every table holds *corrections* in µm (what is added to the command),
-so pitch correction = A - B in the + direction and A - C in the - direction (A target, B and C mean measured positions).
+Every table holds *corrections* in µm (what is added to the command), so pitch correction = A - B in the + direction and A - C in the
+- direction (A target, B and C mean measured positions).
 Between nodes corrections are linear in position; beyond the ends the end value holds.
 """
 

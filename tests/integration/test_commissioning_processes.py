@@ -44,7 +44,7 @@ class Shop:
 
     def look(self) -> tuple[str, float]:
         """State and position of the drive, as another master sees them."""
-        found = look(self.machine.position_check["drive"], self.axis.with_name("scan.json"))
+        found = look(self.machine.place["drive"], self.axis.with_name("scan.json"))
         return found["state"], found.get("position_counts", found.get("position_raw"))
 
     def stands_disabled(self) -> bool:
@@ -76,7 +76,7 @@ def shop(
             yield Shop(machine, machine, path)
             return
         with sim("laser", "--still", *arguments) as laser:
-            own, other = machine.position_check["laser"]["port"], laser.place["laser"]["port"]
+            own, other = machine.place["laser"]["port"], laser.place["laser"]["port"]
             text = path.read_text(encoding="utf-8").replace(f'"{own}"', f'"{other}"')
             text = text.replace("[instrument]\n", "[instrument]\ninstrument_agrees_within_um = 1e9\n")
             path.write_text(text, encoding="utf-8")

@@ -97,7 +97,7 @@ def proves(drive: RawParameters) -> Steps[None]:
 
 
 def settles(drive: RawParameters) -> Steps[None]:
-    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, patience_s=4 * SLOW_S)
+    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, retry_within_s=4 * SLOW_S)
 
 
 @pytest.mark.parametrize("steps", [proves, settles])

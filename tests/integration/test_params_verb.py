@@ -138,7 +138,7 @@ def canopen_axis(tmp_path: Path) -> Iterator[Path]:
     """A simulated drive in a process of its own, on an adapter's terminal."""
     machine = SimProcess("drive", "--interface", "slcan-pty")
     try:
-        path, place = tmp_path / "X.toml", machine.position_check["drive"]
+        path, place = tmp_path / "X.toml", machine.place["drive"]
         path.write_text(
             f'{AXIS}\n[drive]\nbackend = "canopen"\ninterface = "slcan"\nchannel = "{place["channel"]}"\n'
             f'node_id = {place["node_id"]}\neds = "{EDS}"\nsdo_timeout_s = 2.0\n'

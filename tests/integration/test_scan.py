@@ -111,7 +111,7 @@ def test_nodes_of_a_can_bus_are_found_and_a_listener_hears_them(tmp_path: Path) 
 
 def test_a_drive_process_is_found_through_a_serial_can_adapter(tmp_path: Path) -> None:
     with sim("drive", "--interface", "slcan-pty", "--node", "42") as machine, scanned(tmp_path) as scan:
-        place = machine.position_check["drive"]
+        place = machine.place["drive"]
         bus = ("--interface", place["interface"], "--channel", place["channel"], "--bitrate", "1000000")
         status, (node,) = scan(*bus, "--nodes", "40-44", "--timeout", "2")
         assert status == 0

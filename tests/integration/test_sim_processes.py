@@ -38,8 +38,8 @@ def test_a_machine_over_modbus_tcp_says_where_it_is_and_ends_when_told(number: i
     path = tmp_path / "X.toml"
     with sim("modbus", "--tcp", "127.0.0.1:0", "--laser", "--machine", "ideal", "--axis-file", str(path)) as machine:
         axis = load_axis(path)
-        assert axis.drive.url == machine.position_check["drive"]["url"]
-        assert axis.instrument.port == machine.position_check["laser"]["port"]
+        assert axis.drive.url == machine.place["drive"]["url"]
+        assert axis.instrument.port == machine.place["laser"]["port"]
         host, port = axis.drive.url.removeprefix("tcp://").split(":")
         assert host == "127.0.0.1"
         with socket.create_connection((host, int(port)), timeout=10.0) as client:
@@ -53,10 +53,10 @@ def test_a_machine_over_modbus_tcp_says_where_it_is_and_ends_when_told(number: i
 
 def test_the_faults_asked_for_happen_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
     with sim("modbus", "--tcp", "127.0.0.1:0", "--fault", "no-reply#2") as machine:
-        scan = ["scan", "--tcp", machine.position_check["drive"]["url"], "--units", "1", "--timeout", "5"]
+        scan = ["scan", "--tcp", machine.place["drive"]["url"], "--units", "1", "--timeout", "5"]
         assert [main(scan) for _ in range(3)] == [0, 1, 0], "the second request is not answered"
     with sim("drive", "--interface", "slcan-pty", "--fault", "node-dead@0") as machine:
-        place = machine.position_check["drive"]
+        place = machine.place["drive"]
         where = ["--interface", place["interface"], "--channel", place["channel"], "--nodes", str(place["node_id"])]
         assert main(["scan", *where, "--timeout", "1"]) == 1
     assert "no device answers" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""`hil import`: a controller's table, or measurements of another program, in our formats."""
+"""`hil import`: converts a controller's table, or measurements of another program, to the formats of this program."""
 
 from __future__ import annotations
 
