@@ -37,6 +37,7 @@ Exit status 1: a check failed.
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil doctor`."""
     parser = subparsers.add_parser(
         "doctor",
         description="Is everything there, and are the units what the axis file says? Asked of the drive, proven by small moves.",

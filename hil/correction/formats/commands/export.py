@@ -43,6 +43,7 @@ back before it is handed out; what a controller must be set to besides is printe
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil export`."""
     parser = subparsers.add_parser(
         "export",
         description="Write the correction tables of an axis in the format of a CNC controller.",
