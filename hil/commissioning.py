@@ -1,4 +1,4 @@
-"""Everything a commissioning script needs, in one import. `hil/examples` shows each at work.
+"""The API for commissioning scripts, in one import. `hil/examples` has a script for each system.
 
 Nothing is defined here: what the verbs call is what a script calls.
 """

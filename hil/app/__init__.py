@@ -1,1 +1,1 @@
-"""What terminal, screen and report share, and the program's entry."""
+"""Terminal, screen and report: their shared parts, and the program's entry point."""

@@ -1,12 +1,12 @@
-"""`hil` and `python -m hil.app`: the way in, up to where `main` is loaded and takes over."""
+"""Entry point of `hil` and `python -m hil.app`: imports `main` and calls it."""
 
 import signal
 import sys
 
 
 def run() -> int:
-    """Load the program and run it. While it loads nothing moves: a Ctrl-C that comes then ends the process without a word."""
-    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not: a job that was told to ignore it
+    """Import the program and run it; returns its exit status. During the import a Ctrl-C ends the process without a message."""
+    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # false for a process that ignores it
     if ours:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from hil.app.terminal.main import load_verb, main  # noqa: PLC0415  (seconds of imports)

@@ -1,7 +1,7 @@
-"""Mistakes of the program: one line for a person, the traceback in a file beside the campaigns.
+"""Log of program errors: one line for the operator, the traceback in a file beside the campaigns.
 
-What a `BridgeError` says is enough for whoever stands at the machine. Any other exception is a mistake in the program, and whoever is
-to mend it needs its traceback, also where it came up in a thread that nobody watches.
+The message of a `BridgeError` is enough for the operator. Any other exception is an error in the program; its traceback is needed to
+correct it, also where it is raised in a background thread.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from drivers.errors import BridgeError
 
 ERRORS = "errors.log"
 MOST_BYTES = 256 * 1024
-"""Of the file; a full one becomes `errors.log.1`, and the one before it goes. Some hundred tracebacks fit."""
-_LONGEST = 16 * 1024  # characters of one traceback that are kept, its end
+"""Largest size of the file, some hundred tracebacks. A full one becomes `errors.log.1`, replacing the one before."""
+_LONGEST = 16 * 1024
+"""Characters kept of one traceback, its end."""
 
 
 def one_line(error: BaseException) -> str:
-    """As the command line says it; the kind of an error that says nothing."""
+    """The error's message as one line; its type for an error without a message."""
     return undo.one_line(error) or type(error).__name__
 
 
 class ErrorLog:
-    """The file of one axis, or of whatever has a place for it; any thread."""
+    """The log in one file, for any thread."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -37,7 +38,7 @@ class ErrorLog:
         self._lock = threading.Lock()
 
     def line_of(self, error: BaseException) -> str:
-        """The error in one line. Of a mistake in the program it names the file, to which its traceback has been written."""
+        """The error as one line. The traceback of a program error is written to the file, which the line then names."""
         if isinstance(error, BridgeError):
             return one_line(error)
         text = "".join(traceback.format_exception(error))
@@ -45,13 +46,13 @@ class ErrorLog:
         return self._kept(f"{type(error).__name__}: {one_line(error)}" if said else type(error).__name__, text)
 
     def line_of_process(self, said: str, complained: str) -> str:
-        """The same for another process, by what it wrote on its standard error."""
+        """As `line_of` for another process. said: its message; complained: its standard error."""
         return self._kept(said, complained) if "Traceback" in complained else said
 
     def _kept(self, said: str, text: str) -> str:
         try:
             with self._lock:
-                if text != self._last:  # the same again and again, as from an axis that is connected anew, is kept once
+                if text != self._last:  # a repeated one, as from each attempt to connect, is written once
                     self._write(text)
                     self._last = text
         except OSError as error:
@@ -70,8 +71,8 @@ class ErrorLog:
 
 
 @contextmanager
-def strays_caught(tell: Callable[[BaseException], None]) -> Iterator[None]:
-    """Inside, an exception that ends a thread is told, instead of being printed with its traceback; `SystemExit` ends one in peace."""
+def thread_errors_caught(tell: Callable[[BaseException], None]) -> Iterator[None]:
+    """Inside the block, `tell` is called with an exception that ends a thread, except `SystemExit`; no traceback is printed."""
 
     def caught(args: threading.ExceptHookArgs) -> None:
         if args.exc_value is not None and not isinstance(args.exc_value, SystemExit):

@@ -101,7 +101,7 @@ def calibrate(
         number = len(rounds) + 1
         stored = as_stored(tables, correction)
         compensation = Compensation(stored)
-        compensation.check(session.steering.bound, "correction computed from these runs not used")
+        compensation.check(session.command_state.bound, "correction computed from these runs not used")
         session.compensation = compensation
         records = measure(session, campaign, f"round-{number}", steps, listener, comment=f"tables {stored.digest()}")
         outside = _outside(records, correction.band)

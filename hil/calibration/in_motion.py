@@ -22,9 +22,9 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from hil.figures.latency import DELAY, check_feeds
 from hil.machine.events import Event, Listener, silent
 from hil.machine.measure import BASE_COLUMNS
-from hil.machine.sample_times import Dates, dates_of
+from hil.machine.sample_times import SampleDating, sample_dating
 from hil.machine.session import AxisSession
-from hil.machine.trigger_pairing import EdgeWatch, shared_edges
+from hil.machine.trigger_pairing import LatchReader, pair_triggers
 from hil.records.journal import Campaign
 from hil.records.rows import Floats, Records
 
@@ -117,9 +117,9 @@ def ramped_path(this: FeedPass, acceleration_mm_s2: float, period_s: float) -> F
 class _Trace:
     """The data of one pass: the path in time, the drive's positions, the numbered samples, and latches."""
 
-    times: Dates
+    times: SampleDating
     session: AxisSession
-    edges: EdgeWatch | None
+    edges: LatchReader | None
     reached_ns: list[int] = field(default_factory=list)
     command_mm: list[float] = field(default_factory=list)
     since_reversal_mm: list[float] = field(default_factory=list)
@@ -155,11 +155,11 @@ def measure_in_motion(
     the axis.
     """
     session.drive.require(Capability.STREAMING)
-    edges = None if how.trigger_input is None else EdgeWatch(session, how.trigger_input)
+    edges = None if how.trigger_input is None else LatchReader(session, how.trigger_input)
     beside = sorted(column for column in session.known() if column not in BASE_COLUMNS)
     columns = (*BASE_COLUMNS, *beside, *([] if edges is None else [DELAY]))
     latency_s = how.latency_s or 0.0
-    times = dates_of(session, latency_s)
+    times = sample_dating(session, latency_s)
     with campaign.rows(name, columns) as journal:
         done = _passes_done(journal.records(), passes)
         if not done and (how.dated_by or latency_s):
@@ -243,6 +243,6 @@ def _at_edges(
     if trace.edges is None or not trace.samples or not settled.any():
         return []
     measured = np.array([trace.session.load_position_mm(reading) for _, reading in trace.samples])
-    edges = shared_edges(trace.edges.latched_mm, found_ns[settled], found_mm[settled], trace.samples, measured)
+    edges = pair_triggers(trace.edges.latched_mm, found_ns[settled], found_mm[settled], trace.samples, measured)
     late = [(trace.times.arrived_ns(edge.index, edge.reading) - edge.time_ns) / 1e9 for edge in edges]
     return [(edge.time_ns, (edge.index, edge.reading), {DELAY: s}) for edge, s in zip(edges, late, strict=True)]

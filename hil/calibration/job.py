@@ -7,8 +7,8 @@ from typing import Any
 
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.of_zero import UNSAID, OfZero
 from hil.app.jobs.plan import Plan, Write, measuring_plan
+from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.verify import Verification, verify
@@ -58,13 +58,13 @@ def run_calibration(
     return result
 
 
-def calibration_job(axis: AxisConfig, *, resume: bool = False, zero: OfZero = UNSAID) -> Job:
-    """Job that returns a Calibration. Raises InputError for a zero that is to be new in a resumed campaign."""
+def calibration_job(axis: AxisConfig, *, resume: bool = False, zero: ZeroStatement = NO_STATEMENT) -> Job:
+    """Job that returns a Calibration. Raises InputError for a new zero in a resumed campaign."""
     zero.check(resume=resume)
 
     def work(place: Workplace) -> Calibration:
         machine = place.machine()
-        with zero.told(machine.session):
+        with zero.applied(machine.session):
             return run_calibration(machine, place.opened_store(), place.listener, resume=resume)
 
     return Job(CALIBRATE, zero.in_plan(calibration_plan(axis)), work)
@@ -131,7 +131,7 @@ def run_verification(
 
 
 def verification_job(
-    axis: AxisConfig, *, corrected: bool = True, seed: int = 1, resume: bool = False, zero: OfZero = UNSAID
+    axis: AxisConfig, *, corrected: bool = True, seed: int = 1, resume: bool = False, zero: ZeroStatement = NO_STATEMENT
 ) -> Job:
     """Job that returns a Verified, with the compensation in the axis's store, or without any."""
 
@@ -140,7 +140,7 @@ def verification_job(
         if compensation is not None and (warning := place.opened_store().warning()) is not None:
             place.tell(warning)
         machine = place.machine()
-        with zero.told(machine.session):
+        with zero.applied(machine.session):
             result = run_verification(machine, compensation, place.listener, seed=seed, resume=resume)
         return Verified(compensation, result)
 

@@ -129,7 +129,7 @@ async def _ask_password(view: View) -> None:
     given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes")
     if given is not None:
         token = view.token
-        await view.attempt(lambda: view.aside(lambda: view.desk.read_tables(token, *given)))
+        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.read_tables(token, *given)))
 
 
 def _draw_where(view: View) -> Refresh:

@@ -1,4 +1,4 @@
-"""The bound of a correction: how far, and how steeply, an axis may be corrected at all.
+"""The bound of a correction: its largest value and its largest slope.
 
 A measurement gone wrong (an instrument that froze, a unit mistaken by a factor) makes tables that move the axis by millimetres. Where
 a correction is computed, stored, opened, downloaded or commanded, it is held against this bound and refused beyond it; it is never
@@ -97,7 +97,7 @@ class CorrectionBound:
 
 
 CAREFUL = CorrectionBound()
-"""That of an axis whose file states none."""
+"""The default bound, of an axis whose file states none."""
 
 
 def _sign(direction: float) -> str:

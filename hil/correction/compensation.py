@@ -1,4 +1,4 @@
-"""The compensation engine: from a target and what is known when it is issued, to the command the drive is given.
+"""The compensation engine: computes the command for a target from tables, effects and the state when the set-point is issued.
 
 Pure functions over frozen values: tables, effect terms, the motion so far. command = target + correction, and the correction is that
 of the tables for the direction of arrival minus what the effect terms say the error will be. With a measured rise of the lost motion
@@ -27,7 +27,7 @@ from hil.records.zero import Zero
 Columns = Mapping[str, Floats]
 
 LONG_STROKE_MM = 1e6
-"""Stands for 'long enough to wind everything up' where the stroke before the first reversal is not known."""
+"""Stroke, mm, that winds the drive train up completely; used where the stroke before the first reversal is unknown."""
 
 _BESIDE_MM = (0.0, -SLOPE_OVER_MM / 2, SLOPE_OVER_MM / 2)
 """From a target: where a command's correction is taken, the target first, so that its slope is known."""
@@ -73,6 +73,7 @@ class MotionHistory:
 
     @property
     def stroke_or_long_mm(self) -> float:
+        """The stroke before the last reversal, mm; `LONG_STROKE_MM` where there was none."""
         return LONG_STROKE_MM if self.stroke_mm is None else self.stroke_mm
 
     def moved_to(self, target_mm: float) -> MotionHistory:
@@ -102,7 +103,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Compensation:
-    """What is in force: tables, the effects that the tables lack, and how the lost motion rises after a reversal.
+    """A correction: tables, the effects that the tables lack, and the rise of the lost motion after a reversal.
 
     Without a rise (None) the tables' directions are switched at once. zero: of the axis that it was stored for; None for one made in
     the session that uses it, or by hand.

@@ -1,6 +1,6 @@
-"""Fitted effects that a table can hold: what depends on position and direction alone, put into the tables.
+"""Folding: fitted effects that depend on position and direction alone are put into the tables.
 
-Controllers and drives hold tables and no effects. What may go in: the same correction in another form; nothing about any format.
+Controllers and drives hold tables and no effects.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from hil.correction.tables import DirectionalTable, SingleTable
 from hil.records.rows import Floats
 
 FINE_UM = 0.05
-"""How far a straight line between two nodes may be from the effect: less than a laser resolves at rest on a machine."""
+"""Largest distance of a straight line between two nodes from the effect, µm: less than a laser resolves at rest on a machine."""
 MOST_NODES = 20_000
+"""Largest number of nodes of a table."""
 TRIED = np.sort(np.modf(np.arange(1, 8) * (np.sqrt(5) - 1) / 2)[0])
-"""Where between two nodes the line is compared: at fractions of the golden ratio, which no period hits alike."""
+"""Places between two nodes at which the line is compared: multiples of the golden ratio, so that no period matches them all."""
 
 
 def folded(compensation: Compensation, tolerance_um: float = FINE_UM) -> Compensation:
-    """The same correction, every effect that a table can hold moved into it; over the tables' span, within `tolerance_um`.
+    """The same correction with every effect that a table can hold moved into the tables, within `tolerance_um` over their span.
 
-    Raises InputError for an effect that would need more than MOST_NODES nodes.
+    Raises InputError for an effect that needs more than `MOST_NODES` nodes.
     """
     static = [term for term in compensation.terms if fits_in_a_table(term)]
     if not static:
@@ -43,7 +44,7 @@ def folded(compensation: Compensation, tolerance_um: float = FINE_UM) -> Compens
 
 
 def _nodes(nodes: Floats, terms: list[ErrorTerm], tolerance_um: float) -> Floats:
-    """The nodes, with others between them until straight lines follow the effects in both directions."""
+    """The nodes, with nodes added until straight lines follow the effects in both directions, mm."""
     while len(nodes) > 1:
         left, step = nodes[:-1, None], np.diff(nodes)[:, None]
         between = left + step * TRIED

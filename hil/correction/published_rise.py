@@ -1,7 +1,7 @@
-"""The published form: the correction after a reversal as two tanh terms, to the letter of systems.md section C.
+"""The published form of the correction after a reversal: two tanh terms, as in systems.md section C.
 
-Kept as the reference that `running` is judged by. P counts from the side on which the stroke starts, so it begins anew at each
-reversal, and between strokes that were not full it jumps: no form to run a machine with.
+It is the reference for `running_lost_motion`. P counts from the side on which the stroke starts, so it restarts at each reversal and
+steps between strokes that were not full: it cannot be used to run a machine.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class TwoTanh:
         return self.amount_1_um + self.amount_2_um
 
     def risen_um(self, travel_mm: float) -> float:
-        """What has come back after this much travel since the reversal that ended a full stroke, 0 … `amount_um`."""
+        """Correction reached after this travel, mm, since the reversal that ended a full stroke: 0 … `amount_um`, µm."""
         risen = self.amount_1_um * math.tanh(travel_mm / self.rise_1_mm)
         if travel_mm > self.onset_2_mm:
             risen += self.amount_2_um * math.tanh((travel_mm - self.onset_2_mm) / self.rise_2_mm)
@@ -47,7 +47,7 @@ class TwoTanh:
 
     @property
     def steepest_um_per_mm(self) -> float:
-        """No travel changes `risen_um` by more than this much per mm."""
+        """Upper bound of the slope of `risen_um`, µm/mm."""
         first = self.amount_1_um / self.rise_1_mm
         # tanh is steepest where it begins, so the sum is where one of its terms does
         late = math.exp(-self.onset_2_mm / self.rise_1_mm)

@@ -1,7 +1,7 @@
-"""How lost motion may rise with travel since a reversal: shapes that are fitted, and a shape with its amounts as what runs.
+"""Rise of the lost motion with travel since a reversal: the shapes that are fitted, and `Rise`, a shape with its amounts.
 
-Every shape is a sum of non-negative amounts times functions that grow from 0, at most by one over their length, so that whatever was
-fitted rises, has an end, and has a steepest slope.
+Every shape is a sum of non-negative amounts times functions that grow from 0 to 1 with a slope of at most one over their length. So
+every fitted rise is monotonic, and its end value and steepest slope are finite.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from hil.correction.published_rise import TwoTanh
 Floats = NDArray[np.float64]
 
 FULL_UM = 1e-9
-"""An amount below this is none."""
+"""Amount below which lost motion counts as none, µm."""
 
 
 class Rises(Protocol):
-    """What the running form asks of a shape."""
+    """A rise as the running form uses it."""
 
     @property
     def amount_um(self) -> float:
-        """What has come back in the end."""
+        """The end value, µm."""
 
     def risen_um(self, travel_mm: float) -> float:
         """What has come back after this much travel since the reversal that ended a full stroke, 0 … `amount_um`."""
@@ -96,9 +96,9 @@ DEAD_ZONE = Shape(
 )
 STRAIGHT_PIECES = Shape("straight pieces", _straight_pieces, _straight_pieces_at, knots=16)
 SHAPES = (TWO_TANH, TANH, EXPONENTIAL, DEAD_ZONE)
-"""The smooth ones of the literature, and the dead zone they are there to better."""
+"""The smooth shapes of the literature, and the dead zone as the reference that they must improve on."""
 RUNNABLE = (*SHAPES, STRAIGHT_PIECES)
-"""With straight pieces between sixteen places: for a machine that none of the others is close to."""
+"""With straight pieces between sixteen places, for a machine that no other shape describes."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Rise:
 
     @property
     def amount_um(self) -> float:
-        """The whole lost motion."""
+        """The whole lost motion, µm."""
         return sum(self.amounts_um)
 
     def risen_um(self, travel_mm: float) -> float:
@@ -135,7 +135,7 @@ class Rise:
         return self.shape.at(travel_mm, self.lengths_mm, self.amounts_um)
 
     def along_um(self, travel_mm: Floats) -> Floats:
-        """The same for many travels, shape (n,)."""
+        """`risen_um` for many travels, shape (n,), mm; returns µm, shape (n,)."""
         return np.asarray(self.shape.columns(travel_mm, self.lengths_mm) @ np.array(self.amounts_um), dtype=np.float64)
 
     @property

@@ -1,10 +1,10 @@
-"""The form that runs: the wind-up as a state, carried from set-point to set-point, with no step at any reversal.
+"""The running form of the lost motion: the wind-up as a state from set-point to set-point, without a step at a reversal.
 
 After each reversal the correction follows the rise that was measured after a full stroke, from wherever it stood, in either
 direction. A stroke that passes the place of the reversal before last closes a loop: the loop is forgotten, and the stroke goes on
 along the branch the loop interrupted, which it meets exactly there (Masing's rules for rate-independent hysteresis; Masing 1926).
-So the correction moves between its two ends for any sequence of strokes, and after full ones equals the published form.
-What has to be remembered for that are the places of the reversals alone; the form comes in only where a correction is asked for.
+So the correction moves between its two ends for any sequence of strokes, and after full strokes equals the published form.
+The state consists of the places of the reversals alone; the form is used only to compute a correction.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def wound_um(form: Rises, position_mm: float, direction: int, turns: Turns) -> f
 
 
 def wound_share(form: Rises, position_mm: float, direction: int, turns: Turns) -> float:
-    """The same as a share of the whole, 0 … 1: how much of the way from one direction's correction to the other's has been gone."""
+    """`wound_um` as a share of the whole, 0 … 1: 0 at the correction of the - direction, 1 at that of the + direction."""
     if form.amount_um < FULL_UM:
         return 1.0 if direction > 0 else 0.0
     return min(1.0, max(0.0, wound_um(form, position_mm, direction, turns) / form.amount_um))
@@ -75,7 +75,7 @@ class WindUp:
 
 
 def after_full_stroke(position_mm: float, direction: int) -> WindUp:
-    """Where to start: at a place reached by a long motion in a known direction. Raises InputError for any direction but +1 and -1."""
+    """The state at a place, mm, reached by a long motion in a direction. Raises InputError unless the direction is +1 or -1."""
     return WindUp(position_mm, direction)
 
 

@@ -1,4 +1,4 @@
-"""The sealed store: what is in force on an axis, as a file that a machine can run with and only its builder can change.
+"""The sealed store: an axis's compensation as a file that a machine can use and only its builder can change.
 
 Three entries per axis: `<axis>.tables`, `<axis>.effects` and, where it was measured, `<axis>.lost-motion`. Several axes may share a
 file. Reading needs the builder's public key and the reading password; writing needs the builder's private key.
@@ -39,7 +39,7 @@ class _Bounded(Protocol):
 
 
 class StatesStore(Protocol):
-    """What an axis file says of its store."""
+    """The part of an axis file that concerns its store."""
 
     @property
     def name(self) -> str: ...
@@ -59,11 +59,11 @@ class StatesStore(Protocol):
 
 @dataclass(frozen=True)
 class SealedStore:
-    """Where one axis's compensation is kept.
+    """The store of one axis's compensation.
 
-    password: opens this axis's entries; builder_public: whose signature is believed; builder_key: only where tables are made;
-    bound: of the axis; what exceeds it is neither saved nor loaded; zero_path: of the axis's zero (`hil.records.zero`), which what is
-    stored is bound to
+    password: opens this axis's entries; builder_public: verifies the signature; builder_key: needed for saving
+    bound: of the axis, a correction beyond it is neither saved nor loaded; zero_path: of the axis's zero (`hil.records.zero`), to
+    which the contents are bound
     """
 
     path: Path
@@ -150,7 +150,7 @@ class SealedStore:
         return {**of, "axes": axes}
 
     def _zero(self, data: bytes) -> Zero | None:
-        """What this axis's entries are bound to; None where the file does not say."""
+        """The zero that this axis's entries are bound to; None where the file names none."""
         binding = check(data, self.builder_public).binding
         try:
             form = None if binding is None else binding.of["axes"][self.axis]["zero"]
@@ -161,7 +161,7 @@ class SealedStore:
             raise InputError(f"header does not say what zero axis {self.axis} has") from error
 
     def warning(self) -> str | None:
-        """What there is to say of the file there now, which opens all the same; None for nothing, or no file."""
+        """A warning about the present file, which can be opened nevertheless; None for no warning, or no file."""
         if not self.path.exists():
             return None
         with naming(self.path):
@@ -177,7 +177,7 @@ class SealedStore:
         self.save(Compensation(tables))
 
     def load(self, effects: Sequence[Effect] = ALL) -> Compensation:
-        """What was saved last. Raises the SealedError or InputError that says why it cannot be believed, naming the file, or
+        """The stored compensation. Raises SealedError or InputError, naming the file, where it cannot be opened or verified, and
         CorrectionBoundError where it exceeds the axis's bound."""
         with naming(self.path):
             data = read_bytes(self.path)
@@ -195,7 +195,7 @@ class SealedStore:
 
 
 def compensation_in_force(compensation: Compensation) -> dict[str, Any]:
-    """By what a campaign names it: rows measured with another one do not belong to the same."""
+    """Identity of a compensation in a campaign: rows measured with different ones do not belong together."""
     form: dict[str, Any] = {"tables": compensation.tables.digest(), "effects": _terms(compensation)}
     return form if compensation.rise is None else {**form, "lost_motion": _rise(compensation)}
 

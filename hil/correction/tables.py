@@ -1,7 +1,7 @@
 """Correction tables of one axis, and the arithmetic of system A on them (JP4875672B2).
 
-What may go in: frozen tables and pure functions of tables. Every table holds *corrections* in µm (what is added to the command),
-so pitch correction = A - B in the + direction and A - C in the - direction (A target, B and C mean measured positions).
+Every table holds *corrections* in µm (what is added to the command), so pitch correction = A - B in the + direction and A - C in the
+- direction (A target, B and C mean measured positions).
 Between nodes corrections are linear in position; beyond the ends the end value holds.
 """
 
@@ -130,9 +130,11 @@ class DirectionalTable:
         return np.asarray(np.where(_is_plus(direction), plus, minus), dtype=np.float64)
 
     def plus_table(self) -> SingleTable:
+        """The corrections of the + direction, µm."""
         return SingleTable(self.position_mm, self.plus_um)
 
     def minus_table(self) -> SingleTable:
+        """The corrections of the - direction, µm."""
         return SingleTable(self.position_mm, self.minus_um)
 
     def plus(self, other: DirectionalTable) -> DirectionalTable:
@@ -141,6 +143,7 @@ class DirectionalTable:
         return DirectionalTable(nodes, self.at(nodes, 1) + other.at(nodes, 1), self.at(nodes, -1) + other.at(nodes, -1))
 
     def scaled(self, factor: float) -> DirectionalTable:
+        """All corrections times a factor."""
         return DirectionalTable(self.position_mm, self.plus_um * factor, self.minus_um * factor)
 
 
@@ -239,7 +242,7 @@ class TableSet:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TableSet:
-        """Raises InputError for anything that is not exactly such a form."""
+        """Tables from the form of `to_dict`. Raises InputError for any other."""
         if not isinstance(data, Mapping) or data.get("format") != FORMAT:
             found = data.get("format") if isinstance(data, Mapping) else type(data).__name__
             raise InputError(f"tables have format {found!r}, expected {FORMAT!r}")
@@ -260,7 +263,7 @@ class TableSet:
         return cls(mode=mode, straightness_axis=axis, **part)
 
     def digest(self) -> str:
-        """SHA-256 over the canonical JSON form, hex: the name by which a report says which tables were in force."""
+        """SHA-256 over the canonical JSON form, hex; a report names the tables in force by it."""
         text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -383,10 +386,12 @@ class Band:
 
     @property
     def middle_um(self) -> float:
+        """Middle of the band, µm."""
         return (self.low_um + self.high_um) / 2
 
     @property
     def width_um(self) -> float:
+        """Width of the band, µm."""
         return self.high_um - self.low_um
 
     def holds(self, error_um: ArrayLike) -> NDArray[np.bool_]:
@@ -395,7 +400,10 @@ class Band:
         return np.asarray((error >= self.low_um) & (error <= self.high_um))
 
     def check_repeatability(self, pooled_std_um: float) -> None:
-        """Refuse a band that is narrower than the machine's own repeatability (4 s, ISO 230-2), naming both figures."""
+        """Raises InputError for a band narrower than the machine's own repeatability (4 s, ISO 230-2), naming both figures.
+
+        pooled_std_um: standard deviation of a single run, µm; NaN (one run) raises too.
+        """
         if math.isnan(pooled_std_um):
             raise InputError("a band needs the machine's repeatability, and that at least 2 runs")
         repeatability_um = 4 * pooled_std_um
@@ -448,10 +456,10 @@ def sections_outside(means: SectionMeans, band: Band) -> list[Outside]:
 def revise(
     specified: DirectionalTable, outside: Iterable[Outside], band: Band, *, fine_step_um: float | None = None
 ) -> DirectionalTable:
-    """Revise only the sections outside.
+    """The specified-accuracy table with the sections outside the band revised, µm.
 
-    Without `fine_step_um` by system A's formula with the middle of the band as the wanted deviation; with it, by one such step
-    towards the band.
+    fine_step_um: None, by system A's formula with the middle of the band as the wanted deviation; else by one such step towards the
+    band. Raises InputError for a section that the table lacks.
     """
     values = {1: specified.plus_um.copy(), -1: specified.minus_um.copy()}
     for section in outside:

@@ -1,1 +1,1 @@
-"""Preflight of an axis: is everything there, and are units and speed what the axis file says?"""
+"""Preflight of an axis: drive, limits, instrument, and units and speed against the axis file."""

@@ -37,6 +37,7 @@ Exit status 1: a check failed.
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil doctor`."""
     parser = subparsers.add_parser(
         "doctor",
         description="Is everything there, and are the units what the axis file says? Asked of the drive, proven by small moves.",
@@ -69,7 +70,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: all checks good; 1: not."""
+    """Exit status 0: all checks good; 1: not."""
     axis = load_axis(args.axis)
     if args.probe_order is not None:
         return _probe_order(args, axis)
@@ -96,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _latency(args: argparse.Namespace, machine: Machine) -> Check:
-    """Measured, and held against the axis file where that states one. The rows are kept as a campaign."""
+    """Measure the latency and compare it with the axis file's, where it states one. The rows are kept as a campaign."""
     axis, stated_s = machine.axis, machine.axis.instrument.latency_s
     how = replace(passes_of(args, args.latency, axis.instrument), latency_s=None)
     purpose = {**axis.purpose("latency"), "in_motion": {**vars(how), "feeds_mm_s": list(args.latency)}}
@@ -118,7 +119,7 @@ def _listed(values: Sequence[float]) -> str:
 
 
 def beam_check(beam: Alignment) -> Check:
-    """Whether the beam lies along the axis, by the spots of the axis file."""
+    """Check of the beam's alignment, from the spots of the axis file."""
     detail = f"{beam.angle_mrad:.2f} mrad off the motion, reads {beam.short_ppm:.2f} ppm short, at most {beam.short_at_most_ppm:.2f}"
     if not beam.good:
         detail += f"; spots tell {beam.readable_mrad:.2f} mrad, so it can be aligned better"
@@ -126,7 +127,7 @@ def beam_check(beam: Alignment) -> Check:
 
 
 def _probe_order(args: argparse.Namespace, axis: AxisConfig) -> int:
-    """0: the register map reads the register as the known value; 1: it does not, whatever else may."""
+    """Exit status 0: the register map reads the known value from the register; 1: it does not."""
     name, equals, text = args.probe_order.partition("=")
     try:
         value = float(text)

@@ -1,4 +1,4 @@
-"""What the drive says of its units against what the axis file says, and the mistake that explains a difference.
+"""Comparison of the drive's reported units with the axis file, with the likely mistake behind a difference.
 
 Pure. The wire counts so much per revolution of the driving shaft, and a revolution moves the table so far: two figures, each of which
 the drive may know or not. Neither of the two witnesses is the truth; that is the small move of `hil.doctor.procedure`.
@@ -13,12 +13,12 @@ from fractions import Fraction
 from drivers.scaling import AxisScaling, ReportedScaling
 
 SAME = Fraction(1, 1_000_000)
-"""Relative: figures of two files that mean the same differ by rounding at most."""
+"""Relative tolerance, for rounding."""
 
 
 @dataclass(frozen=True)
 class UnitsVerdict:
-    """agrees: nothing the drive says contradicts the axis file (a drive that says nothing contradicts nothing)."""
+    """Result of the comparison. agrees: no reported unit contradicts the axis file (also where none is reported)."""
 
     agrees: bool
     detail: str
@@ -58,7 +58,7 @@ def _said(reported: ReportedScaling) -> list[str]:
 
 
 def _counts(reported: ReportedScaling, scaling: AxisScaling) -> list[str]:
-    """Mistakes in what is counted per shaft revolution: encoder, gear, or the unit of position."""
+    """Mistakes in the counts per shaft revolution: encoder, gear, or unit of position."""
     encoder, gear, wire = (
         reported.encoder_counts_per_motor_rev,
         reported.motor_revs_per_shaft_rev,
@@ -131,7 +131,7 @@ def _same(one: Fraction, other: Fraction) -> bool:
 
 
 def _figure(value: Fraction) -> str:
-    """A fraction as people write it: whole, decimal where that is short, else over its denominator."""
+    """A fraction as text: whole, a short decimal, else with its denominator."""
     if value.denominator == 1:
         return str(value.numerator)
     short = f"{float(value):.6g}"

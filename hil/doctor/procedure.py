@@ -1,7 +1,7 @@
-"""Preflight: is everything there, and are the units what the axis file says? Asked of the drive, and proven by small moves: the way
-against the instrument, the speed against the clock.
+"""Preflight of an axis: checks of drive, limits, instrument and units, and small moves that prove distance against the instrument and
+speed against the clock.
 
-Each check says what it found in one sentence; the first that fails in a way that makes moving unsafe ends the list.
+Each check has one sentence as its result. The first failure that makes moving unsafe ends the list.
 """
 
 from __future__ import annotations
@@ -20,24 +20,26 @@ from hil.machine.supervisor import SLICE_S
 from hil.records.zero import describe_homing, homing_risk
 
 PROOF_TRAVEL_MM = 2.0
+"""Travel of the proof, mm."""
 CAREFUL_TRAVEL_MM = 0.1
-"""Moved first: units that are wrong by orders of magnitude must not be proven by a motion as much too long."""
+"""Travel of the first move, mm: short, as units may be wrong by orders of magnitude."""
 CAREFUL_TOLERANCE = 0.3
-"""Of the ratio over that travel: cyclic errors of a screw (5 µm) make 0.05 of it, a wrong unit a half at least."""
+"""Tolerance of the ratio over the first move: cyclic errors of a screw (5 µm) make 0.05 of it, a wrong unit at least 0.5."""
 SLOW_SHARE = 0.01
-"""Of the axis's largest velocity, for the first motions: a unit of velocity wrong by a hundred is no faster than that velocity."""
+"""Share of the axis's largest velocity for the first moves, so that a velocity wrong by a factor of 100 does not exceed it."""
 SPEED_S, SPEED_LEAST_S = 2.0, 0.5
-"""How long the speed is judged: so long, but over no more than PROOF_TRAVEL_MM unless that takes a fast axis less than the least."""
+"""Duration of the speed check, s, shortened to PROOF_TRAVEL_MM of travel, but not below the second value."""
 SPEED_SLICE_S = 0.005
+"""Interval between samples in the speed check, s."""
 SPEED_TOLERANCE = 0.1
-"""What times of samples make of a speed is below this; a wrong unit of velocity is off by far more."""
+"""Relative tolerance of the speed: above the error by sample times, far below that of a wrong unit of velocity."""
 RATIO_TOLERANCE = 0.02
-"""A wrong gear or lead is off by far more than this; backlash and pitch error over the proof travel by far less."""
+"""Relative tolerance of the distance: above backlash and pitch error over the proof travel, far below a wrong gear or lead."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One finding of the preflight."""
+    """Result of one check. detail: one sentence."""
 
     name: str
     good: bool
@@ -45,10 +47,11 @@ class Check:
 
 
 def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False) -> list[Check]:
-    """Run the preflight on an entered session. With `move` the axis is enabled and moved by up to `reach_mm`, and back.
+    """Run the preflight on an entered session; returns all checks made. move: the axis is enabled and moved by up to `reach_mm` and
+    back.
 
-    trust_file: what the drive says of its units is told and not held against the axis file, for drives whose factory values mean
-    nothing. Returns all checks made; nothing raises but a lost link. An axis found disabled is disabled again.
+    trust_file: units reported by the drive are shown but do not fail a check, for drives whose factory values are meaningless.
+    Raises for a lost link only. An axis found disabled is disabled again.
     """
     checks = [_drive(session)]
     if checks[-1].good:
@@ -64,7 +67,7 @@ def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False)
 
 
 def reach_mm(limits: DriveLimits) -> float:
-    """How far the axis is moved from where it stands, mm."""
+    """Largest distance of the moves from the present position, mm."""
     return max(2.0 * PROOF_TRAVEL_MM, _speed_travel_mm(limits))
 
 
@@ -100,7 +103,7 @@ def _scaling(session: AxisSession, trust_file: bool) -> Check:
 
 
 def _zero(session: AxisSession) -> list[Check]:
-    """What the zero rests on; a method that depends on where the axis stands is a risk, though a fresh axis may begin with it."""
+    """Source of the zero. A homing method that depends on the present position is a risk, but not a failure."""
     if not session.how.home:
         return [
             Check("zero", True, "the axis is not homed ([measurement] home): its drive has to keep its zero by itself")
@@ -115,7 +118,7 @@ def _zero(session: AxisSession) -> list[Check]:
 
 
 def _own_table(session: AxisSession) -> list[Check]:
-    """Whether the drive corrects the axis itself; nothing where it has no table."""
+    """Whether the drive corrects the axis by its own table; empty where it has none."""
     table = session.drive.correction_table
     if table is None:
         return []

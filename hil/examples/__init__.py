@@ -1,1 +1,1 @@
-"""Scripts to start from, one per system. Each runs as it stands: `python -m hil.examples.commission AXIS.toml`."""
+"""Example scripts, one per system; each can be run: `python -m hil.examples.commission AXIS.toml`."""

@@ -1,4 +1,4 @@
-"""Commission an axis: python -m hil.examples.commission AXIS.toml, passwords in HIL_PASSWORD and HIL_KEY_PASSWORD."""
+"""Commissioning of an axis: python -m hil.examples.commission AXIS.toml, passwords in HIL_PASSWORD and HIL_KEY_PASSWORD."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""An effect of one's own in one file: the bed bends under the coolant in its tank, which records hold as `coolant_level_mm`.
+"""A user's own effect in one file: the bed bends under the coolant in its tank; its level is the column `coolant_level_mm`.
 
   hil diagnose records.csv --effects coolant_level.py --out model.json
   hil apply --model model.json --effects coolant_level.py other.csv --out corrected.csv

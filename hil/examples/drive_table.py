@@ -1,4 +1,4 @@
-"""The stored tables into the drive's own: written, read back, proven by the instrument, and left in force only if proven.
+"""Writes the stored tables into the drive's own table, reads them back, and leaves them in force only if the instrument proves them.
 
 python -m hil.examples.drive_table AXIS.toml, with the reading password in HIL_PASSWORD; the axis file names the map of the drive's
 table. The zero that it was made in is noted beside the campaigns: `hil params table prove` refuses the drive's table in another one.

@@ -1,4 +1,4 @@
-"""What is lost after a reversal: measured, put into force and proven, as `hil lost-motion` does it.
+"""Lost motion after a reversal: measured, put into force and proven, as by `hil lost-motion`.
 
 python -m hil.examples.lost_motion AXIS.toml, with the passwords in HIL_PASSWORD and HIL_KEY_PASSWORD.
 """

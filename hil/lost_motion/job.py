@@ -13,8 +13,8 @@ from typing import Any
 from drivers.errors import StateError
 from hil.app.jobs.identity import drive_in_words
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.of_zero import UNSAID, OfZero
 from hil.app.jobs.plan import Move, Plan, Write
+from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
@@ -99,7 +99,7 @@ def run_lost_motion(
 
 
 def measuring_job(
-    axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, resume: bool = False, zero: OfZero = UNSAID
+    axis: AxisConfig, how: LostMotionConfig, *, seed: int = 1, resume: bool = False, zero: ZeroStatement = NO_STATEMENT
 ) -> Job:
     """For the desk: returns a MeasuredLostMotion, beside what is stored as far as its password was given."""
 
@@ -108,7 +108,7 @@ def measuring_job(
         if present is None and axis.tables_path.exists():
             place.tell(SEALED)
         machine = place.machine()
-        with zero.told(machine.session):
+        with zero.applied(machine.session):
             return run_lost_motion(
                 machine, how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
             )

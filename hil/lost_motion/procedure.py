@@ -257,7 +257,7 @@ def measure_lost_motion(
             )
         limits = session.drive.limits
         extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))
-        extended.check(session.steering.bound, "correction by the lost motion measured not used")
+        extended.check(session.command_state.bound, "correction by the lost motion measured not used")
         steps = proof_steps(how, seed)
         proofs = []
         for name, in_force in (("before", present), ("after", extended)):

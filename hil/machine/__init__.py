@@ -1,5 +1,10 @@
-"""The machine while anything of it may move: its axes watched together, its motions, and how it is left.
+"""The session at a machine: axes that are moved, watched and stopped together, and the rows that are measured on them.
 
-`supervisor` moves and stops; `watched_axis` is one look at an axis; `agreement` and `overspeed` judge what is seen; `time_out` says
-why a motion is not over. Nothing here knows a concrete drive, an axis file or what is measured.
+supervisor     moves the axes, watches them, stops them     watched_axis     one look at a drive and its instrument
+agreement      instrument against motor                     overspeed        motor speed against commanded speed
+position_check motor position against travel and rest       time_out         likely reason of a motion that times out
+session        drive, instrument and correction together    set_points       command for a target
+measure        a pass of steps                              dwell            averaging at a target
+signal_loss    resume after a lost beam                     signals          SIGINT, SIGTERM, SIGHUP
+wiring         axis file -> session (one axis)              axes_wiring      the same for several axes
 """

@@ -1,7 +1,7 @@
-"""Agreement: whether the instrument sees the travel that the motor makes.
+"""Agreement check: the instrument's travel against the motor's. Does no I/O.
 
-Pure: positions of the motor and readings go in, what is wrong comes out as a sentence. Neither zero means anything here. What is
-compared is how far `reading - motor` has wandered since `forget`: by no more than the machine's errors, whatever the status says.
+The zeros of the two do not matter. The range of `reading - motor` since `forget` must not exceed the errors of a machine, whatever
+status the instrument reports. Each check returns what is wrong as a sentence.
 """
 
 from __future__ import annotations
@@ -16,24 +16,26 @@ from drivers.instrument import Reading
 from hil.axis.agreement import DATED_WITHIN_S, AgreementLimits
 
 SHARE_OF_TRAVEL = 1e-3
-"""Of the travel, which the two may differ by besides: rolled ball screws of class C10 (JIS B 1192) are allowed 210 µm in 300 mm, and
-25 K of steel at 11.7 µm/(m·K) come on top."""
+"""Allowed difference per travel, besides the limits of the axis file: class C10 of JIS B 1192 allows rolled ball screws 210 µm in
+300 mm, and 25 K of steel at 11.7 µm/(m·K) are added."""
 FASTER_SHARE = 0.2
-"""By which a speed may exceed the one asked for: more overshoot than a velocity loop is left with by any tuning rule in use."""
+"""Share by which a speed may exceed the commanded one: more than the overshoot of a tuned velocity loop."""
 RATE_OVER_S = 1.0
-"""Readings are compared with those of up to so long before to judge how fast the instrument sees the load move."""
+"""Longest time between two readings that are compared for their rate, s."""
 STANDS_MM = 0.01
-"""Of the motor: one that stayed within this stands. A position loop trembles by a count or two, which are µm."""
+"""Range of motor positions within which the motor counts as standing, mm: a position loop oscillates by one or two counts, which are
+µm."""
 APART = 3
-"""So many readings of a motor that stands, one after the other, are a jump. Fewer are outliers, which an average leaves out."""
+"""Consecutive deviating readings at rest that count as a jump. Fewer are outliers, which an average leaves out."""
 _KEEP_S = 10.0
+"""Time for which motor positions are kept, s."""
 _STANDS_SHARE = 0.1
-"""A travel of less than this share of the other one is told as standing still."""
+"""Share of the motor's travel below which the instrument is reported as standing still."""
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """A reading, and the positions of the motor, mm, between which it was taken. bound_mm: the bound of reading − motor kept by it."""
+    """A reading and the motor positions, mm, between which it was taken. bound_mm: the bound of reading - motor that it gives."""
 
     reading_mm: float
     low_mm: float
@@ -47,18 +49,18 @@ class _Pair:
 
 @dataclass
 class _Rest:
-    """A reading of a motor that stood, and between which positions the motor has been since, mm."""
+    """A reading at rest, and the range of motor positions since, mm."""
 
     time_ns: int
     reading_mm: float
     motor_mm: float
     low_mm: float
     high_mm: float
-    apart: int = 0  # readings at rest, the latest, that disagree with it
+    apart: int = 0  # consecutive latest readings at rest that deviate from it
 
 
 class Agreement:
-    """Of one axis. fastest_mm_s: the axis file's largest velocity."""
+    """Agreement check of one axis. fastest_mm_s: the axis file's largest velocity."""
 
     def __init__(self, limits: AgreementLimits, fastest_mm_s: float) -> None:
         self.limits = limits
@@ -72,7 +74,7 @@ class Agreement:
         self._rest: _Rest | None = None
 
     def forget(self) -> None:
-        """Either zero is a new one from now on: travel counts from the next reading."""
+        """Compare travel from the next reading on: call when either zero changes."""
         self._times_ns.clear()
         self._places_mm.clear()
         self._recent.clear()
@@ -80,11 +82,11 @@ class Agreement:
         self.forget_rest()
 
     def forget_rest(self) -> None:
-        """Somebody may reach into the machine: what was read at rest says nothing of what is read at the next."""
+        """Drop the last rest: call while the axis is without power, when a person may move something in the machine."""
         self._rest = None
 
     def motor_at(self, time_ns: int, position_mm: float) -> None:
-        """Where the motor was; what is not later than the position before it is not used."""
+        """Take a motor position, mm. One that is not later than the position before it is not used."""
         if self._times_ns and time_ns <= self._times_ns[-1]:
             return
         self._times_ns.append(time_ns)
@@ -94,7 +96,10 @@ class Agreement:
             del self._times_ns[:old], self._places_mm[:old]
 
     def rate(self, reading: Reading, speed_mm_s: float) -> str | None:
-        """What is wrong with how fast the readings change. speed_mm_s: asked of the axis, 0.0: of no motion whose speed is known."""
+        """What is wrong with the rate of the readings, None when nothing is. speed_mm_s: commanded, 0.0: not known.
+
+        Raises ValueError for a reading without a position.
+        """
         position_mm = _position(reading)
         while self._recent and reading.time_ns - self._recent[0].time_ns > RATE_OVER_S * NS_PER_S:
             self._recent.popleft()
@@ -106,15 +111,15 @@ class Agreement:
             if abs(change_mm) > allowed_mm_s * seconds + self.limits.slack_mm:
                 wrong = (
                     f"its reading changed by {change_mm:.3f} mm within {seconds:.2f} s, the axis moves at"
-                    f" {allowed_mm_s:g} mm/s at most: a jump, or the load is faster than its drive was told"
+                    f" {allowed_mm_s:g} mm/s at most: a jump, or the load moves faster than commanded"
                 )
         self._recent.append(reading)
         return wrong
 
     def compare(self, reading: Reading, speed_mm_s: float) -> str | None:
-        """What is wrong between this reading and the motor; None too where the motor's position at its time is not known.
+        """What is wrong between this reading and the motor; None when nothing is, or the motor's position at its time is not known.
 
-        speed_mm_s: asked of the axis at present, 0.0: it is at rest.
+        speed_mm_s: commanded at present, 0.0 at rest. Raises ValueError for a reading without a position.
         """
         span = self._motor_between(reading, speed_mm_s)
         if span is None:
@@ -140,9 +145,9 @@ class Agreement:
         return self._told(most, self._least if self._most is most else self._most, allowed_mm)
 
     def _at_rest(self, reading: Reading, low_mm: float, high_mm: float) -> str | None:
-        """What is wrong between readings of a motor that stands: where it is, is known then whatever the moments are known to.
+        """What is wrong between readings at rest, where the motor's position does not depend on the time of the sample.
 
-        On its way between two rests the load may lose up to a reversal, and the travel's share.
+        From one rest to the next the load may lose up to a reversal, and the share of the travel.
         """
         rest, position_mm = self._rest, _position(reading)
         if rest is not None:
@@ -185,12 +190,13 @@ class Agreement:
         beyond_ns = max(0, to_ns - times[-1])
         late_ns = times[-1] - times[-2] if len(times) > 1 else 0
         if beyond_ns and late_ns > 2 * DATED_WITHIN_S * NS_PER_S:
-            beyond_ns += late_ns  # the host was held up: the last position may be as old as its look before
+            beyond_ns += late_ns  # the host was delayed: the last position may be as old as the interval before it
         beyond_mm = beyond_ns / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
         return min(places) - beyond_mm, max(places) + beyond_mm
 
     def _told(self, now: _Pair, before: _Pair, allowed_mm: float) -> str:
-        """What it looks like: by the steps of the last second, by the motor's latest travel, and else by all that was seen."""
+        """The deviation as a sentence: by the steps of the last second, else by the motor's latest travel, else by the whole
+        travel."""
         seen_mm, motor_mm = now.reading_mm - before.reading_mm, now.motor_mm - before.motor_mm
         figures = (
             f"it saw {seen_mm:.3f} mm while the motor travelled {motor_mm:.3f} mm,"
@@ -212,7 +218,7 @@ class Agreement:
         return f"does not follow the motor: {figures} ([instrument] instrument_agrees_within_um, [axis] largest_reversal_um)"
 
     def _motor_mm(self, reading: Reading) -> float:
-        """About where the motor was when a reading was taken."""
+        """The motor's approximate position when a reading was taken, mm."""
         middle_ns = (reading.earliest_ns + reading.time_ns - round(sum(self.limits.lags_s) * NS_PER_S)) // 2
         at = bisect_right(self._times_ns, middle_ns)
         if at in (0, len(self._times_ns)):

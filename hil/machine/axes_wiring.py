@@ -1,6 +1,7 @@
-"""Several axes of one machine, each with its own axis file, connected side by side: on the bench one clock, and one bus or line.
+"""Connecting several axes of one machine, each with its own axis file. They share a clock and, where they have the same, a bus or
+line.
 
-What one axis needs is `hil.machine.wiring`'s; this adds what they share.
+What concerns a single axis is in `hil.machine.wiring`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig
-from hil.machine.axis_place import held_axis
+from hil.machine.axis_lock import held_axis
 from hil.machine.bench_conditions import BenchConditions
-from hil.machine.instruments import instrument, with_instrument
+from hil.machine.instruments import build_instrument, with_instrument
 from hil.machine.signals import ending_by_signals
 from hil.machine.wiring import (
     Links,
@@ -41,7 +42,7 @@ from sim_backends.clock import SimClock
 def connected_axes(
     axes: Sequence[AxisConfig], benches: Sequence[BenchParameters] | None = None, waiting: Waiting | None = None
 ) -> Iterator[tuple[Machine, ...]]:
-    """Connect the axes; each session looks after the others too, and an error stops them all. On leaving all are let go.
+    """Connect the axes. Each session watches the other axes too, and an error stops all of them. On leaving all are disconnected.
 
     benches: the simulated machines, one for each axis, instead of those that the axis files name. waiting: as for `connected`.
     Raises InputError for two axes of one name or file, or where some are on the bench and some are not, and as `connected`.
@@ -68,10 +69,10 @@ def connected_axes(
 def _on_hardware(axes: Sequence[AxisConfig], stack: ExitStack, waiting: Waiting | None) -> tuple[Machine, ...]:
     clock, links = WallClock(waiting), Links()
     drives = [hardware_drive(axis, clock, stack, links) for axis in axes]
-    instruments = [instrument(axis.instrument, axis.instrument.port, clock) for axis in axes]
+    instruments = [build_instrument(axis.instrument, axis.instrument.port, clock) for axis in axes]
     return tuple(
-        Machine(axis, session_of(axis, drive, looking, None))
-        for axis, drive, looking in zip(axes, drives, instruments, strict=True)
+        Machine(axis, session_of(axis, drive, instrument, None))
+        for axis, drive, instrument in zip(axes, drives, instruments, strict=True)
     )
 
 
@@ -90,7 +91,7 @@ def _on_bench(
             session_of(
                 axis,
                 drive,
-                instrument(axis.instrument, bench.laser_path, clock),
+                build_instrument(axis.instrument, bench.laser_path, clock),
                 BenchConditions(bench.plant, axis.conditions.levels),
             ),
             bench,
@@ -102,7 +103,7 @@ def _on_bench(
 def _bench_drives(
     axes: Sequence[AxisConfig], benches: Sequence[Bench], clock: SimClock, stack: ExitStack
 ) -> list[ServoDrive]:
-    """The servos behind the wire that the axis files ask for: nodes 1, 2 … of one bus, units 1, 2 … of one line."""
+    """Drives for the simulated servos on the wire that the axis files name: nodes 1, 2 … of one bus, units 1, 2 … of one line."""
     pairs = list(zip(axes, benches, strict=True))
     face = axes[0].drive.face
     if face == "virtual":

@@ -1,4 +1,4 @@
-"""What surrounds the axis of the bench: its load, its other axis, and a level on its table, as `Conditions`."""
+"""Conditions of the simulated axis: load, position of the other axis, and the angles of a level on the table."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from sim_backends.plant.axis import FeedAxis
 
 
 class BenchConditions:
-    """Sets and reads the simulated axis's surroundings; levels are those of the axis file."""
+    """`Conditions` of the simulated axis. levels: of the axis file, load_kg in kg and pos_y_mm in mm.
+
+    Raises CapabilityError for a condition that the bench cannot vary.
+    """
 
     by_hand = False
 
@@ -24,9 +27,11 @@ class BenchConditions:
 
     @property
     def levels(self) -> Mapping[str, Sequence[float]]:
+        """Column name -> levels of the axis file."""
         return self._levels
 
     def set(self, name: str, value: float) -> None:
+        """Set load_kg or pos_y_mm at once. Raises CapabilityError for any other name."""
         if name == "load_kg":
             self._axis.load_kg = value
         elif name == "pos_y_mm":
@@ -35,7 +40,7 @@ class BenchConditions:
             raise CapabilityError(f"the bench cannot set {name}")
 
     def read(self) -> Mapping[str, float]:
-        """Load and cross position where they are varied, and the level's angles."""
+        """load_kg and pos_y_mm where the axis file varies them; pitch_urad and yaw_urad of the level, µrad."""
         now = {"load_kg": self._axis.load_kg, "pos_y_mm": self._axis.other_axis_mm}
         return {
             **{name: now[name] for name in self._levels},

@@ -1,4 +1,4 @@
-"""`hil scan`: who is on a CAN bus or a Modbus line. Reads only, needs no axis file, moves and writes nothing."""
+"""`hil scan`: lists the nodes of a CAN bus or the units of a Modbus line. Reads only; needs no axis file."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from hil.machine.events import Event
 EXAMPLE = """\
 example:
   hil scan --channel can0                            every CANopen node: identity, state
-  hil scan --channel can0 --listen 2                 send nothing, list who is heard: where another master is at work
+  hil scan --channel can0 --listen 2                 send nothing, list the nodes heard: for a bus that has another master
   hil scan --interface slcan --channel /dev/ttyACM0
   hil scan --tcp 192.168.0.20                        Modbus units 1 to 16
   hil scan --serial "/dev/ttyUSB0?parity=N" --baud 9600 --units 1-31,100 --map vendor_style
 
-Nothing is written to any device. Exit status 1: nobody was found.
+Nothing is written to any device. Exit status 1: no device was found.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil scan`."""
     parser = subparsers.add_parser(
         "scan",
-        description="List the CANopen nodes of a CAN bus, or the units of a Modbus line, with what they say of themselves.",
+        description="List the CANopen nodes of a CAN bus, or the units of a Modbus line, with their identity and state.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -57,12 +58,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: somebody was found; 1: nobody."""
+    """Exit status 0: a device was found; 1: none. Raises InputError for an option out of range."""
     if args.timeout is not None and not 0.001 <= args.timeout <= 60.0:
         raise InputError(f"--timeout is {args.timeout:g}, expected 0.001 to 60 s")
     found: Sequence[Any] = _canopen(args) if args.channel else _modbus(args)
     if not found:
-        print("nobody answers")
+        print("no device answers")
     if args.json:
         kind = "nodes" if args.channel else "units"
         write_json(args.json, {kind: [_plain(vars(each)) for each in found]})

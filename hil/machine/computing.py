@@ -1,7 +1,7 @@
-"""What takes seconds to compute in the middle of a procedure: at once, or aside while the axis goes on being watched.
+"""Long computations within a procedure: in the axis's thread (`at_once`), or in a second thread while the axis is watched (`watched`).
 
-Computed at once, time stands still for a simulated axis, and the same rows give the same figures whatever the host is busy with.
-Watched, nobody at a real axis waits: the drive is looked at, and a stop is carried out in the middle of it.
+At once, a simulated clock does not advance, so that the same rows give the same figures at any load of the host.
+Watched, the drive of a real axis is sampled during the computation, and a stop is carried out during it.
 """
 
 from __future__ import annotations
@@ -17,19 +17,20 @@ Result = TypeVar("Result")
 
 
 class Computing(Protocol):
-    """How a procedure has something computed."""
+    """A way to run a long computation."""
 
     def __call__(self, session: AxisSession, work: Callable[[], Result], /) -> Result:
-        """The result of `work`; raises what it raises, and what watching the axis raises."""
+        """Returns the result of `work`. Raises what `work` raises, and what watching the axis raises."""
 
 
 def at_once(_session: AxisSession, work: Callable[[], Result], /) -> Result:
-    """In the axis's own thread."""
+    """Run in the axis's own thread. Raises what `work` raises."""
     return work()
 
 
 def watched(session: AxisSession, work: Callable[[], Result], /) -> Result:
-    """In a thread of its own. When watching raises, what is being computed is left to end by itself and forgotten."""
+    """Run in a second thread, watching the axis meanwhile. Raises what `work` raises, and what watching raises; in the second case the
+    computation ends by itself and its result is dropped."""
     pool = ThreadPoolExecutor(1, "computing")
     try:
         computed = pool.submit(work)

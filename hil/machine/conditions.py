@@ -1,7 +1,7 @@
-"""What surrounds an axis and decides its error too: load, other axes' positions, a level on the table.
+"""Conditions of a measurement that the axis itself does not set: load, positions of other axes, angles of a level on the table.
 
-A procedure may ask for another load or another cross position; who fulfils it - a person, another axis, the bench - is behind this
-abstraction. What is there to be read is part of every row.
+A procedure sets a condition; an implementation of `Conditions` fulfils it by a person, by another axis or by the bench. The present
+values are columns of every row.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import Protocol
 from drivers.errors import CapabilityError
 
 SET_UP = frozenset({"abbe_offset_mm", "setup"})
-"""Changes of the instrument's optics that a person can be asked for at any time; afterwards its zero is another one."""
+"""Changes of the instrument's optics, made by a person. Each gives the instrument another zero."""
 
 
 class Conditions(Protocol):
-    """Columns beside the axis's own: which can be set to which levels, and what they read now.
+    """Record columns besides the axis's own: the levels each can be set to, and the present values.
 
-    by_hand: somebody reaches into the machine for it, so that it has to be without power meanwhile
+    by_hand: a person changes them inside the machine, so that the axis is without power meanwhile.
     """
 
     by_hand: bool
@@ -28,32 +28,38 @@ class Conditions(Protocol):
         """Column name -> levels it may be set to, such as {"load_kg": (0, 60, 120)}; empty where nothing can be varied."""
 
     def set(self, name: str, value: float) -> None:
-        """Make a condition so; returns once it is. Raises CapabilityError for a column without levels."""
+        """Bring a condition to a value, in the unit of its column; returns once it is there.
+
+        Raises CapabilityError for a column that cannot be set.
+        """
 
     def read(self) -> Mapping[str, float]:
-        """Columns of this moment, set or measured."""
+        """Column name -> present value, set or measured."""
 
 
 class NoConditions:
-    """Nothing known and nothing to vary."""
+    """No condition can be set or read."""
 
     by_hand = False
 
     @property
     def levels(self) -> Mapping[str, Sequence[float]]:
+        """Empty."""
         return {}
 
     def set(self, name: str, value: float) -> None:
+        """Raises CapabilityError."""
         raise CapabilityError(f"condition {name} cannot be set to {value:g} here")
 
     def read(self) -> Mapping[str, float]:
+        """Empty."""
         return {}
 
 
 class AskedConditions:
-    """Conditions that a person brings about: `ask(name, value)` returns once it is done.
+    """Conditions that a person sets on request.
 
-    levels: those of the axis file; a change of the set-up (`SET_UP`) can be asked for beside them
+    levels: of the axis file; besides these, columns of `SET_UP` can be set. ask(name, value): returns once the person has done it.
     """
 
     by_hand = True
@@ -65,9 +71,12 @@ class AskedConditions:
 
     @property
     def levels(self) -> Mapping[str, Sequence[float]]:
+        """Column name -> levels of the axis file."""
         return self._levels
 
     def set(self, name: str, value: float) -> None:
+        """Ask for a value unless it was the last one set. Raises CapabilityError for a column without levels that is not in
+        `SET_UP`."""
         if name not in self._levels and name not in SET_UP:
             raise CapabilityError(f"condition {name} is not in the axis file's [conditions]")
         if self._now.get(name) != value:
@@ -75,4 +84,5 @@ class AskedConditions:
             self._now[name] = value
 
     def read(self) -> Mapping[str, float]:
+        """The values set so far."""
         return dict(self._now)

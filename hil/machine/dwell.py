@@ -1,7 +1,7 @@
-"""Reading at a target: what the instrument says of an axis that arrived, stood for its dwell and, where asked for, came to rest.
+"""Reading at a target: the axis dwells and, where the axis file asks for it, settles; then the instrument's readings are averaged.
 
-The rules for outliers, averages and rest are `hil.figures.reading`'s; here is what is watched meanwhile, and what is too old to
-be used.
+The rules for outliers, averages and settling are in `hil.figures.reading`. The axis is watched meanwhile; readings from before its
+arrival are not used.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from hil.machine.supervisor import Supervisor
 from hil.records.rows import Floats
 
 SETTLE_WITHIN_S = 10.0
-"""How long the load may take to come to rest where the axis file asks for it without a time of its own."""
+"""Time limit for settling, s, where the axis file gives settle_um without settle_within_s."""
 
 
 def average_at_rest(supervisor: Supervisor, how: MeasurementConfig) -> Average:
-    """Of the first axis, in the instrument's own frame. The axis is stopped whatever goes wrong.
+    """Average of the first axis's readings, mm, in the instrument's own frame. Any error stops the axis.
 
-    Raises MeasurementLostError without readings or of an unsteady signal, MotionTimeoutError for a load that does not come to rest,
-    and what watching raises.
+    Raises MeasurementLostError when no reading comes or the readings differ too much, MotionTimeoutError when the load does not
+    settle, and what `Supervisor.watch` raises.
     """
     arrived_ns = supervisor.clock.now_ns()
     supervisor.watch(how.dwell_s)
@@ -49,7 +49,7 @@ def average_at_rest(supervisor: Supervisor, how: MeasurementConfig) -> Average:
 
 def _fresh(supervisor: Supervisor, reading_s: float, arrived_ns: int) -> list[Reading]:
     """Readings over the reading time, none of them from before the axis arrived."""
-    for _ in range(2):  # without a dwell the first look may bring nothing but what waited on the line
+    for _ in range(2):  # without a dwell the first look may return only readings that were in the receive buffer
         readings = [r for r in supervisor.watch(reading_s) if r.earliest_ns >= arrived_ns]
         if readings:
             return readings
@@ -59,7 +59,7 @@ def _fresh(supervisor: Supervisor, reading_s: float, arrived_ns: int) -> list[Re
 def _averaged(supervisor: Supervisor, readings: Sequence[Reading]) -> Average:
     axis, positions_mm = supervisor.axes[0], _positions(readings)
     kept_mm = positions_mm[~outliers(positions_mm)]
-    if float(np.ptp(kept_mm)) > axis.steady_mm:  # of few readings none is left out
+    if float(np.ptp(kept_mm)) > axis.steady_mm:  # the outlier rule needs several readings: of a few it leaves out none
         raise MeasurementLostError(
             f"instrument {axis.instrument_name}: readings of one position differ by {float(np.ptp(kept_mm)):.3f} mm, expected at most"
             f" {axis.steady_mm:g} mm while the axis stands ([instrument] instrument_agrees_within_um)"

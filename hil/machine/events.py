@@ -1,4 +1,4 @@
-"""One stream of events from every procedure; a terminal, a screen or a test listens."""
+"""Events of a procedure, as a terminal, a screen or a test receives them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Point:
-    """One point of the measurement's graph. series: the curve it belongs to; x, y: as the procedure states them"""
+    """One point of the measurement's graph. series: name of the curve; x, y: in the units that the procedure states."""
 
     series: str
     x: float
@@ -17,7 +17,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Measured:
-    """A figure that stands from now on, such as the lost motion of one reversal. None: it could not be had"""
+    """A result, such as the lost motion of one reversal. value: in `unit`, None where it could not be determined."""
 
     name: str
     value: float | None
@@ -26,10 +26,10 @@ class Measured:
 
 @dataclass(frozen=True)
 class Event:
-    """Something a person watching would want to know.
+    """Progress, a message or a result.
 
-    stage: the step now running, such as "measure" or "verify, round 2"; done and total count its points (0 of 0: not countable)
-    found: what has just been measured; warning: the message is one that nobody may miss
+    stage: the running step, such as "measure" or "verify, round 2"; done, total: its points (0 of 0: not countable)
+    found: the point or result just measured; warning: the message is a warning
     """
 
     stage: str
@@ -44,4 +44,4 @@ Listener = Callable[[Event], None]
 
 
 def silent(_event: Event) -> None:
-    """A listener that does not listen."""
+    """A listener that drops the event."""

@@ -1,4 +1,4 @@
-"""From the [instrument] section of an axis file to the instrument: the one place that knows the concrete ones."""
+"""Builds the instrument of an axis file's [instrument] section. No other module names concrete instruments."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from sim_backends.bench import BenchParameters
 from sim_backends.gauge import GaugeParameters
 
 PULSES_HZ = 10.0
-"""Of the bench's pulse generator on the external input of a display."""
+"""Rate of the bench's pulse generator on the external input of a display, Hz."""
 
 
-def instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
-    """The instrument, not opened. port: the config's, or where the bench's is. A port that goes away is looked for again.
+def build_instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
+    """The instrument, not opened. port: of the axis file, or of the bench. The link opens a port again that disappears.
 
-    Raises InputError for a recording that is none, or a pattern.
+    Raises InputError for a file that is no recording, or for a wrong pattern.
     """
     if config.replay is not None:
         settings = ReplaySettings(config.replay.column, config.direction, config.replay.speed)
@@ -75,7 +75,8 @@ def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
 
 
 def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> BenchParameters:
-    """The bench with the instrument that its axis file asks for. Raises InputError for one that it has no counterpart of."""
+    """The bench's parameters with the instrument of the axis file. Raises InputError for an instrument that the bench cannot
+    simulate."""
     if config.trigger_input is not None:
         parameters = replace(parameters, trigger_input=config.trigger_input)
     display = config.display

@@ -1,7 +1,6 @@
-"""Measuring a pass: a list of steps, each approached from its direction, each row on disk before the next motion.
+"""Measuring a pass: a list of steps, each approached from its direction. Each row is on disk before the next motion.
 
-A pass that was interrupted is taken up at its first missing row. The order of steps is part of the plan, so that rows already there
-and rows still to come belong together.
+An interrupted pass is resumed at its first missing row; its rows must be the first rows of the same plan, in the same order.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command
 from hil.figures.reading import RULE
 from hil.machine.events import Event, Listener, Point, silent
-from hil.machine.pause import resuming
 from hil.machine.session import AxisSession, PositionReading
+from hil.machine.signal_loss import retry_after_signal_loss
 from hil.records.journal import Campaign, RowJournal
 from hil.records.rows import UM_PER_MM, Records
 
@@ -40,11 +39,12 @@ BASE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Step:
-    """One capture: arrive at a target in a direction.
+    """One capture: arrive at a target in a direction, and read.
 
-    overrun_mm: how far beyond the target the axis turns before it, 0: it comes straight from where it stands; feed_mm_s: how fast it
-    comes; None is the session's
-    dwell_s: standing still before the session's own dwell
+    run: number of the run, from 1; direction: +1 or -1
+    overrun_mm: distance beyond the target at which the axis reverses before it, 0: it moves straight from its present position
+    feed_mm_s: velocity of the approach; None for either means the session's value
+    dwell_s: standstill before the session's own dwell
     """
 
     run: int
@@ -56,7 +56,7 @@ class Step:
 
 
 def bidirectional_steps(targets_mm: Sequence[float], runs: int) -> list[Step]:
-    """ISO 230-2: every run goes up through all targets and down again."""
+    """Steps of the standard test cycle of ISO 230-2: every run goes up through all targets and down again. targets_mm: shape (m,)."""
     up = sorted(targets_mm)
     steps: list[Step] = []
     for run in range(1, runs + 1):
@@ -66,7 +66,7 @@ def bidirectional_steps(targets_mm: Sequence[float], runs: int) -> list[Step]:
 
 
 def steps_for_sections(wanted: Iterable[tuple[float, int]], runs: int) -> list[Step]:
-    """Only some sections, each in one direction: (target_mm, direction) pairs, repeated `runs` times."""
+    """Steps for some sections, each in one direction. wanted: (target_mm, direction) pairs, measured `runs` times."""
     pairs = set(wanted)
     up = sorted(target for target, direction in pairs if direction > 0)
     down = sorted((target for target, direction in pairs if direction < 0), reverse=True)
@@ -86,10 +86,11 @@ def measure(
     *,
     comment: str = "",
 ) -> Records:
-    """Measure a pass, or what is missing of it, with the compensation now in force in the session.
+    """Measure a pass, or the missing rows of it, with the session's present compensation; returns all its rows.
 
-    Returns all its rows. The axis comes from beyond a target by the overrun wherever the direction changes, so that each target is
-    reached in its direction after at least that travel.
+    Where the direction changes, the axis approaches from beyond the target by the overrun, so that each target is reached in its
+    direction after at least that travel. Raises InputError where the rows on disk are not of this plan, ValueError for a pass without
+    steps, and what moving and reading raise.
     """
     columns = campaign.columns(name)
     if columns is None:
@@ -100,7 +101,7 @@ def measure(
         if 0 < done < len(steps):
             journal.note(f"resumed after {done} rows; homed and datum taken anew")
         readings: list[PositionReading] = []
-        way = _Way(session, steps)
+        runner = _StepRunner(session, steps)
         listener(Event(name, done=done, total=len(steps)))
         for index, step in enumerate(steps[done:], start=done):
 
@@ -108,12 +109,12 @@ def measure(
                 journal.note(what)
                 listener(Event(name, what, done, len(steps)))
 
-            command, reading = resuming(session, partial(way.capture, index), tell)
+            command, reading = retry_after_signal_loss(session, partial(runner.capture, index), tell)
             readings.append(reading)
             journal.append(_row(step, command, reading, session.known(), columns))
             listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps), _point(name, step, reading)))
         if readings:
-            journal.note(_worth(readings))
+            journal.note(_precision_note(readings))
         records = journal.records()
     if records is None:
         raise ValueError(f"pass {name} has no steps")
@@ -127,18 +128,18 @@ def _point(name: str, step: Step, reading: PositionReading) -> Point:
 
 
 @dataclass
-class _Way:
-    """From step to step. at: the index of the one that the axis stands at, None where anything else has moved it since."""
+class _StepRunner:
+    """Moves the axis from step to step. at: index of the step where the axis stands, None when anything else has moved it since."""
 
     session: AxisSession
     steps: Sequence[Step]
     at: int | None = None
 
     def capture(self, index: int) -> tuple[Command, PositionReading]:
-        """Come to the step in its direction, and read."""
+        """Move to the step's target in its direction, and read."""
         step, stands_at, self.at = self.steps[index], self.at, None
         if step.overrun_mm == 0.0 and stands_at != index - 1:
-            self._come_back_to(index)
+            self._repeat_path_to(index)
         _approach(self.session, step)
         command = self.session.move_to(step.target_mm, step.feed_mm_s)
         if step.dwell_s:
@@ -146,11 +147,11 @@ class _Way:
         reading, self.at = self.session.read_position(), index
         return command, reading
 
-    def _come_back_to(self, index: int) -> None:
-        """Drive the way to a step that goes on from where the axis stands, without capturing.
+    def _repeat_path_to(self, index: int) -> None:
+        """Repeat the motions before a step that starts from the step before it, without capturing.
 
-        A stop, homing or a new datum took the axis elsewhere, and with it the travel since the last turning, and the strokes before
-        it, which that row is made of. The way begins where the pass last stood at one of its ends, come to over its whole length.
+        A stop, a homing or a new datum has changed the travel since the last reversal and the strokes before it, on which that row
+        depends. The repetition starts at the last step at an end of the pass, approached over the whole length of the pass.
         """
         targets = [step.target_mm for step in self.steps]
         low, high = min(targets), max(targets)
@@ -162,8 +163,8 @@ class _Way:
             self.session.move_to(step.target_mm, step.feed_mm_s)
 
 
-def _worth(readings: Sequence[PositionReading]) -> str:
-    """What the averages of a pass are worth, as a sentence for its file: root mean squares over the points."""
+def _precision_note(readings: Sequence[PositionReading]) -> str:
+    """Precision of the averages of a pass, as a sentence for its file: root mean squares over the points, µm."""
     one, mean = _rms([r.std_um for r in readings]), _rms([r.mean_std_um for r in readings])
     return (
         f"{len(readings)} averages of {min(r.count for r in readings)} or more readings: standard deviation of a reading"
@@ -172,12 +173,12 @@ def _worth(readings: Sequence[PositionReading]) -> str:
 
 
 def _rms(values: Sequence[float]) -> float:
-    """Of those that are numbers."""
+    """Root mean square, NaN left out; NaN where all are."""
     return float(np.sqrt(np.nanmean(np.square(values)))) if not np.all(np.isnan(values)) else math.nan
 
 
 def _check_plan(journal: RowJournal, steps: Sequence[Step]) -> int:
-    """How many rows are there; InputError unless they are the first rows of this plan."""
+    """Number of rows on disk. Raises InputError unless they are the first rows of this plan."""
     records = journal.records()
     if records is None:
         return 0
@@ -195,7 +196,7 @@ def _check_plan(journal: RowJournal, steps: Sequence[Step]) -> int:
 
 
 def _approach(session: AxisSession, step: Step, *, anyhow: bool = False) -> None:
-    """Make sure that the motion to the target goes in the step's direction: by an overrun where it would not, or `anyhow`."""
+    """Move beyond the target by the overrun where the motion to it would not go in the step's direction, or always (`anyhow`)."""
     history = session.history
     if history is None or history.direction == 0:
         session.take_datum()
@@ -212,7 +213,7 @@ def _approach(session: AxisSession, step: Step, *, anyhow: bool = False) -> None
 def _row(
     step: Step, command: Command, reading: PositionReading, known: Mapping[str, float], columns: Sequence[str]
 ) -> dict[str, float]:
-    """One row; a sensor that has fallen silent leaves its cell empty."""
+    """One row. The cell of a sensor without a value is NaN."""
     torque = reading.sample.torque_percent
     row = {
         "run": float(step.run),
@@ -231,7 +232,7 @@ def _row(
 
 
 def other_targets(how: MeasurementConfig, seed: int) -> tuple[float, ...]:
-    """Targets between those of the calibration, for proving it where it was not made: one at random in each interval."""
+    """Verification targets, mm, shape (m - 1,): one at random between each two neighbouring calibration targets."""
     generator = np.random.default_rng([how.seed, seed])
     low, high = np.array(how.targets_mm[:-1]), np.array(how.targets_mm[1:])
     return tuple(round(float(target), 3) for target in low + generator.uniform(0.2, 0.8, len(low)) * (high - low))

@@ -1,6 +1,7 @@
-"""One correction at a time: the bridge's, or the one that the drive applies by a table of its own.
+"""Guard against two corrections at once: the bridge's, and the drive's by a table of its own.
 
-The drive is asked, never remembered: another master, a stored switch or an operator's panel may have put its table into force.
+The drive's state is read each time and never cached: another master, a stored switch or an operator's panel may have enabled its
+table.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ TWICE = "with the bridge's correction the error would be taken out twice"
 
 
 def refuse_while_drive_corrects(drive: ServoDrive, because: str = TWICE) -> None:
-    """Raise StateError while the drive corrects by a table of its own."""
+    """Raises StateError while the drive corrects by a table of its own. because: the reason in the message."""
     table = drive.correction_table
     if table is not None and table.enabled():
         raise StateError(
@@ -23,7 +24,7 @@ def refuse_while_drive_corrects(drive: ServoDrive, because: str = TWICE) -> None
 
 
 def switch_table(drive: ServoDrive, table: CorrectionTable, on: bool) -> None:
-    """Switch a drive's table. Raises StateError for switching it on while the bridge's correction is in force."""
+    """Switch a drive's table on or off. Raises StateError when it is to be switched on while the bridge's correction is in force."""
     if on and drive.corrected_outside:
         raise StateError(
             f"drive {drive.name}: the bridge's correction is in force, and with {table.description.name} switched on the error"

@@ -1,4 +1,4 @@
-"""Recording a machine while a procedure works on it, and playing the recording as that machine again."""
+"""Recording a machine during a procedure, and replaying the recording as that machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim_backends.clock import SimClock
 
 @contextmanager
 def recorded(machine: Machine, path: Path) -> Iterator[None]:
-    """Inside the block, drive and instrument of a connected machine are recorded. Raises InputError for a file that is there."""
+    """Record drive and instrument of a connected machine inside the block. Raises InputError where the file exists."""
     watched = machine.session.axis
     drive, instrument = watched.drive, machine.session.instrument
     config = machine.axis.instrument
@@ -33,14 +33,14 @@ def recorded(machine: Machine, path: Path) -> Iterator[None]:
 
 @contextmanager
 def replayed(axis: AxisConfig, path: Path) -> Iterator[Machine]:
-    """The axis of an axis file as it was recorded, in simulated time: nothing real is connected.
+    """The axis of an axis file from a recording, in simulated time. No hardware is connected.
 
-    Raises InputError for a file that is no such recording.
+    Raises InputError for a file that is no recording of this axis file.
     """
     with naming(path):
         replay = MachineReplay(Recording.read(path), SimClock())
     drive = ReplayDrive(axis.name, axis.scaling, axis.limits, replay)
     session = session_of(axis, drive, ReplayedInstrument(replay), None)
-    session.zero = drive.before_homing = None  # a recording is no machine that could have another zero
+    session.zero = drive.before_homing = None  # the zero of a recording cannot change
     with session:
         yield Machine(axis, session)

@@ -1,11 +1,12 @@
-"""When the samples of an instrument were taken, in the clock by which the drive is commanded.
+"""Sample times of an instrument, in the clock by which the drive is commanded.
 
-A reading tells when it *arrived*, within the time between two looks: milliseconds, where a table at 100 mm/s moves 0.1 mm in each.
-But samples come at an even rate, so a straight line through some of them dates all: looks close in on these at rest, before and after
-a motion, to microseconds where the link is even, and where it is not to what the spread of the arrivals leaves of doubt. Looks in
-motion are left out: they come at an even rate themselves, so that all of them may be off by the same.
+A reading states when it *arrived*, to within the interval between two polls: milliseconds, in each of which a table at 100 mm/s moves
+0.1 mm. Samples come at an even rate, so a straight line of arrival time over sample number dates all of them. Before and after a
+motion, at rest, a search narrows the arrival of single samples to microseconds on an even link; on an uneven link the spread of the
+arrivals limits it. Arrivals during the motion are not used: polls then come at an even rate too, so that all of them may be late by
+the same.
 
-An instrument that is asked takes its sample soon after the request, whenever its answer comes: there the request dates it.
+An instrument that answers requests takes its sample soon after the request: there the time of the request dates the sample.
 """
 
 from __future__ import annotations
@@ -21,23 +22,25 @@ from drivers.instrument import Reading
 from hil.machine.session import AxisSession
 
 NARROWINGS = 60
-"""Samples that are waited for at most, each closer than the one before where the link is even, to find an arrival."""
+"""Most samples of one search for an arrival. On an even link each narrows the window of the one before."""
 FINEST_NS = 2000
-"""An arrival known so closely is found: clocks and looks are no better."""
+"""Width of the window, ns, at which the search ends: clocks and polls are no better."""
 WIDER = 1.1
-"""Of half of what is known: a window so much wider has room for what is not quite even."""
+"""Factor by which the next window is wider than the last, for a rate that is not quite even."""
 _AT_FIRST = 8
+"""Part of the period, 1/8, that the first window has; also the number of samples that the period is measured over."""
 _EVEN, _UNEVEN = (-3, -1, 0, 1), tuple(range(-6, 7))
-"""Looks around the time at which a sample is due, in halves of its window."""
+"""Polls around the time at which a sample is due, in halves of its window."""
 _MISSES = 3
-"""After so many samples outside their window they do not come evenly: then all are looked for in one window of equal steps, so that
-where one was does not decide how closely the next is known; their mean counts."""
+"""After so many samples outside their window the link counts as uneven. From then on all samples are searched in one window of equal
+steps, so that the window does not depend on the sample before; the mean of the arrivals is used."""
 _SILENT_S = 5.0
+"""Longest wait for a sample, s."""
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """Sample number `index` arrived by `time_ns`, and not earlier than `doubt_ns` before."""
+    """Sample number `index` arrived by `time_ns`, and at most `doubt_ns` earlier, ns."""
 
     index: int
     time_ns: int
@@ -45,49 +48,57 @@ class Arrival:
 
     @property
     def middle_ns(self) -> float:
+        """Middle of the interval in which it arrived, ns."""
         return self.time_ns - self.doubt_ns / 2
 
 
-class Dates(ABC):
-    """Dates samples by their numbers in the session. latency_s: from the moment of a sample to its arrival (or, of an instrument that
-    is asked, to its request: below zero), see `hil.figures.latency`."""
+class SampleDating(ABC):
+    """Times of samples by their numbers in the session.
+
+    latency_s: from the moment of a sample to its arrival, s. For an instrument that answers requests it counts to the request and is
+    negative. See `hil.figures.latency`.
+    """
 
     def __init__(self, latency_s: float = 0.0) -> None:
         self._latency_ns = round(latency_s * NS_PER_S)
 
     def taken_ns(self, index: int, reading: Reading) -> int:
-        """When a sample was taken. Raises ValueError before enough was heard to tell."""
+        """When a sample was taken, ns. Raises ValueError before two arrivals were found."""
         return round(self.arrived_ns(index, reading)) - self._latency_ns
 
     @abstractmethod
     def arrived_ns(self, index: int, reading: Reading) -> float:
-        """When it arrived, or was asked for."""
+        """When it arrived, or was requested, ns."""
 
     @abstractmethod
     def find_arrival(self) -> Arrival:
-        """At rest, before and after a motion: look closer at when samples come. Raises MeasurementLostError."""
+        """Find the arrival of a sample closely; call at rest, before and after a motion.
+
+        Raises MeasurementLostError when no sample comes, and what watching the axis raises.
+        """
 
 
-def dates_of(session: AxisSession, latency_s: float = 0.0) -> Dates:
-    """Fit for the session's instrument."""
+def sample_dating(session: AxisSession, latency_s: float = 0.0) -> SampleDating:
+    """By arrivals or by requests, as the session's instrument works. latency_s: see `SampleDating`."""
     if session.instrument.answers_when_asked:
         return RequestTimes(session, latency_s)
     return SampleTimes(session, latency_s)
 
 
-class SampleTimes(Dates):
-    """Of an instrument that sends by itself."""
+class SampleTimes(SampleDating):
+    """Sample times of an instrument that sends by itself."""
 
     def __init__(self, session: AxisSession, latency_s: float = 0.0) -> None:
         super().__init__(latency_s)
         self._session = session
         self._seen: list[Arrival] = []
         self._finds = 0
-        self._last_find = 0  # where in what was seen it began
+        self._last_find = 0  # index in `_seen` at which the last search began
         self._line: tuple[int, tuple[float, float, float, float]] | None = None
 
     # -- at rest -------------------------------------------------------------------------------------------------------------
     def find_arrival(self) -> Arrival:
+        """Narrow the window around the expected arrival, sample by sample, to `FINEST_NS` or for `NARROWINGS` samples."""
         self._seen, self._last_find = self._seen[self._last_find :], len(self._seen) - self._last_find
         period_ns = self._period_ns()
         best = arrival = self._next(period_ns / _AT_FIRST)
@@ -115,7 +126,7 @@ class SampleTimes(Dates):
         return best
 
     def _expect(self, due_ns: float, half_ns: float, looks: tuple[int, ...]) -> tuple[Arrival, bool]:
-        """The next arrival, and whether it was within `half_ns` of when it was due."""
+        """The next arrival, and whether it was within `half_ns` of the time at which it was due."""
         for off in looks:
             fresh = self._look_at(due_ns + off * half_ns)
             if fresh:
@@ -123,10 +134,10 @@ class SampleTimes(Dates):
         return self._next(half_ns), False
 
     def _next(self, step_ns: float) -> Arrival:
-        """Look every so often until a sample comes."""
+        """Poll every `step_ns` until a sample comes."""
         clock = self._session.clock
         deadline = clock.deadline(_SILENT_S)
-        self._look_at(clock.now_ns())  # what waited is of unknown age
+        self._look_at(clock.now_ns())  # what is in the receive buffer is of unknown age
         while not deadline.expired:
             if fresh := self._look_at(clock.now_ns() + step_ns):
                 return fresh[-1]
@@ -140,7 +151,7 @@ class SampleTimes(Dates):
         return fresh
 
     def _period_ns(self) -> float:
-        """As the instrument states it, or as it is."""
+        """Sample period, ns: from the rate that the instrument states, or measured."""
         rate_hz = self._session.instrument.sample_rate_hz
         if rate_hz is not None and rate_hz > 0:
             return NS_PER_S / rate_hz
@@ -152,7 +163,7 @@ class SampleTimes(Dates):
 
     # -- dates ---------------------------------------------------------------------------------------------------------------
     def arrived_ns(self, index: int, reading: Reading) -> float:
-        """By the line through what was seen in the last two finds. Raises ValueError before there are two finds."""
+        """By the line through the arrivals of the last two searches, ns. Raises ValueError before there are two."""
         del reading
         if self._finds < 2:
             raise ValueError("two arrivals are needed to date a sample")
@@ -162,9 +173,12 @@ class SampleTimes(Dates):
         return first_ns + offset_ns + (index - first_index) * period_ns
 
     def _fitted(self) -> tuple[float, float, float, float]:
-        """The straight line, each arrival weighed by how closely it is known, and by how unevenly the closest of them come."""
+        """First index, first time, offset and period, ns, of the line: least squares, each arrival weighted by its window's variance
+        plus the variance of the link, which is estimated from the residuals."""
         widest_ns = 2.0 * float(np.median([seen.doubt_ns for seen in self._seen]))
-        closely = [seen for seen in self._seen if seen.doubt_ns <= widest_ns]  # what waited on the line is not
+        closely = [
+            seen for seen in self._seen if seen.doubt_ns <= widest_ns
+        ]  # those that were in the receive buffer are wide
         index = np.array([seen.index for seen in closely], dtype=np.float64)
         middle_ns = np.array([seen.middle_ns for seen in closely])
         width_ns = np.maximum([seen.doubt_ns for seen in closely], FINEST_NS / 4)
@@ -180,15 +194,15 @@ class SampleTimes(Dates):
         return float(index[0]), float(middle_ns[0]), float(line[0]), float(line[1])
 
 
-class RequestTimes(Dates):
-    """Of an instrument that answers when asked: each sample is dated by its request."""
+class RequestTimes(SampleDating):
+    """Sample times of an instrument that answers requests: each sample is dated by its request."""
 
     def __init__(self, session: AxisSession, latency_s: float = 0.0) -> None:
         super().__init__(latency_s)
         self._session = session
 
     def find_arrival(self) -> Arrival:
-        """Nothing has to be found: the next answer, between its request and now."""
+        """The next answer, between its request and now; no search is needed. Raises MeasurementLostError when none comes."""
         deadline = self._session.clock.deadline(_SILENT_S)
         while not deadline.expired:
             self._session.clock.sleep_s(0.005)
@@ -198,5 +212,6 @@ class RequestTimes(Dates):
         raise MeasurementLostError(f"instrument {self._session.instrument.name}: no sample in {_SILENT_S:g} s")
 
     def arrived_ns(self, index: int, reading: Reading) -> float:
+        """When it was requested, ns."""
         del index
         return float(reading.earliest_ns)

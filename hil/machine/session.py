@@ -1,8 +1,8 @@
-"""An axis under measurement: drive, instrument and compensation together.
+"""The session of one axis under measurement: drive, instrument and compensation.
 
-An `AxisSession` prepares the axis, moves it to targets and reads where it came to. Its `Supervisor` looks at drive and instrument
-during every wait and stops the axis for whatever is wrong; its `Steering` knows what the drive is told for a target. On leaving, the
-axis is put back as it was found: disabled unless it was enabled before.
+An `AxisSession` prepares the axis, moves it to targets and reads the position reached. Its `Supervisor` samples drive and instrument
+during every wait and stops the axis on any error; its `CommandState` computes the command for a target. On leaving, the axis is
+disabled unless it was enabled on entering.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
 from hil.machine.dwell import average_at_rest
 from hil.machine.one_correction import refuse_while_drive_corrects
-from hil.machine.set_points import Steering
+from hil.machine.set_points import CommandState
 from hil.machine.supervisor import SLICE_S, Look, Supervisor
 from hil.machine.watched_axis import STALE_AFTER_S, WatchedAxis
 from hil.records.zero import ZeroKeeper
@@ -35,9 +35,9 @@ from hil.records.zero import ZeroKeeper
 
 @dataclass(frozen=True)
 class PositionReading:
-    """The load's position at rest, averaged over a window by the rules of `hil.figures.reading`.
+    """The load's position at rest, mm, averaged over the reading time by the rules of `hil.figures.reading`.
 
-    std_um: of one reading; mean_std_um: of the mean; count: readings used; left_out: as outliers
+    std_um: standard deviation of one reading; mean_std_um: of the mean; count: readings used; left_out: outliers, not used.
     """
 
     position_load_mm: float
@@ -49,10 +49,10 @@ class PositionReading:
 
 
 class AxisSession:
-    """Use as a context manager: entering connects and enables nothing; leaving stops, restores and disconnects.
+    """A context manager: entering connects and enables nothing; leaving stops after an error, disables and disconnects.
 
-    how: velocities, dwell and reading times; stale_after_s: oldest reading that is still believed; agreement: of the instrument with
-    the motor, None: the defaults.
+    how: velocities, dwell and reading times; stale_after_s: greatest age of a sample or reading that is used; agreement: limits of
+    instrument against motor, None: the defaults.
     """
 
     def __init__(
@@ -68,30 +68,30 @@ class AxisSession:
         self.clock = drive.clock
         self.how = how
         self.conditions: Conditions = NoConditions() if conditions is None else conditions
-        self.steering = Steering()
+        self.command_state = CommandState()
         self.axis = WatchedAxis(
-            drive, instrument, stale_after_s=stale_after_s, agreement=agreement, on_stop=self.steering.lose
+            drive, instrument, stale_after_s=stale_after_s, agreement=agreement, on_stop=self.command_state.forget
         )
         self.supervisor = Supervisor([self.axis])
-        self.material: Material | None = None  # what lengths are brought to 20 °C by
-        self.resume_within_s: float | None = None  # for a lost signal, before the axis moves again by itself
-        self.zero: ZeroKeeper | None = (
-            None  # None: nothing is known of earlier connections (a recording that is played)
+        self.material: Material | None = None  # for the reduction of lengths to 20 °C; None: no reduction
+        self.resume_within_s: float | None = (
+            None  # time limit for a lost signal to come back; None: no automatic resume
         )
-        self.time_offset_s = 0.0  # of `time_s` in rows: a resumed campaign goes on where it was left
-        self._datum_mm: float | None = None
+        self.zero: ZeroKeeper | None = None  # None: no record of earlier connections (a replayed recording)
+        self.time_offset_s = 0.0  # added to `time_s` in rows, so that a resumed campaign continues its time
+        self._datum_mm: float | None = None  # instrument's reading at load position 0
         self._entered = False
-        self._homed_here = False  # since it was entered
-        self._keeps_home = False  # that of an earlier job, unless the drive was in a fault since
+        self._homed_here = False  # since the session was entered
+        self._keeps_home = False  # the homing of an earlier job is still valid
 
     @property
     def drive(self) -> ServoDrive:
-        """The one that is watched."""
+        """The watched drive."""
         return self.axis.drive
 
     @property
     def instrument(self) -> DistanceInstrument:
-        """The one that is watched."""
+        """The watched instrument. Raises StateError for an axis without one."""
         if self.axis.instrument is None:
             raise StateError(f"drive {self.drive.name} is watched without an instrument")
         return self.axis.instrument
@@ -121,21 +121,21 @@ class AxisSession:
             )
         finally:
             self._entered = self.drive.corrected_outside = False
-            self.steering.lose()
+            self.command_state.forget()
 
     @contextmanager
     def one_job(self) -> Iterator[None]:
-        """One of several jobs on one connection: each begins as if the session had just been entered, and ends by putting the axis
-        back as it was found, stopped first where the job failed. What was in force of a correction is not any more.
+        """Run one of several jobs on one connection. It begins as if the session had just been entered, without a correction. At its
+        end the axis is stopped where the job failed, and disabled unless it was enabled at the begin.
 
-        An axis that was homed by an earlier job is not homed again unless its drive was in a fault since: by a method that takes the
-        present position for home, that would move the zero.
+        An axis that an earlier job has homed is not homed again unless its drive was in a fault since: a method that takes the present
+        position for home would move the zero.
         """
         self._keeps_home = self._homed_here and self.drive.sample().homed is True
         self._datum_mm = None
         self.time_offset_s = 0.0
         self.supervisor.begin()
-        self.steering.lose()
+        self.command_state.forget()
         self.compensation = None
         try:
             with self.supervisor.leaving():
@@ -146,12 +146,13 @@ class AxisSession:
     # -- one correction --------------------------------------------------------------------------------------------------
     @property
     def compensation(self) -> Compensation | None:
-        """What the bridge corrects by; None leaves commands as they are.
+        """The bridge's correction; None leaves commands as they are.
 
-        Putting one into force raises StateError while the drive corrects by a table of its own: the error would be taken out twice.
-        The drive is asked, each time and before each move. Raises CorrectionBoundError for one beyond the axis's bound.
+        Setting it raises StateError while the drive corrects by a table of its own (the error would be taken out twice), ZeroError for
+        tables of another zero, and CorrectionBoundError for a correction beyond the axis's bound. The drive's table is also checked
+        before each move.
         """
-        return self.steering.compensation
+        return self.command_state.compensation
 
     @compensation.setter
     def compensation(self, compensation: Compensation | None) -> None:
@@ -160,8 +161,8 @@ class AxisSession:
             if self.zero is not None:
                 self.zero.check_tables(compensation.zero)
         if compensation is not None:
-            compensation.check(self.steering.bound, "correction not put into force")
-        self.steering.compensation = compensation
+            compensation.check(self.command_state.bound, "correction not put into force")
+        self.command_state.compensation = compensation
         self.drive.corrected_outside = compensation is not None
 
     # -- watching ----------------------------------------------------------------------------------------------------
@@ -170,27 +171,28 @@ class AxisSession:
         return self.axis.elapsed_s()
 
     def await_instrument(self) -> None:
-        """Before anything moves: wait for the instrument's first reading."""
+        """Wait for the instrument's first reading; call before any motion. Raises MeasurementLostError when none comes."""
         self.supervisor.await_instrument()
 
     def watch(self, duration_s: float) -> list[Reading]:
-        """Let time pass with the axis at rest, watched; returns the readings that arrived meanwhile."""
+        """Watch the axis at rest for `duration_s`; returns the readings that arrived meanwhile. Raises what `WatchedAxis.look`
+        raises."""
         return self.supervisor.watch(duration_s)
 
     def readings(self) -> list[tuple[int, Reading]]:
-        """What the instrument has sent, each with its number in the session, for while a stream looks after the drive."""
+        """The instrument's new readings, each with its number in the session; for use while a stream samples the drive."""
         return self.supervisor.readings()
 
     # -- getting ready -----------------------------------------------------------------------------------------------
     def prepare(self, campaign: Path | None = None, compensation: Compensation | None = None) -> None:
-        """Signal, enable, home, datum: afterwards positions of the instrument are load positions of the axis.
+        """Wait for the signal, enable, home and take the datum: afterwards the instrument's readings give load positions, mm.
 
-        campaign: the folder of the rows that are to be measured; compensation: what is to be put into force. Raises ZeroError for
-        either, or an axis, in another zero than the axis had: before anything moves, or at the reference position.
+        campaign: folder of the rows to be measured; compensation: the correction to be put into force afterwards.
 
-        The instrument's zero is taken once, at the reference position approached upwards and without any correction, so that all
-        passes of a session, with and without correction, share one datum. Raises StateError while the drive corrects by a table of
-        its own: that datum, and tables made on it, would hold the drive's correction.
+        The datum is taken once, at the reference position approached upwards and without correction, so that all passes of a session,
+        with and without correction, share it. Raises StateError while the drive corrects by a table of its own: the datum, and tables
+        made on it, would contain the drive's correction. Raises ZeroError, before any motion or at the reference position, where the
+        campaign, the tables or the axis have another zero than before. Raises what moving and reading raise.
         """
         if not self._entered:
             raise StateError("prepare() needs the session to be entered first")
@@ -206,7 +208,7 @@ class AxisSession:
         stands = self.zero is not None and self.zero.homing_would_lose_zero
         anew = self.zero is not None and self.zero.anew
         if self.how.home and not stands and (anew or self.axis.saw_fault or not self._keeps_home):
-            self.steering.lose()
+            self.command_state.forget()
             self.supervisor.home()
             self._homed_here, self.axis.saw_fault = True, False
         raw_mm = self._at_reference_mm()
@@ -217,7 +219,7 @@ class AxisSession:
         self._datum_mm = raw_mm - self.how.reference_mm
 
     def take_datum(self, *, signal_was_lost: bool = False) -> None:
-        """Go to the reference position from below, uncorrected, and call the instrument's reading there that position."""
+        """Take the datum anew: move to the reference position from below, uncorrected, and equate the reading there with it."""
         raw_mm = self._at_reference_mm()
         self._datum_mm = raw_mm - self.how.reference_mm
         if signal_was_lost and self.zero is not None:
@@ -228,20 +230,20 @@ class AxisSession:
         return self.raw_average()
 
     def come_to_reference(self) -> None:
-        """Go to the reference position from below, uncorrected; from there on the direction of arrival is known."""
+        """Move to the reference position from below, uncorrected; afterwards the direction of arrival is known."""
         reference = self.how.reference_mm
         here = self.drive.sample().position_load_mm
         self.move_uncorrected(reference - self.how.overrun_mm, self.how.velocity_mm_s)
         self.move_uncorrected(reference, self.how.velocity_mm_s)
         came = MotionHistory(here).moved_to(reference - self.how.overrun_mm).moved_to(reference)
-        self.steering.stands(came, reference)
+        self.command_state.set_position(came, reference)
 
     @contextmanager
     def without_power(self) -> Iterator[None]:
-        """While somebody reaches into the machine. Afterwards the axis is enabled again and comes to the reference position, so that
-        the direction it came from is known; the instrument's zero is kept."""
+        """Disable the axis inside the block, while a person works in the machine. Afterwards the axis is enabled and moves to the
+        reference position, so that the direction of arrival is known. The datum is kept."""
         self.drive.disable()
-        self.steering.lose()
+        self.command_state.forget()
         yield
         self.drive.enable()
         self.come_to_reference()
@@ -249,22 +251,22 @@ class AxisSession:
     def move_uncorrected(
         self, position_load_mm: float, velocity_mm_s: float, *, slice_s: float = SLICE_S, look: Look | None = None
     ) -> None:
-        """Move the motor to a position as it is, watched; the history for corrections is unknown afterwards.
+        """Move the motor to a position, mm, without correction, watched. The motion history is unknown afterwards.
 
-        slice_s: how often it is looked at; look: hears each sample.
+        slice_s: interval between samples; look: called with each sample. Raises as `Supervisor.move`.
         """
-        self.steering.lose()
+        self.command_state.forget()
         self.supervisor.move(position_load_mm, velocity_mm_s, slice_s=slice_s, look=look)
 
     def acknowledge_loss(self) -> None:
-        """After a lost signal, read positions again; their zero may be a new one."""
+        """Read positions again after a lost signal; the instrument's zero may have changed."""
         self.axis.acknowledge_loss()
 
     def approach(self, position_mm: float) -> None:
-        """Go to where the next target is approached from. Raises LimitError before any motion.
+        """Move to the position, mm, from which the next target is approached. Raises LimitError before any motion.
 
-        Nothing is measured there, so where the correction leads out of the travel (the overrun of an outermost target may end
-        right at its end) it is left out.
+        Nothing is measured there. Where the corrected command leaves the travel, as at the overrun of an outermost target, the
+        correction is left out.
         """
         command = self._command(position_mm)
         limits = self.drive.limits
@@ -273,12 +275,12 @@ class AxisSession:
         self._move(command, None)
 
     def raw_average(self) -> float:
-        """Dwell, then the instrument's own position in mm, averaged over the reading time."""
+        """Dwell, then average the instrument's own position, mm, over the reading time. Raises as `average_at_rest`."""
         return average_at_rest(self.supervisor, self.how).position_mm
 
     # -- moving ------------------------------------------------------------------------------------------------------
     def known(self, velocity_mm_s: float = 0.0) -> dict[str, float]:
-        """What is known when a set-point is issued, as record columns: time, feed, sensors."""
+        """Record columns known when a set-point is issued: time (s), feed (mm/s), sensors and conditions."""
         environment = self.instrument.environment()
         known = {"time_s": self.elapsed_s() + self.time_offset_s, "velocity_mm_s": velocity_mm_s}
         for name, value in (
@@ -295,20 +297,20 @@ class AxisSession:
         return known
 
     def move_to(self, target_mm: float, velocity_mm_s: float | None = None) -> Command:
-        """Move to a target with the correction in force; returns, once the axis has arrived, the command it was given.
+        """Move to a target, mm, with the correction in force; returns the command once the axis has arrived.
 
-        Raises LimitError before any motion when the target, or the corrected command, leaves the travel; StateError when the
-        correction would turn the motion around.
+        velocity_mm_s: None, the session's. Raises LimitError before any motion when the target or the corrected command leaves the
+        travel, StateError when the correction would reverse the motion, and what `Supervisor.move` raises.
         """
         command = self._command(target_mm)
         self._move(command, velocity_mm_s)
         return command
 
     def _command(self, target_mm: float) -> Command:
-        return self.steering.command(target_mm, self.known_for_commands())
+        return self.command_state.command(target_mm, self.known_for_commands())
 
     def known_for_commands(self) -> dict[str, float]:
-        """What is known now, once for a move or a stream. Raises StateError for a correction in force that the drive makes too."""
+        """`known()` at the begin of a move or a stream. Raises StateError while bridge and drive both correct."""
         if self.compensation is not None:
             refuse_while_drive_corrects(self.drive)
         return self.known()
@@ -316,15 +318,16 @@ class AxisSession:
     def _move(self, command: Command, velocity_mm_s: float | None) -> None:
         velocity = self.how.velocity_mm_s if velocity_mm_s is None else velocity_mm_s
         self.drive.limits.check_target(command.target_mm)
-        self.steering.check_way(command)
-        self.supervisor.move(command.command_mm, velocity, started=lambda: self.steering.given(command))
+        self.command_state.check_way(command)
+        self.supervisor.move(command.command_mm, velocity, started=lambda: self.command_state.issued(command))
 
     def stream_along(
         self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]
     ) -> None:
-        """Follow a path, one set-point per period, each with the correction in force; `at` is called after each.
+        """Follow a path, one set-point per period, each with the correction in force.
 
-        path_mm: targets and the velocities (mm/s) there, from where the axis stands.
+        path_mm: (target in mm, velocity in mm/s) of each period, starting where the axis stands; at: called after each set-point.
+        Raises LimitError for a target outside the travel, and what the stream raises; any error stops the axis.
         """
         known = self.known_for_commands()
         with (
@@ -335,40 +338,43 @@ class AxisSession:
             for target_mm, velocity_mm_s in path_mm:
                 command = self.set_point(target_mm, velocity_mm_s, known)
                 stream.cycle(command.command_mm)
-                self.steering.given(command)
+                self.command_state.issued(command)
                 found(*stream.found, velocity_mm_s)
                 at(stream)
 
     def set_point(self, target_mm: float, velocity_mm_s: float, known: dict[str, float]) -> Command:
-        """One set-point of a stream with the correction in force; once the drive has it, tell `steering`. Raises LimitError."""
+        """Command for one set-point of a stream, with the correction in force. target_mm, velocity_mm_s: at this period.
+
+        The caller reports it to `command_state.issued` once the drive has it. Raises LimitError for a target outside the travel.
+        """
         self.drive.limits.check_target(target_mm)
         known["velocity_mm_s"] = velocity_mm_s
         known["time_s"] = self.elapsed_s() + self.time_offset_s
-        return self.steering.command(target_mm, known)
+        return self.command_state.command(target_mm, known)
 
     @property
     def history(self) -> MotionHistory | None:
         """The commanded motion so far, None while it is unknown."""
-        return self.steering.history
+        return self.command_state.history
 
     @property
     def commanded_mm(self) -> float:
         """The last command, NaN while the axis's history is unknown."""
-        return self.steering.commanded_mm
+        return self.command_state.commanded_mm
 
     @property
     def stroke_or_long_mm(self) -> float:
-        """Length of the stroke before the last reversal."""
-        return self.steering.known_history.stroke_or_long_mm
+        """Length of the stroke before the last reversal, mm. Raises StateError while the history is unknown."""
+        return self.command_state.known_history.stroke_or_long_mm
 
     def load_position_mm(self, reading: Reading) -> float:
-        """A good reading in the frame of the load. Raises StateError before `prepare()`."""
+        """Load position of a reading, mm. Raises StateError before `prepare()` or for a reading without a position."""
         if self._datum_mm is None or reading.position_mm is None:
             raise StateError("a position needs a good reading, and prepare() first: the instrument has no datum")
         return self._in_load_frame(reading.position_mm, self._datum_mm)
 
     def _in_load_frame(self, position_mm: float, datum_mm: float) -> float:
-        """Lengths from the reference position are brought to 20 °C where the axis file says of what they are."""
+        """Load position, mm. Lengths from the reference position are reduced to 20 °C where the axis file names the material."""
         load_mm = position_mm - datum_mm
         if self.material is None:
             return load_mm
@@ -377,7 +383,10 @@ class AxisSession:
 
     # -- reading -----------------------------------------------------------------------------------------------------
     def read_position(self) -> PositionReading:
-        """Dwell, then average the instrument over the reading time. Raises MeasurementLostError without readings."""
+        """Dwell, then average the instrument over the reading time.
+
+        Raises StateError before `prepare()`, MeasurementLostError without readings, and as `average_at_rest`.
+        """
         if self._datum_mm is None:
             raise StateError("read_position() needs prepare() first: the instrument has no datum")
         mean = average_at_rest(self.supervisor, self.how)

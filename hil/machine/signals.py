@@ -1,11 +1,11 @@
-"""A process that is asked to end stops its axes first, and a second time ends whatever hangs.
+"""Handling of SIGINT (Ctrl-C), SIGTERM (a service is stopped) and SIGHUP (the terminal is closed): the axes are stopped first.
 
-Ctrl-C, SIGTERM (a service is stopped) and SIGHUP (the terminal is closed) raise KeyboardInterrupt in the main thread, once; on its way
-out the axes are stopped and put back. Another one while this is going on sends a stop to every connected drive, and the process ends
-within `WAY_OUT_S`, or at once at the third. SIGKILL cannot be answered; for that a drive supervises its master.
+The first signal raises KeyboardInterrupt in the main thread, whose context managers stop the axes and put them back. A second one
+sends a stop to every connected drive, and the process ends within `STOP_WITHIN_S`; a third one ends it at once. SIGKILL cannot be
+handled: against that, a drive supervises its master.
 
-The signals are counted in a thread of their own, by the wake-up descriptor: a handler in Python runs only once the main thread is back
-from what it hangs in.
+A second thread counts the signals, by the wake-up descriptor: a handler in Python does not run while the main thread is blocked in a
+system call that does not return.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ Drive = TypeVar("Drive", bound=ServoDrive)
 
 
 class DrivesToStop:
-    """Drives as long as anybody else keeps them."""
+    """Weak references to the drives of this process."""
 
     def __init__(self) -> None:
         self._drives: list[weakref.ref[ServoDrive]] = []
 
     def add(self, drive: ServoDrive) -> None:
-        """A drive that is not open has nothing to stop: `send_stop` then does nothing."""
+        """Add a drive, open or not: `send_stop` of a closed drive does nothing."""
         self._drives.append(weakref.ref(drive, self._drives.remove))
 
     def send_stop(self) -> None:
-        """Tell all of them. For any thread; never raises and waits for nothing, as `ServoDrive.send_stop`."""
+        """Send a stop to all of them. From any thread; never raises and does not block, as `ServoDrive.send_stop`."""
         for reference in tuple(self._drives):
             drive = reference()
             if drive is not None:
@@ -45,11 +45,11 @@ class DrivesToStop:
 
 
 DRIVES_TO_STOP: ContextVar[DrivesToStop | None] = ContextVar("drives to stop", default=None)
-"""Of this process, where it has any."""
+"""The drives of the enclosing `ending_by_signals`, None outside of it."""
 
 
 def stopped_by_signals(drive: Drive) -> Drive:
-    """The drive; from now on it is among those of this process."""
+    """Returns the drive, which from now on is stopped by a second signal."""
     drives = DRIVES_TO_STOP.get()
     if drives is not None:
         drives.add(drive)
@@ -57,15 +57,15 @@ def stopped_by_signals(drive: Drive) -> Drive:
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-WAY_OUT_S = 2.0
-"""How long the way out may still take after a second signal: a quick stop and taking the power off need tenths of a second."""
+STOP_WITHIN_S = 2.0
+"""Time from a second signal to the end of the process, s: a quick stop and a disable take tenths of a second."""
 INTERRUPTED = 130
 """Exit status: 128 + SIGINT, as shells have it."""
 ENDED = b"hil: ended at once; every drive was sent a stop, but drives may still be enabled; rows are kept\n"
 
 
 class _Signals:
-    """Of one process, while its main thread is in `ending_by_signals`."""
+    """Counts the signals while the main thread is in `ending_by_signals`."""
 
     def __init__(self, drives: DrivesToStop) -> None:
         self._drives = drives
@@ -75,19 +75,19 @@ class _Signals:
         self._thread = threading.Thread(target=self._count, name="signals", daemon=True)
 
     def start(self) -> int:
-        """From now on signals are counted; the descriptor that was told of them before."""
+        """Start to count; returns the wake-up descriptor that was set before."""
         self._thread.start()
         return signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
 
     def close(self, before: int) -> None:
-        """The main thread has found its way out."""
+        """Stop to count and set the wake-up descriptor `before` again."""
         signal.set_wakeup_fd(before)
         os.close(self._writer)
         self._thread.join()
         os.close(self._reader)
 
     def interrupt(self, _number: int, _frame: FrameType | None) -> None:
-        """The handler. Only the first one interrupts: the way out is not to be broken off half-way."""
+        """The handler. Only the first signal raises KeyboardInterrupt, so that stopping the axes is not interrupted."""
         if not self._raised:
             self._raised = True
             raise KeyboardInterrupt
@@ -95,22 +95,22 @@ class _Signals:
     def _count(self) -> None:
         asked = 0
         while data := os.read(self._reader, 64):
-            # what another handler answers, such as a web server's, is none of these
+            # a signal that another handler answers, such as a web server's, does not count
             asked += sum(signal.getsignal(number) == self.interrupt for number in data)
             if asked < 2:
                 continue
             threading.Thread(target=self._drives.send_stop, name="stop", daemon=True).start()
-            if asked > 2 or not select.select([self._reader], [], [], WAY_OUT_S)[0]:
+            if asked > 2 or not select.select([self._reader], [], [], STOP_WITHIN_S)[0]:
                 os.write(2, ENDED)
                 os._exit(INTERRUPTED)
 
 
 @contextmanager
 def ending_by_signals() -> Iterator[None]:
-    """Inside, the signals end the process as said above; one that somebody ignores (nohup) or handles is left alone. Within itself and
-    in another thread than the main one, it does nothing.
+    """Handle the signals as said above inside the block. A signal that is ignored (nohup) or already has a handler is left alone.
+    Nested in itself, or in another thread than the main one, the block does nothing.
 
-    Drives that are made inside are among those that are stopped.
+    Drives made inside (`stopped_by_signals`) are stopped by a second signal.
     """
     if threading.current_thread() is not threading.main_thread() or DRIVES_TO_STOP.get() is not None:
         yield

@@ -1,7 +1,7 @@
-"""Supervisor: the axes of one machine, watched without a gap while anything may move, stopped together, left as they were found.
+"""Supervisor: moves the axes of one machine, watches them during every wait, stops them together, and disables them at the end.
 
-Every wait of every procedure passes through `watch` or `watch_until`. Whatever goes wrong, an interrupt from the keyboard too, stops
-the axis that moves and those beside it (quick stop) before the error reaches the procedure.
+Every wait of every procedure goes through `watch` or `watch_until`. Any exception, KeyboardInterrupt included, quick-stops all axes
+of the machine before it reaches the procedure.
 """
 
 from __future__ import annotations
@@ -25,28 +25,30 @@ from drivers.errors import (
 from drivers.instrument import Reading
 from drivers.shared_time import SharedTime
 from drivers.undo import Step, undo_all
-from hil.machine.time_out import Motion, likely_reason, what_it_says
+from hil.machine.time_out import Motion, drive_report, likely_reason
 from hil.machine.watched_axis import STALLED_S, WatchedAxis
 
 SLICE_S = 0.05
-"""How often an axis is looked at while it moves."""
+"""Interval between samples of an axis in motion, s."""
 REST_SLICE_S = 0.2
-"""The same at rest: soon enough to say what broke, within what instruments keep for a reader."""
+"""Interval between samples at rest, s: shorter than the time for which instruments buffer their readings."""
 FIRST_READING_S = 2.0
-"""How long an instrument may need from its opening to its first reading, as when its air sensors report in turn."""
+"""Time limit from opening an instrument to its first reading, s: some send it only after their air sensors have reported in turn."""
 ARRIVED_WITHIN_MM = 0.1
-"""Motor encoder against command at the end of a motion: above any position window, below any distance worth measuring over."""
+"""Tolerance of the arrival check, mm, motor encoder against command: above any position window, below any distance to be measured."""
 LONGER, LONGER_S = 3.0, 5.0
-"""A move may take so many times what its ramps and speed say, and so many seconds more: an override of 50 %, a slow start."""
+"""Time limit of a move: this factor times its duration by speed and ramps, and so many seconds more (an override of 50 %, a slow
+start)."""
 HOMING_SHARE, HOMING_S = 0.01, 30.0
-"""A homing runs along the whole travel at no less than this share of the largest velocity, and may take so many seconds more."""
+"""Time limit of a homing: the whole travel at this share of the largest velocity, and so many seconds more."""
 
 Look = Callable[[DriveSample], None]
-"""What else is looked at with every sample of the axis that moves; raises to stop the machine."""
+"""Called with every sample of the axis in motion; an exception that it raises stops the machine."""
 
 
 def finish_despite_interrupt(undo: Callable[[], None]) -> None:
-    """Do it. An interrupt meanwhile (Ctrl-C, the operator's stop) is raised once it was done anew, for it may have been half done."""
+    """Call `undo`. After an interrupt meanwhile (Ctrl-C, the operator's stop), `undo` is called again, as it may be half done, and
+    then the interrupt is raised. Raises what `undo` raises; after an interrupt, BridgeErrors are added to it as notes."""
     try:
         undo()
     except KeyboardInterrupt as interrupt:
@@ -58,16 +60,16 @@ def finish_despite_interrupt(undo: Callable[[], None]) -> None:
 
 
 def homing_time_s(limits: DriveLimits) -> float:
-    """How long a homing may take."""
+    """Time limit of a homing, s (`HOMING_SHARE`, `HOMING_S`)."""
     slowest_mm_s = HOMING_SHARE * limits.max_velocity_mm_s
     return HOMING_S + (limits.travel_max_mm - limits.travel_min_mm) / slowest_mm_s
 
 
 class Supervisor:
-    """Of axes whose drives (and instruments) are open. The first is the one that is meant where none is named.
+    """Supervisor of axes whose drives and instruments are open. A method without an `axis` argument concerns the first axis.
 
-    beside: other axes of the machine, looked at and stopped with these; whoever works with them puts them back.
-    As a context manager it is around motion: `begin` on entering, `leave` on leaving.
+    beside: other axes of the machine, watched and stopped with these; their own supervisor disables them.
+    As a context manager: `begin` on entering, `leave` on leaving.
     """
 
     def __init__(self, axes: Sequence[WatchedAxis]) -> None:
@@ -79,7 +81,7 @@ class Supervisor:
 
     # -- coming and going --------------------------------------------------------------------------------------------
     def begin(self) -> None:
-        """Note which axes are under power; what was read before is of no use."""
+        """Note which axes are enabled, and drop earlier readings. Raises what sampling the drives raises."""
         self._stopped_for = None
         self._found_enabled.clear()
         for axis in self.axes:
@@ -88,9 +90,9 @@ class Supervisor:
                 self._found_enabled.add(axis)
 
     def leave(self, error: BaseException | None, *more: Step) -> None:
-        """Stop after an error, take the power from each axis that was found without it, then `more`: the most dangerous first.
+        """Stop the axes if `error` is not None, disable each axis that was not enabled at `begin`, then do the steps `more`.
 
-        Every step is tried. What fails is raised, or added to the error under way as notes (`drivers.undo`).
+        Every step is tried. Failures are raised, or added to `error` as notes (`drivers.undo`).
         """
         steps: list[Step] = []
         if error is not None:
@@ -105,7 +107,8 @@ class Supervisor:
         self._stopped_for = None
 
     def _share_way_out(self) -> None:
-        """From here on the axes are stopped, disabled and put back within one time: the ways out of dead ones do not add up."""
+        """Give the drives one common time limit for stopping and disabling, so that the time-outs of several dead drives do not add
+        up."""
         drives = [axis.drive for axis in (*self.axes, *self.beside)]
         if len(drives) > 1:
             time = SharedTime(self.clock, max(drive.way_out_s for drive in drives))
@@ -114,7 +117,7 @@ class Supervisor:
 
     @contextmanager
     def leaving(self) -> Iterator[None]:
-        """Around what is done between `begin` and `leave`."""
+        """Call `leave` at the end of the block, with the error that ended it."""
         try:
             yield
         except BaseException as error:
@@ -134,7 +137,7 @@ class Supervisor:
     # -- stopping ----------------------------------------------------------------------------------------------------
     @contextmanager
     def stopping_on_error(self) -> Iterator[None]:
-        """Whatever goes wrong inside, an interrupt from the keyboard too, stops all axes at once."""
+        """Stop all axes on any exception inside the block, KeyboardInterrupt included, and raise it."""
         try:
             yield
         except BaseException as error:
@@ -142,19 +145,22 @@ class Supervisor:
             raise
 
     def stop_for(self, error: BaseException) -> None:
-        """Once for each error, however many hands it passes through on its way up; again where it could not be confirmed."""
+        """Stop all axes, once for each error: nested blocks see the same one. Stops again where the first stop was not confirmed."""
         if error is self._stopped_for:
             return
-        told = list(getattr(error, "__notes__", ()))
+        earlier = list(getattr(error, "__notes__", ()))
         self.stop(during=error)
         notes = list(getattr(error, "__notes__", ()))
-        if notes == told:
+        if notes == earlier:
             self._stopped_for = error
         else:
-            error.__notes__ = list(dict.fromkeys(notes))  # what failed twice is told once
+            error.__notes__ = list(dict.fromkeys(notes))  # a failure that occurred twice is noted once
 
     def stop(self, *, during: BaseException | None = None) -> None:
-        """Quick stop of all axes: each is told before any is waited for. What is not confirmed is raised, or added to `during`."""
+        """Quick stop of all axes: a stop is sent to each before any is waited for.
+
+        A stop that is not confirmed is raised, or added to `during` as a note.
+        """
         axes = (*self.axes, *self.beside)
         self._share_way_out()
         for axis in axes if len(axes) > 1 else ():
@@ -163,19 +169,22 @@ class Supervisor:
 
     # -- looking -----------------------------------------------------------------------------------------------------
     def _look_beside(self, axis: WatchedAxis) -> None:
-        """At all other axes that were not looked at for a while."""
+        """Sample all other axes that were not sampled for `SLICE_S`."""
         for other in (*self.axes, *self.beside):
             if other is not axis and self.clock.now_ns() - other.looked_ns >= SLICE_S * NS_PER_S:
                 other.look()
 
     def readings(self) -> list[tuple[int, Reading]]:
-        """What the first axis's instrument has sent, each with its number, for while a stream looks after the drive."""
+        """New readings of the first axis's instrument, each with its number; for use while a stream samples the drive."""
         with self.stopping_on_error():
             return self.axes[0].readings()
 
     # -- waiting -----------------------------------------------------------------------------------------------------
     def await_instrument(self) -> None:
-        """Before anything moves: wait for the first axis's instrument's first reading, which may take longer than those after it."""
+        """Wait for the first reading of the first axis's instrument; call before any motion.
+
+        Raises MeasurementLostError when none comes within `FIRST_READING_S`.
+        """
         axis, deadline = self.axes[0], self.clock.deadline(FIRST_READING_S)
         with self.stopping_on_error():
             while not axis.heard_reading():
@@ -186,7 +195,10 @@ class Supervisor:
                 self.clock.sleep_s(SLICE_S)
 
     def watch(self, duration_s: float) -> list[Reading]:
-        """Let time pass with the axes at rest, watched; returns the readings of the first that arrived meanwhile."""
+        """Watch the axes at rest for `duration_s`; returns the readings of the first axis's instrument that arrived meanwhile.
+
+        Raises what `WatchedAxis.look` raises.
+        """
         axis, deadline = self.axes[0], self.clock.deadline(duration_s)
         asked = axis.instrument is not None and axis.instrument.answers_when_asked
         slice_ns = round((SLICE_S if asked else REST_SLICE_S) * NS_PER_S)
@@ -208,10 +220,11 @@ class Supervisor:
         slice_s: float = SLICE_S,
         look: Look | None = None,
     ) -> DriveSample:
-        """Watch until a sample of the axis fulfils the condition. Raises MotionTimeoutError, with its likely reason, when none does in
-        time, or once an axis that was told to move has stood for `STALLED_S`.
+        """Watch until a sample of the axis fulfils the condition; returns that sample.
 
-        A drive that is no longer enabled fulfils nothing: standing still is not having arrived.
+        what: name of the motion, for messages; slice_s: interval between samples; look: called with each sample.
+        Raises MotionTimeoutError, with the likely reason, when no sample does within `timeout_s`, or when an axis that was commanded
+        to move has stood for `STALLED_S`. Raises StateError for a drive that is no longer enabled, and what `WatchedAxis.look` raises.
         """
         axis = axis or self.axes[0]
         deadline = self.clock.deadline(timeout_s)
@@ -233,18 +246,21 @@ class Supervisor:
     def _not_over(axis: WatchedAxis, sample: DriveSample, what: str) -> MotionTimeoutError:
         speed_mm_s = axis.seen_mm_s
         reason = likely_reason(axis.motion or Motion(what), sample, speed_mm_s)
-        said = what_it_says(sample, speed_mm_s, axis.drive.complaints())
+        said = drive_report(sample, speed_mm_s, axis.drive.complaints())
         return MotionTimeoutError(f"drive {axis.drive.name}: {what}; likely {reason}; it says: {said}")
 
     # -- motion ------------------------------------------------------------------------------------------------------
     def enable(self) -> None:
-        """Power on, where it is not."""
+        """Enable each axis that is not enabled. Raises what enabling raises."""
         for axis in self.axes:
             if axis.drive.sample().state is not DriveState.ENABLED:
                 axis.drive.enable()
 
     def get_ready(self, *, home: bool) -> None:
-        """Power on and, if asked to, home each axis that does not say that it is homed."""
+        """Enable the axes and, with `home`, home each whose drive does not report that it is homed.
+
+        Raises CapabilityError, before any axis is enabled, for a drive that cannot home; and as `home`.
+        """
         for axis in self.axes:
             if home and not axis.drive.sample().homed:
                 axis.drive.require(Capability.HOMING)
@@ -254,7 +270,7 @@ class Supervisor:
                 self.home(axis=axis)
 
     def home(self, *, axis: WatchedAxis | None = None, look: Look | None = None) -> None:
-        """The drive's own homing, watched to its end."""
+        """Run the drive's own homing, watched to its end. Raises as `watch_until`; time limit: `homing_time_s`."""
         axis = axis or self.axes[0]
         drive = axis.drive
         with self._ordered(axis, Motion("homing"), drive.start_homing):
@@ -281,9 +297,10 @@ class Supervisor:
         slice_s: float = SLICE_S,
         look: Look | None = None,
     ) -> DriveSample:
-        """Go there and arrive; the sample of the arrival. started: called once the drive has the order.
+        """Move to a target, mm, and return the sample of the arrival. started: called once the drive has the command.
 
-        Raises LimitError, StateError before any motion, FollowingErrorError for an arrival elsewhere, and as `watch_until`.
+        within_mm: tolerance of the arrival check; slice_s, look: as for `watch_until`. Raises LimitError and StateError before any
+        motion, FollowingErrorError for an arrival outside the tolerance, and as `watch_until`.
         """
         axis = axis or self.axes[0]
         what = f"the move to {target_mm:.4f}"
@@ -316,7 +333,10 @@ class Supervisor:
         slice_s: float = SLICE_S,
         look: Look | None = None,
     ) -> DriveSample:
-        """Start for a target and watch until the condition holds. timeout_s: None, by the way there, its speed and its ramps."""
+        """Start a move to a target, mm, and watch until the condition holds.
+
+        timeout_s: None, computed from travel, speed and ramps (`LONGER`, `LONGER_S`). Raises as `move`, without an arrival check.
+        """
         axis = axis or self.axes[0]
         drive = axis.drive
         if timeout_s is None:
@@ -330,7 +350,7 @@ class Supervisor:
 
     @contextmanager
     def _ordered(self, axis: WatchedAxis, motion: Motion, order: Callable[[], None]) -> Iterator[None]:
-        """Order a motion and, inside, see it over. After any error but a refusal it may be under way, and is stopped."""
+        """Command a motion; the block waits for its end. After any error but a refusal the motion may be under way and is stopped."""
         with axis.moving(motion):
             try:
                 order()

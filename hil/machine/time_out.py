@@ -1,4 +1,4 @@
-"""Why a motion is not over in its time: the likeliest reason by what the drive shows, and what the drive says. Pure."""
+"""Likely reason of a motion that times out, from the drive's last sample. Does no I/O."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from dataclasses import dataclass
 from drivers.drive import DriveSample
 
 STANDS_MM_S = 0.05
-"""Below this an axis stands: a position loop against a stop trembles by less."""
+"""Speed below which an axis counts as standing, mm/s: above the oscillation of a position loop against a stop."""
 STANDS_SHARE = 0.02
-"""… or below this share of the speed asked for."""
+"""Share of the commanded speed below which an axis counts as standing."""
 PUSHES_PERCENT = 50.0
-"""Torque at standstill, of rated, from which a drive pushes against something: friction and a balanced weight take less."""
+"""Torque at standstill, % of rated, from which a drive counts as pushing: above friction and a balanced weight."""
 BEHIND_MM = 0.1
-"""Following error at standstill from which a motor does not get where its set-point is: above any position window."""
+"""Following error at standstill, mm, from which the motor counts as blocked: above any position window."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What was asked for. target_mm, speed_mm_s: None, 0.0 for homing, whose are the drive's own."""
+    """A commanded motion. what: its name, for messages; target_mm, speed_mm_s: None and 0.0 for a homing, where the drive has its
+    own."""
 
     what: str
     target_mm: float | None = None
@@ -27,7 +28,7 @@ class Motion:
 
 
 def likely_reason(motion: Motion, sample: DriveSample, speed_mm_s: float) -> str:  # noqa: PLR0911  (one for each reason)
-    """speed_mm_s: signed, as the positions of the last second show it."""
+    """The likely reason, as a phrase. speed_mm_s: signed, from the positions of the last second."""
     torque, behind = abs(sample.torque_percent or 0.0), abs(sample.following_error_mm or 0.0)
     left_mm = None if motion.target_mm is None else motion.target_mm - sample.position_load_mm
     if abs(speed_mm_s) > max(STANDS_MM_S, STANDS_SHARE * motion.speed_mm_s):
@@ -51,8 +52,8 @@ def likely_reason(motion: Motion, sample: DriveSample, speed_mm_s: float) -> str
     return "it stands, and the drive's set-point too: an override of 0, a halt, or an order that was not taken"
 
 
-def what_it_says(sample: DriveSample, speed_mm_s: float, complaints: Sequence[str]) -> str:
-    """What the drive shows and says, as figures."""
+def drive_report(sample: DriveSample, speed_mm_s: float, complaints: Sequence[str]) -> str:
+    """The drive's sample and complaints as one line of figures. speed_mm_s: as for `likely_reason`."""
     parts = [sample.state.value, f"at {sample.position_load_mm:.4f} mm, {speed_mm_s:.3f} mm/s"]
     if sample.torque_percent is not None:
         parts.append(f"torque {sample.torque_percent:.0f} %")

@@ -1,8 +1,8 @@
-"""WatchedAxis: a drive, and the instrument at its load where there is one, looked at together.
+"""WatchedAxis: a drive and, where there is one, the instrument at its load, sampled and checked together.
 
-One look takes a sample and what the instrument sent, and raises on whatever makes motion unsafe or readings worthless: a fault, a
-sample or reading that is too old, a lost signal, a motor that is faster than it was told or where it was not told to go, an instrument
-that does not see the motor's travel. Stopping is the supervisor's.
+`look` takes a sample of the drive and the new readings of the instrument. It raises on a fault, a sample or reading that is too old,
+a lost signal, a motor that is too fast or outside its allowed positions, and an instrument that does not follow the motor. The
+supervisor then stops the axis.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from hil.axis.agreement import AgreementLimits
 from hil.machine.agreement import RATE_OVER_S, Agreement
 from hil.machine.overspeed import OVER_S, Overspeed
-from hil.machine.place import Place
+from hil.machine.position_check import PositionCheck
 from hil.machine.time_out import Motion
 
 STALE_AFTER_S = 0.5
-"""Oldest sample or reading that is still believed, unless the axis file says otherwise."""
+"""Greatest age of a sample or reading that is used, s, unless the axis file gives another."""
 STALLED_S = 5.0
-"""An axis that was told to move and stands for so long does not go on: brakes open and homings turn around in a second or two."""
+"""Time at standstill, s, after which a commanded motion counts as stalled: brakes open and homings reverse in one or two seconds."""
 STANDS_WITHIN_MM = 0.001
-"""An axis that stands changes by no more: the slowest move that is told, 1 µm in 5 s, is none of any machine tool."""
+"""Range of positions within which an axis counts as standing, mm: 1 µm in 5 s is slower than any move of a machine tool."""
 TO_AND_FRO = 5.0
-"""… and so does one whose way is so many times as long as the stretch it stays within: a homing turns around twice, at a switch or a
-pulse, and goes three times over a stretch at most. One that another master moves, or that hunts, goes on for ever."""
+"""Ratio of path length to range of positions from which an axis counts as oscillating. A homing reverses twice, at a switch or a
+pulse, and reaches three; an axis that hunts, or that another master moves, goes beyond."""
 _FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 class WatchedAxis:
-    """An open drive and an open instrument, None for a drive alone.
+    """An open drive and an open instrument (None for a drive alone).
 
-    on_stop: called when the axis is stopped, as where it comes to rest is not known then. on_readings: hears what the instrument sent.
-    saw_fault: the drive was in a fault since this was last made False. motion: under way, None at rest.
+    on_stop: called when the axis is stopped, as its rest position is not known then; on_readings: called with new readings
+    saw_fault: the drive was in a fault since this was last set to False; motion: the motion under way, None at rest
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class WatchedAxis:
         self._agreement = Agreement(agreement or AgreementLimits(), drive.limits.max_velocity_mm_s)
         self._compared = True
         self._overspeed = Overspeed()
-        self._place = Place(drive.limits)
+        self._place = PositionCheck(drive.limits)
         self._stream_mm_s = 0.0  # of set-points, the fastest so far
         self._speeds: deque[tuple[int, float]] = deque()  # of motions that are over, and when they were
         self._lately: deque[tuple[int, float]] = deque()  # of the motor, over `STALLED_S` of a motion
@@ -77,7 +77,7 @@ class WatchedAxis:
         self.begin()
 
     def begin(self) -> None:
-        """From now on: what was read before is of no use, and travel is compared from here on."""
+        """Drop earlier readings and compare travel from here on."""
         self._start_ns = self.drive.clock.now_ns()
         self._latest: Reading | None = None
         self.motion = None
@@ -93,12 +93,12 @@ class WatchedAxis:
         """Seconds since `begin`, in the clock's time."""
         return (self.drive.clock.now_ns() - self._start_ns) / NS_PER_S
 
-    # -- what it is told ---------------------------------------------------------------------------------------------
+    # -- motions and streams ---------------------------------------------------------------------------------------------
     @contextmanager
     def moving(self, motion: Motion) -> Iterator[None]:
-        """While a motion is under way, from before it is ordered until it is over or was stopped.
+        """Around a motion, from before it is commanded until it is over or was stopped.
 
-        In a homing the drive takes another zero: neither travel nor speed of its positions means anything, nor before it is over.
+        A homing changes the drive's zero, so travel and speed are not compared during it, nor across it.
         """
         homing = motion.target_mm is None
         self._overspeed.forget()
@@ -116,7 +116,8 @@ class WatchedAxis:
 
     @contextmanager
     def following(self) -> Iterator[Callable[[int, float, float], None]]:
-        """While a stream moves it: tell each cycle when the motor was found, where (mm), and the speed of the set-points (mm/s)."""
+        """Around a stream. The function that it gives takes, each cycle, the motor's sample time (ns) and position (mm) and the
+        speed of the set-points (mm/s)."""
 
         def found(time_ns: int, position_mm: float, speed_mm_s: float) -> None:
             self._stream_mm_s = max(self._stream_mm_s, abs(speed_mm_s))
@@ -127,11 +128,11 @@ class WatchedAxis:
         finally:
             self._speeds.append((self.drive.clock.now_ns(), self._stream_mm_s))
             self._stream_mm_s = 0.0
-            self._place.forget()  # a stream looks at no sample; where it ends is where the axis may rest
+            self._place.forget()  # a stream checks no position; the axis may rest where the stream ends
 
     @contextmanager
     def travel_unproven(self) -> Iterator[None]:
-        """While somebody finds out whether the units are right: what the instrument sees of a motion is not judged."""
+        """Do not compare instrument and motor inside the block: for procedures that find out whether the units are right."""
         self._compared = False
         try:
             yield
@@ -140,19 +141,19 @@ class WatchedAxis:
             self._forget_travel()
 
     def acknowledge_loss(self) -> None:
-        """After a lost signal: the instrument's zero may be a new one."""
+        """Use the instrument again after a lost signal; its zero may have changed."""
         if self.instrument is not None:
             self.instrument.acknowledge_loss()
         self._forget_travel()
 
     @property
     def instrument_name(self) -> str:
-        """For messages; "" without an instrument."""
+        """The instrument's name for messages, "" without an instrument."""
         return "" if self.instrument is None else self.instrument.name
 
     @property
     def steady_mm(self) -> float:
-        """What the instrument may change by while the axis stands."""
+        """Allowed change of the readings while the axis stands, mm."""
         return self._agreement.limits.steady_mm
 
     @property
@@ -160,7 +161,7 @@ class WatchedAxis:
         return self._stream_mm_s if self.motion is None else self.motion.speed_mm_s
 
     def _readings_mm_s(self) -> float:
-        """The fastest motion that readings of the last second can be of, however late they are; 0.0: not known."""
+        """Greatest speed, mm/s, of the motions that readings of the last second may belong to, latency included; 0.0: not known."""
         over_ns = self.drive.clock.now_ns() - 2 * round(RATE_OVER_S * NS_PER_S)
         while self._speeds and self._speeds[0][0] < over_ns:
             self._speeds.popleft()
@@ -171,7 +172,7 @@ class WatchedAxis:
 
     @property
     def seen_mm_s(self) -> float:
-        """How fast the motor moved over the last second of the motion under way, signed; 0.0 before two samples."""
+        """Mean speed of the motor over the last second of the motion under way, mm/s, signed; 0.0 before two samples."""
         if len(self._path) < 2 or self._path[-1][0] == self._path[0][0]:
             return 0.0
         (from_ns, from_mm), (to_ns, to_mm) = self._path[0], self._path[-1]
@@ -179,7 +180,7 @@ class WatchedAxis:
 
     @property
     def stalled(self) -> str:
-        """What the motor has done for `STALLED_S` of the motion under way, where it got nowhere; "" where it did, and at rest."""
+        """How the motion under way is stalled for `STALLED_S`, as a phrase; "" when it is not, and at rest."""
         lately = self._lately
         if self.motion is None or not lately or self.drive.clock.now_ns() - lately[0][0] < STALLED_S * NS_PER_S:
             return ""
@@ -192,7 +193,11 @@ class WatchedAxis:
 
     # -- looking -----------------------------------------------------------------------------------------------------
     def look(self) -> tuple[DriveSample, Sequence[Reading]]:
-        """One look at drive and instrument; raises on whatever is wrong."""
+        """Sample the drive and poll the instrument; returns the sample and the new readings.
+
+        Raises DriveFaultError for a fault, OverspeedError, LimitError for a position that is not allowed, LinkLostError for an old
+        sample, and MeasurementLostError for a lost signal, an old reading or one that does not agree with the motor.
+        """
         sample = self.drive.sample()
         self.looked_ns = self.drive.clock.now_ns()
         self.drive.looked_at(sample)
@@ -216,14 +221,14 @@ class WatchedAxis:
         return sample, readings
 
     def look_enabled(self, what: str) -> DriveSample:
-        """One look at an axis that must be under power. Raises as `look`, and StateError: standing still is not having arrived."""
+        """As `look`, for an axis that must be enabled; returns the sample. Raises as `look`, and StateError when it is not enabled."""
         sample, _ = self.look()
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {self.drive.name}: {what} ended by itself, it is {sample.state.value}")
         return sample
 
     def readings(self) -> list[tuple[int, Reading]]:
-        """What the instrument has sent, each with its number, while a stream looks after the drive; raises on a bad or old one."""
+        """New readings, each with its number, while a stream samples the drive. Raises MeasurementLostError for a bad or old one."""
         number, numbered = self._numbered, []
         readings = self._poll()
         self._take(readings, compared=True)
@@ -234,12 +239,13 @@ class WatchedAxis:
         return numbered
 
     def heard_reading(self) -> bool:
-        """Whether the instrument has sent a good reading since `begin`; looks at nothing else. Raises on a bad one."""
+        """Whether the instrument has sent a good reading since `begin`. The drive is not sampled. Raises MeasurementLostError for a
+        bad reading."""
         self._take(self._poll(), compared=False)
         return self._latest is not None
 
     def _poll(self) -> Sequence[Reading]:
-        """A port of the instrument's that went away is a lost measurement, not a lost drive."""
+        """New readings. Raises MeasurementLostError, not LinkLostError, when the instrument's port disappears."""
         if self.instrument is None:
             return ()
         try:
@@ -270,7 +276,7 @@ class WatchedAxis:
             self._latest = readings[-1]
 
     def _judge_speed(self, sample: DriveSample) -> None:
-        """Of the motor in a motion under way."""
+        """Check the motor's speed in a motion. Raises OverspeedError."""
         motion = self.motion
         self._lately.append((sample.time_ns, sample.position_load_mm))
         while len(self._lately) > 1 and sample.time_ns - self._lately[1][0] >= STALLED_S * NS_PER_S:
@@ -285,7 +291,7 @@ class WatchedAxis:
             raise OverspeedError(f"drive {self.drive.name} {wrong}")
 
     def _judge_place(self, sample: DriveSample) -> None:
-        """Of an axis under power, but for a homing."""
+        """Check the position of an enabled axis, except in a homing. Raises LimitError."""
         homing = self.motion is not None and self.motion.target_mm is None
         if homing or sample.state is not DriveState.ENABLED:
             self._place.forget()

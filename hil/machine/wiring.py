@@ -1,6 +1,6 @@
-"""The one place that knows concrete drives: from an axis file to a session on a machine, or on the bench.
+"""Builds the session of one axis from its axis file, on hardware or on the bench. Only the wiring modules name concrete drives.
 
-Everything else of `hil` works against `ServoDrive` and `DistanceInstrument`, so that the same code runs on real hardware and in tests.
+All other modules of `hil` work against `ServoDrive` and `DistanceInstrument`, so that the same code runs on hardware and in tests.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.zero import zero_keeper
-from hil.machine.axis_place import held_axis, modbus_endpoint
+from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
-from hil.machine.instruments import instrument, with_instrument
+from hil.machine.instruments import build_instrument, with_instrument
 from hil.machine.session import AxisSession
 from hil.machine.signals import ending_by_signals, stopped_by_signals
 from sim_backends.bench import Bench, BenchParameters, known_bench
@@ -45,13 +45,13 @@ from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
 Drive = TypeVar("Drive", bound=ServoDrive)
 
-BENCH_PATIENCE_S = 10.0
-"""The bench's drive answers in a thread of its own, as soon as the host lets it: its silence is judged in real time."""
+BENCH_TIMEOUT_S = 10.0
+"""Time-out for an answer of the bench's drive, s of real time: it answers in a thread of its own, which a busy host may delay."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A connected axis; `bench` is the simulated machine behind it, None on a real one."""
+    """A connected axis. bench: the simulated machine, None on hardware."""
 
     axis: AxisConfig
     session: AxisSession
@@ -59,6 +59,7 @@ class Machine:
 
     @property
     def clock(self) -> Clock:
+        """The session's clock."""
         return self.session.clock
 
 
@@ -69,13 +70,13 @@ def connected(
     conditions: Conditions | None = None,
     waiting: Waiting | None = None,
 ) -> Iterator[Machine]:
-    """Connect the axis of an axis file; on leaving it is stopped, restored and let go.
+    """Connect the axis of an axis file. On leaving it is stopped after an error, disabled unless it was enabled, and disconnected.
 
-    bench: for backend "bench", the simulated machine to build instead of the one the axis file names.
-    conditions: who brings about the load and the like on a real machine; the bench does so itself.
-    waiting: through whom the axis's clock waits, so that somebody else can end a wait.
-    Raises InputError for a bench whose travel or scaling is not the axis file's, or while another process has connected this axis
-    file or another one of its drive, and whatever connecting raises.
+    bench: for backend "bench", the simulated machine to build instead of the one that the axis file names
+    conditions: sets load and the like on a real machine; the bench has its own
+    waiting: the waits of the axis's clock go through it, so that another thread can end a wait
+    Raises InputError for a bench whose travel or scaling is not the axis file's, and while another process has connected this axis
+    file or its drive. Raises what connecting raises.
     """
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
@@ -89,15 +90,17 @@ def connected(
 
 
 def bench_parameters(axis: DriveAxis) -> BenchParameters:
-    """The simulated machine that an axis file with backend "bench" asks for."""
+    """The simulated machine that an axis file with backend "bench" names."""
     return known_bench(axis.drive.machine, axis.drive.seed)
 
 
 def _on_bench(axis: AxisConfig, parameters: BenchParameters, stack: ExitStack, waiting: Waiting | None) -> Machine:
     bench = _bench(axis, with_instrument(parameters, axis.instrument), stack, waiting)
     drive = _bench_drive(axis, bench, stack)
-    looking = instrument(axis.instrument, bench.laser_path, bench.clock)
-    return Machine(axis, session_of(axis, drive, looking, BenchConditions(bench.plant, axis.conditions.levels)), bench)
+    instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
+    return Machine(
+        axis, session_of(axis, drive, instrument, BenchConditions(bench.plant, axis.conditions.levels)), bench
+    )
 
 
 def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack, waiting: Waiting | None = None) -> Bench:
@@ -109,7 +112,9 @@ def _bench(axis: DriveAxis, parameters: BenchParameters, stack: ExitStack, waiti
 def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack, waiting: Waiting | None) -> Machine:
     clock = WallClock(waiting)
     drive = hardware_drive(axis, clock, stack)
-    return Machine(axis, session_of(axis, drive, instrument(axis.instrument, axis.instrument.port, clock), conditions))
+    return Machine(
+        axis, session_of(axis, drive, build_instrument(axis.instrument, axis.instrument.port, clock), conditions)
+    )
 
 
 # -- drives ------------------------------------------------------------------------------------------------------------
@@ -117,7 +122,7 @@ def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitSta
 def connected_drive(
     axis: DriveAxis, bench: BenchParameters | None = None, waiting: Waiting | None = None
 ) -> Iterator[ServoDrive]:
-    """The drive alone, open, without an instrument. Nothing is enabled or moved. bench, waiting: as for `connected`."""
+    """The drive alone, open, without an instrument; it is not enabled. bench, waiting, errors: as for `connected`."""
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
         stack.enter_context(held_axis(axis))
@@ -126,9 +131,9 @@ def connected_drive(
 
 @contextmanager
 def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
-    """A Modbus drive's registers by their names, however wrong its register map may be: not even a sample is taken.
+    """A Modbus drive's registers by name. No sample is taken, so that it works with a wrong register map too.
 
-    Raises CapabilityError for an axis without registers.
+    Raises CapabilityError for a drive that is not on Modbus, and as `connected`.
     """
     with ExitStack() as stack:
         stack.enter_context(held_axis(axis))
@@ -149,7 +154,7 @@ def _drive_alone(
 
 
 def described_table(axis: DriveAxis) -> TableDescription | None:
-    """What the axis's drive can hold as a correction table of its own, by its map alone; None where no map tells of one."""
+    """The correction table that the axis's drive can hold, as its map describes it; None where the map has none."""
     config = axis.drive
     if config.register_map:
         table = load_drive_map(config.register_map).table
@@ -158,7 +163,7 @@ def described_table(axis: DriveAxis) -> TableDescription | None:
 
 
 def predicted_table_s(axis: DriveAxis, table: RawTable) -> tuple[float, float] | None:
-    """How long writing a table and reading it back keeps a free CAN bus busy, at least and at most; None on another wire."""
+    """Bus time for writing a table and reading it back on a free CAN bus, least and most, s; None on another wire."""
     config = axis.drive
     if not config.correction_table or config.face == "virtual":
         return None
@@ -168,21 +173,21 @@ def predicted_table_s(axis: DriveAxis, table: RawTable) -> tuple[float, float] |
 
 @dataclass
 class Links:
-    """What the drives of one machine share: a link for each CAN bus, by interface and channel, and for each Modbus line."""
+    """Links shared by the drives of one machine: one for each CAN bus (interface, channel), one for each Modbus endpoint."""
 
     can: dict[tuple[str, str], CanLink] = field(default_factory=dict)
     modbus: dict[Endpoint, ModbusLink] = field(default_factory=dict)
 
 
 def hardware_drive(axis: DriveAxis, clock: Clock, stack: ExitStack, links: Links | None = None) -> ServoDrive:
-    """The real drive of an axis file, not opened; links: of the machine's other drives."""
+    """The hardware drive of an axis file, not opened. links: of the machine's other drives."""
     if axis.drive.backend == "canopen":
         return canopen_drive(axis, clock, (axis.drive.interface, axis.drive.channel), stack, links=links)
     return modbus_drive(axis, clock, modbus_endpoint(axis), axis.drive.unit, links)
 
 
 def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
-    """The bench's servo behind the wire that the axis file asks for."""
+    """A drive for the simulated servo on the wire that the axis file names."""
     face, clock = axis.drive.face, bench.clock
     if face == "virtual":
         return virtual_drive(axis, bench)
@@ -202,16 +207,16 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
 
 
 def bench_modbus(units: Mapping[int, tuple[DriveAxis, Bench]], clock: SimClock, stack: ExitStack) -> Endpoint:
-    """Serve benches as units of one line, of the kind that their axis files ask for; where the line is."""
+    """Serve benches as units of one Modbus TCP server or RTU line, as their axis files name it; returns its endpoint."""
     faces = {
         unit: modbus_face(bench, "vendor" if axis.drive.register_map == "vendor_style" else "cia402")
         for unit, (axis, bench) in units.items()
     }
     if next(iter(units.values()))[0].drive.face == "modbus-tcp":
         _, port = stack.enter_context(tcp_server(faces, clock))
-        return TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
+        return TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_TIMEOUT_S)
     _, path = stack.enter_context(rtu_slave(faces, clock))
-    return RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
+    return RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_TIMEOUT_S)
 
 
 def canopen_drive(
@@ -222,7 +227,7 @@ def canopen_drive(
     *,
     links: Links | None = None,
 ) -> CanOpenDrive:
-    """bus: python-can's interface and channel."""
+    """The CANopen drive of an axis file, not opened. bus: python-can's interface and channel."""
     config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus
     bitrate = None if interface == "virtual" else config.bitrate
     shared = Links() if links is None else links
@@ -249,13 +254,13 @@ def canopen_drive(
             table=load_table_map(config.correction_table) if config.correction_table else None,
         )
     )
-    return _of_axis(axis, drive)
+    return _guarded(axis, drive)
 
 
 def modbus_drive(
     axis: DriveAxis, clock: Clock, endpoint: Endpoint, unit: int, links: Links | None = None
 ) -> ModbusDrive:
-    """The register map decides what the drive is; writes to its EEPROM are counted beside the axis's campaigns."""
+    """The Modbus drive of an axis file, not opened. Writes to its EEPROM are counted in the axis's store."""
     shared = Links() if links is None else links
     drive = stopped_by_signals(
         ModbusDrive(
@@ -269,10 +274,11 @@ def modbus_drive(
             wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
         )
     )
-    return _of_axis(axis, drive)
+    return _guarded(axis, drive)
 
 
 def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
+    """A drive that calls the bench's servo directly, without a wire."""
     asked = axis.drive.homing
     settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
     given = {
@@ -293,29 +299,30 @@ def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
             table=bench_table(axis, bench),
         )
     )
-    return _of_axis(axis, drive)
+    return _guarded(axis, drive)
 
 
-def _of_axis(axis: DriveAxis, drive: Drive) -> Drive:
-    """What the axis file says beside the wire; the axis's zero is looked after whoever moves the drive."""
+def _guarded(axis: DriveAxis, drive: Drive) -> Drive:
+    """The drive with the axis file's remaining settings, its homings recorded by the axis's zero keeper."""
     drive.falls_without_power = axis.falls_without_power
     zero_keeper(axis).guard(drive)
     return drive
 
 
 def bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:
-    """The correction table that the bench's drive holds itself."""
+    """The correction table in the bench's drive, None where the axis file names none."""
     return known_table(axis.drive.correction_table, bench.parameters.scaling.counts_per_load_mm / 1000.0)
 
 
 # -- session -------------------------------------------------------------------------------------------
 def session_of(
-    axis: AxisConfig, drive: ServoDrive, looking: DistanceInstrument, conditions: Conditions | None
+    axis: AxisConfig, drive: ServoDrive, instrument: DistanceInstrument, conditions: Conditions | None
 ) -> AxisSession:
+    """A session with the settings of an axis file, not entered."""
     stale_after_s = axis.instrument.stale_after_s
     session = AxisSession(
         drive,
-        looking,
+        instrument,
         axis.measurement,
         stale_after_s=stale_after_s,
         agreement=axis.agreement,
@@ -323,14 +330,14 @@ def session_of(
     )
     session.resume_within_s = axis.instrument.resume_within_s
     session.material = axis.instrument.material
-    session.steering.bound = axis.correction.bound
+    session.command_state.bound = axis.correction.bound
     session.zero = zero_keeper(axis)
     session.zero.guard(drive)
     return session
 
 
 def check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:
-    """The bench is a machine like any other: an axis file that does not describe it is refused before anything moves."""
+    """Raises InputError for an axis file whose scaling or travel is not the bench's."""
     found: tuple[AxisScaling, DriveLimits] = (parameters.scaling, parameters.limits)
     if axis.scaling != found[0]:
         raise InputError(

@@ -1,15 +1,15 @@
-"""Whole sets of drive parameters: backed up, compared, written all or nothing, proven, kept.
+"""Sets of drive parameters: backed up, compared, written all or nothing, read back, stored.
 
-    set_file     a set as a TOML file                  formats    the same as DCF or concise DCF
-    snapshot     what drives hold, as sets             compare    a set against what a drive holds
-    preflight    may it be written at all              order      what first
-    transaction  one drive: write, prove, or put back  works      many drives through the same stages, side by side
-    download     the stages of a download              journal    what a power cut leaves to go on from
-    recover      resume and rollback                   audit      what is left after a restart
-    predict      what it costs on the wire             defaults   the maker's values
+    set_file     a set as a TOML file                  formats    a set as DCF or concise DCF
+    snapshot     a backup: what drives hold, as sets   compare    a set against what a drive holds
+    preflight    checks before the first write         predict    bus time of a download
+    transaction  one drive: write in order, read back  tasks      many drives through the same stages, side by side
+    download     the stages of a download              journal    record of a download, for recovery
+    recover      resume and rollback                   restart    audit after a restart, factory defaults
+    job          functions for terminal and screen     report     outcome of a job
 
-Everything but `formats` works against `drivers.raw_parameters` alone, so that it is the same on every wire; `hil.parameters.wiring`
-makes the concrete drives from axis files:
+All modules but `formats` and `wiring` use `drivers.raw_parameters` alone, so that they are the same on every wire.
+`hil.parameters.wiring` makes the concrete drives from axis files:
 
     axes = [load_drive_axis("X.toml"), load_drive_axis("Y.toml")]
     with connected_parameters(axes) as drives:

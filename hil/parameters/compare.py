@@ -1,4 +1,4 @@
-"""A set against what a drive holds, and against another set."""
+"""Comparison of a set with what a drive holds."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from drivers.parameters import ParameterValue
 from drivers.raw_parameters import DriveIdentity, RawParameters, Steps, WireTime
 from hil.parameters.preflight import Objection, match_set, objections_to_identity
 from hil.parameters.set_file import ParameterSet
+from hil.parameters.tasks import Progress, no_progress, run_together, serialized
 from hil.parameters.transaction import DriveJob, ended_in
-from hil.parameters.works import Progress, one_at_a_time, run_together, unseen
 
 
 class Side(Enum):
-    """What comparing one parameter gave."""
+    """Result of comparing one parameter."""
 
     SAME = "same"
     DIFFERS = "differs"
@@ -25,7 +25,7 @@ class Side(Enum):
 
 @dataclass(frozen=True)
 class Compared:
-    """One parameter; values in its unit, None where there is none. why: it cannot be compared, or could not be written."""
+    """One parameter. held, wanted: in its unit, None where unknown; why: reason why it cannot be compared; read_s: answer time, s."""
 
     address: str
     name: str
@@ -39,7 +39,7 @@ class Compared:
 
 @dataclass
 class Comparison:
-    """One drive against its set. cost: what a download of the differences would cost on the bus, after this look at it."""
+    """One drive against its set. any_version: as for `Target`; cost: bus time of a download of the differences."""
 
     drive: RawParameters
     contents: ParameterSet
@@ -49,14 +49,16 @@ class Comparison:
     objections: list[Objection] = field(default_factory=list)
     identity: DriveIdentity | None = None
     cost: WireTime = field(default_factory=WireTime)
-    answer_s: float = 0.0  # what the drive took for one answer, beside the bus
+    answer_s: float = 0.0  # drive's own time for one answer, without the bus
     error: str = ""
 
     @property
     def same(self) -> bool:
+        """Whether the drive holds all of the set, without an error or objection."""
         return not self.error and not self.objections and all(row.side is Side.SAME for row in self.rows)
 
     def as_json(self) -> dict[str, Any]:
+        """As `--json` writes it; bytes as hexadecimal digits."""
         return {
             "drive": self.drive.name,
             "good": self.same,
@@ -76,11 +78,11 @@ class Comparison:
 
 
 def compare(
-    pairs: Sequence[tuple[RawParameters, ParameterSet]], *, any_version: bool = False, progress: Progress = unseen
+    pairs: Sequence[tuple[RawParameters, ParameterSet]], *, any_version: bool = False, progress: Progress = no_progress
 ) -> list[Comparison]:
-    """Read what each set speaks of, side by side, and compare. Never raises for what a drive or its wire does."""
+    """Read the parameters of each set, drives side by side, and compare. Errors of a drive or its wire become `Comparison.error`."""
     comparisons = [Comparison(drive, contents, DriveJob(drive), any_version) for drive, contents in pairs]
-    progress = one_at_a_time(progress)
+    progress = serialized(progress)
     errors = run_together(comparisons, lambda each: each.drive, lambda each: _compare(each, progress))
     for comparison, error in zip(comparisons, errors, strict=True):
         if error is not None:
@@ -126,7 +128,7 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
 
 
 def _answer_s(comparison: Comparison, shown: Mapping[str, bytes]) -> float:
-    """The drive's own share of an answer: what reading took, less what the bus took, at the median."""
+    """The drive's own time for an answer, s: median of the answer times less their bus time."""
     shares = sorted(
         (row.read_s - comparison.drive.cost([(row.address, shown[row.address])], []).seconds_likely)
         for row in comparison.rows

@@ -1,11 +1,11 @@
-"""A download to one drive or several: who does what when, what is noted before, and what becomes of the others when one fails.
+"""A download of sets to one or several drives, all or nothing over all of them, in stages:
 
-    look      identity, state, snapshot, every entry looked at        nothing is written while anything speaks against it
-    write     what differs, in order, read back                       on any failure every drive is put back
-    store     the drives keep what they hold                          only when asked, only when all of it is proven
-    audit     start them anew and read all of it again                only when asked
+    look      identity, state, snapshot, check of every entry         any objection ends the download before the first write
+    write     entries that differ, in order, read back                on any failure every drive is put back
+    store     the drives store what they hold                         only on request, after everything was read back
+    audit     restart the drives and read everything again            only on request
 
-What may go in: these stages. Work on several drives runs side by side as far as their lines allow (`works`).
+Drives on different lines, and on one line as far as it allows, are served side by side (`tasks`).
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from functools import partial
 from drivers.drive import DriveState
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, LinkLostError, StateError
 from drivers.raw_parameters import DriveIdentity, RawParameters, Steps
-from hil.parameters.audit import Ask, audit
 from hil.parameters.journal import Journal, Noted, Phase
 from hil.parameters.preflight import Objection, match_set, objection_to_state, objections_to_identity
 from hil.parameters.report import Ending, JobReport
+from hil.parameters.restart import Ask, audit
 from hil.parameters.set_file import ParameterSet
+from hil.parameters.tasks import DriveTask, Progress, no_progress, reports_of, stage
 from hil.parameters.transaction import DriveJob, ended_in
-from hil.parameters.works import Progress, Work, reports_of, stage, unseen
 
 
 @dataclass
 class Target:
-    """One drive of a download: its set and its journal. any_version: a set read with another revision or firmware is welcome."""
+    """One drive of a download: its set and its journal. any_version: a set of another revision or firmware is allowed."""
 
     drive: RawParameters
     contents: ParameterSet
@@ -37,23 +37,23 @@ class Target:
 
 
 @dataclass
-class _Download(Work):
-    """A target under way."""
+class _Download(DriveTask):
+    """A target during a download."""
 
     target: Target = field(kw_only=True)
     identity: DriveIdentity | None = None
     written: Sequence[str] = ()
-    not_kept: str = ""  # why the drive did not store, where it said so
+    not_kept: str = ""  # reason of the drive for not storing
 
 
 def download(
-    targets: Sequence[Target], *, store: bool = False, ask: Ask | None = None, progress: Progress = unseen
+    targets: Sequence[Target], *, store: bool = False, ask: Ask | None = None, progress: Progress = no_progress
 ) -> list[JobReport]:
-    """Write every target's set, all or nothing over all of them; store: have the drives keep it afterwards.
+    """Write every target's set, all or nothing over all of them.
 
-    ask: audit what was stored, by a restart of the drives; it asks a person for what a drive cannot do itself. Never raises for what a
-    drive or its wire does: the reports say it. Raises InputError where an earlier download of one of them is not finished, or the
-    journal cannot be written before the first write. Ctrl-C puts everything back first.
+    store: the drives store it afterwards; ask: audit what was stored by a restart, asking a person for what a drive cannot do itself.
+    Errors of a drive or its wire are in the reports. Raises InputError where an earlier download of a target is not finished, or the
+    journal cannot be written before the first write. KeyboardInterrupt is raised after everything was put back.
     """
     works = [_Download(each.drive, each.journal, DriveJob(each.drive), target=each) for each in targets]
     for work in works:
@@ -88,8 +88,8 @@ def download(
     return reports_of(works)
 
 
-def refuse_unfinished(work: Work) -> None:
-    """Raise InputError where a download was cut off and not finished yet."""
+def refuse_unfinished(work: DriveTask) -> None:
+    """Raises InputError where an interrupted download is not finished."""
     unfinished = work.journal.unfinished()
     if unfinished is not None:
         raise InputError(
@@ -119,8 +119,11 @@ def _look(work: _Download, store: bool) -> Steps[None]:
     yield from snapshot(work)
 
 
-def snapshot(work: Work) -> Steps[None]:
-    """What the drive holds of what is wanted; what it does not show becomes an objection."""
+def snapshot(work: DriveTask) -> Steps[None]:
+    """Read the present values of the wanted parameters. One that cannot be read becomes an objection.
+
+    Raises LinkLostError when the drive restarts meanwhile.
+    """
     work.starts = work.drive.restarts
     accesses = yield from work.drive.read(list(work.new), work.job.tell)
     work.job.latencies.note(work.job.latencies.read_s, accesses)
@@ -135,7 +138,7 @@ def snapshot(work: Work) -> Steps[None]:
 
 
 def _begin(works: Sequence[_Download], store: bool) -> None:
-    """Note what is about to happen, of every drive, before the first write to any."""
+    """Write the journal of every drive before the first write to any."""
     for work in works:
         if work.identity is None or not (work.differing() or store):
             work.ending = Ending.UNCHANGED
@@ -155,8 +158,8 @@ def _write(work: _Download) -> Steps[None]:
     work.note(Phase.PROVEN)
 
 
-def put_back(work: Work) -> Steps[None]:
-    """Everything as it was before, and shown by the drive; else the work stays unfinished."""
+def put_back(work: DriveTask) -> Steps[None]:
+    """Write the old values and read them back. Where that fails the download stays unfinished."""
     try:
         work.note(Phase.GOING_BACK)
     except InputError as error:  # the disk is full: no reason to leave the drive as it is
@@ -174,15 +177,15 @@ def put_back(work: Work) -> Steps[None]:
 def _keep(work: _Download) -> Steps[None]:
     try:
         yield from keep(work, work.new)
-    except (AbortError, CapabilityError, StateError) as error:  # it said no: nothing is uncertain
+    except (AbortError, CapabilityError, StateError) as error:  # the drive refused, so its state is known
         work.not_kept = ended_in(error)
 
 
-def keep(work: Work, goals: Mapping[str, bytes]) -> Steps[None]:
-    """Have a drive without power on its motor store what it holds, the goals. Raises StateError, and what storing raises.
+def keep(work: DriveTask, goals: Mapping[str, bytes]) -> Steps[None]:
+    """Have a disabled drive store the goals, which it holds. Raises StateError for an enabled drive, and what storing raises.
 
-    A drive that started anew since the goals were proven may have stored something else: then they are read again, and ProtocolError
-    is raised where it does not hold them any more.
+    A drive that restarted since the goals were read back may have stored something else: then they are read again, and ProtocolError
+    is raised where it no longer holds them.
     """
     drive = work.drive
     state: DriveState = yield from drive.state()
@@ -204,7 +207,7 @@ def keep(work: Work, goals: Mapping[str, bytes]) -> Steps[None]:
 
 
 def _end(work: _Download) -> None:
-    """After everything is proven. A store that was not answered leaves the job unfinished: it can be resumed."""
+    """Set the ending after everything was read back. A store without an answer leaves the download unfinished; it can be resumed."""
     if work.error:
         work.ending = Ending.UNFINISHED
         work.notes.append("everything is written and was read back; whether the drive keeps it is not known")

@@ -1,7 +1,6 @@
-"""A set as a file of any of the forms that go with drives: ours (TOML), DCF, concise DCF.
+"""Reading and writing a set as TOML, DCF or concise DCF, chosen by the file's suffix.
 
-What may go in: choosing the form by the file's name, and what each can hold. A DCF needs the maker's EDS; a concise DCF names neither
-drive nor parameters, so its names come from the drive's own file.
+A DCF needs the maker's EDS. A concise DCF names neither drive nor parameters; the names come from the drive's own file.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ FORMATS = ("toml", "dcf", "cdcf")
 
 
 def format_of(path: Path) -> str:
-    """By the suffix; ours for any other."""
+    """The form by the suffix; toml for any other suffix."""
     suffix = path.suffix.lower().removeprefix(".")
     return suffix if suffix in FORMATS else "toml"
 
@@ -40,7 +39,7 @@ def read_any(path: str | Path) -> ParameterSet:
 
 
 def _read_dcf(path: Path) -> ParameterSet:
-    """What a DCF configures; what it leaves at its default is not part of the set."""
+    """The set of a DCF: objects with a ParameterValue. Raises InputError for a DCF without any."""
     dcf = load_eds(path)
     entries = tuple(
         SetEntry(object_address(*key), found.value, None, found.entry.type.name, "", found.entry.name)
@@ -55,9 +54,9 @@ def _read_dcf(path: Path) -> ParameterSet:
 
 
 def write_any(path: Path, contents: ParameterSet, drive: RawParameters, form: str | None, eds: Path | None) -> None:
-    """Write a set in a form (None: by the file's name). eds: the maker's file, which a DCF is made of.
+    """Write a set in a form (None: by the file's suffix). eds: the maker's file, on which a DCF is based.
 
-    Raises InputError where the form cannot hold the set.
+    Raises InputError where the form cannot hold the set, a DCF has no EDS, or the file cannot be written.
     """
     form = form or format_of(path)
     if form == "toml":

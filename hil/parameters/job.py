@@ -1,11 +1,12 @@
-"""Whole sets of drives' parameters: backed up, compared, written all or nothing, kept, and finished or taken back after a cut.
+"""Jobs on parameter sets: backup, compare, download, store, restore, resume and rollback.
 
-Functions of several axes are what the command line works with; the jobs at the end are for the desk and one axis. No drive is opened
-for motion, so each of them connects by itself.
+Functions of several axes are for the command line; the jobs are for the screen and one axis; `set_files` and `keep_set` are the files
+that the screen offers. No drive is opened for motion, so each function connects by itself.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,18 +19,18 @@ from hil.app.jobs.plan import Plan, Write
 from hil.axis.axis_file import DriveAxis
 from hil.correction.sealed import check_detached, load_public_key
 from hil.machine.events import Event
-from hil.parameters.audit import Ask
 from hil.parameters.compare import Comparison, compare
 from hil.parameters.download import Target, download
-from hil.parameters.formats import read_any, write_any
+from hil.parameters.formats import FORMATS, read_any, write_any
 from hil.parameters.journal import Download, Journal
 from hil.parameters.recover import Unfinished, recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport
-from hil.parameters.set_file import ParameterSet
+from hil.parameters.restart import Ask
+from hil.parameters.set_file import FORMAT, ParameterSet
 from hil.parameters.snapshot import Backup, back_up
+from hil.parameters.tasks import Progress, no_progress
 from hil.parameters.wiring import connected_parameters, journal_of
-from hil.parameters.works import Progress, unseen
-from hil.records.files import naming, read_bytes
+from hil.records.files import naming, read_bytes, replace_file
 
 BACKUP, COMPARE, VERIFY = "parameters backup", "parameters compare", "parameters verify"
 DOWNLOAD, STORE, RESTORE = "parameters download", "parameters store", "parameters restore"
@@ -38,13 +39,17 @@ RESUME, ROLLBACK = "parameters resume", "parameters rollback"
 
 # -- sets ----------------------------------------------------------------------------------------------------------------
 def load_set(path: str | Path, axis: DriveAxis, *, signed: bool = False) -> ParameterSet:
-    """A set's file, its builder's signature checked where there is one. Raises InputError, and SealedError for a wrong signature."""
+    """Read a set; a signature beside it is checked. signed: there must be one.
+
+    Raises InputError for a wrong file or a missing signature, SealedError for a wrong signature.
+    """
     check_signature(Path(path), axis, demanded=signed)
     return read_any(path)
 
 
 def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
-    """Raise unless the signature beside a file is the builder's, or there is none and none is demanded."""
+    """Check the signature beside a file. Raises SealedError unless it is the builder's, InputError where it is demanded and
+    missing."""
     beside = path.with_name(f"{path.name}.sig")
     if not beside.exists():
         if demanded:
@@ -56,13 +61,13 @@ def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
 
 
 def set_before_last(axis: DriveAxis) -> ParameterSet:
-    """What the drive held before the last download that changed something. Raises InputError where there is none, or put back."""
+    """The values before the last download that changed something. Raises InputError where there is none, or it was put back."""
     journal = journal_of(axis)
     return set_before(_ended_well(axis, journal, journal.last_change()))
 
 
 def set_of_last(axis: DriveAxis) -> ParameterSet:
-    """What the last download wrote. Raises InputError where there is none, or it was put back."""
+    """The set of the last download. Raises InputError where there is none, or it was put back."""
     journal = journal_of(axis)
     return set_after(_ended_well(axis, journal, journal.last()))
 
@@ -82,10 +87,14 @@ def back_up_axes(
     form: str | None = None,
     *,
     everything: bool = False,
-    progress: Progress = unseen,
+    progress: Progress = no_progress,
     waiting: Waiting | None = None,
 ) -> list[Backup]:
-    """Read every parameter that can be put back of each drive, into a file each; a drive that could not be read has none."""
+    """Read every writable parameter of each drive into a file each. A drive that could not be read has no file.
+
+    form: None, by each file's suffix; everything: also read-only parameters; waiting: as for `connected_parameters`, whose errors are
+    raised, as are those of `write_any`.
+    """
     with connected_parameters(axes, waiting) as drives:
         backups = back_up(drives, everything=everything, progress=progress)
     for axis, path, backup in zip(axes, paths, backups, strict=True):
@@ -99,10 +108,10 @@ def compare_axes(
     sets: Sequence[ParameterSet],
     *,
     any_version: bool = False,
-    progress: Progress = unseen,
+    progress: Progress = no_progress,
     waiting: Waiting | None = None,
 ) -> list[Comparison]:
-    """Each drive against its set; nothing is written."""
+    """Compare each drive with its set; nothing is written. Raises what connecting raises."""
     with connected_parameters(axes, waiting) as drives:
         return compare(list(zip(drives, sets, strict=True)), any_version=any_version, progress=progress)
 
@@ -114,10 +123,10 @@ def write_axes(
     store: bool = False,
     ask: Ask | None = None,
     any_version: bool = False,
-    progress: Progress = unseen,
+    progress: Progress = no_progress,
     waiting: Waiting | None = None,
 ) -> list[JobReport]:
-    """Write to each drive its set, all or nothing over all of them; store, ask: as for `download`."""
+    """Write each drive's set, all or nothing over all of them. store, ask: as for `download`. Raises as `download`, and connecting."""
     with connected_parameters(axes, waiting) as drives:
         targets = [
             Target(drive, contents, journal_of(axis), any_version)
@@ -127,9 +136,9 @@ def write_axes(
 
 
 def recover_axes(
-    axes: Sequence[DriveAxis], *, forward: bool, progress: Progress = unseen, waiting: Waiting | None = None
+    axes: Sequence[DriveAxis], *, forward: bool, progress: Progress = no_progress, waiting: Waiting | None = None
 ) -> list[JobReport]:
-    """Finish (forward) or take back the downloads that were cut off; empty where none was."""
+    """Finish (forward) or undo interrupted downloads; empty where there is none. Raises as `recover`, and what connecting raises."""
     cut_off = [axis for axis in axes if unfinished(axis) is not None]
     if not cut_off:
         return []
@@ -139,14 +148,14 @@ def recover_axes(
 
 
 def unfinished(axis: DriveAxis) -> Download | None:
-    """The download that was cut off and has to be finished or taken back first."""
+    """The interrupted download of an axis, None for none. Raises InputError for a damaged journal."""
     return journal_of(axis).unfinished()
 
 
 # -- for the desk: one axis ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class BackedUp:
-    """A backup's file, how many parameters are in it, and how many the drive did not show."""
+    """A backup's file, its number of parameters, and the number of parameters that could not be read."""
 
     path: Path
     parameters: int
@@ -154,12 +163,12 @@ class BackedUp:
 
 
 def backup_job(axis: DriveAxis) -> Job:
-    """Returns a BackedUp: a new file in the axis's folder, named by the time."""
+    """Job that returns a BackedUp: a new file in the axis's folder, named by the time. Its work raises StateError on failure."""
     stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
     path = axis.path.resolve().parent / f"{axis.name}-{stamp}.params.toml"
 
     def work(place: Workplace) -> BackedUp:
-        (backup,) = back_up_axes([axis], [path], progress=_told(place), waiting=place.waiting)
+        (backup,) = back_up_axes([axis], [path], progress=_progress_events(place), waiting=place.waiting)
         if backup.contents is None:
             raise StateError(backup.error)
         return BackedUp(path, len(backup.contents.entries), len(backup.unreadable or {}))
@@ -168,7 +177,7 @@ def backup_job(axis: DriveAxis) -> Job:
 
 
 def compare_job(axis: DriveAxis, contents: ParameterSet, kind: str = COMPARE) -> Job:
-    """Returns a Comparison of the drive with a set; kind: COMPARE or VERIFY. Writes nothing."""
+    """Job that returns a Comparison of the drive with a set; it writes nothing. kind: COMPARE or VERIFY."""
 
     def work(place: Workplace) -> Comparison:
         return _compared(axis, contents, place)
@@ -177,51 +186,53 @@ def compare_job(axis: DriveAxis, contents: ParameterSet, kind: str = COMPARE) ->
 
 
 def _compared(axis: DriveAxis, contents: ParameterSet, place: Workplace) -> Comparison:
-    (found,) = compare_axes([axis], [contents], progress=_told(place), waiting=place.waiting)
+    (found,) = compare_axes([axis], [contents], progress=_progress_events(place), waiting=place.waiting)
     if found.error:
         raise StateError(found.error)
     return found
 
 
 def download_job(axis: DriveAxis, contents: ParameterSet) -> Job:
-    """Returns a JobReport: the set written where it differs and read back, or everything as before."""
+    """Job that downloads a set and returns a JobReport."""
     return _writing(axis, DOWNLOAD, contents, [Write("parameters", contents.name)])
 
 
 def store_job(axis: DriveAxis, contents: ParameterSet) -> Job:
-    """Returns a JobReport: the drive keeps what it holds, if that is the set; else it is refused and nothing is done."""
+    """Job that has the drive store the set that it holds, and returns a JobReport. Its work raises StateError where it holds
+    another."""
 
     def work(place: Workplace) -> JobReport:
         if not _compared(axis, contents, place).same:
             raise StateError("the drive does not hold this set: it was not told to keep it")
-        (report,) = write_axes([axis], [contents], store=True, progress=_told(place), waiting=place.waiting)
+        (report,) = write_axes([axis], [contents], store=True, progress=_progress_events(place), waiting=place.waiting)
         return report
 
     return _job(axis, STORE, [Write("kept", contents.name)], work)
 
 
 def restore_job(axis: DriveAxis) -> Job:
-    """Returns a JobReport: as it was before the last download. Raises InputError where there is none."""
+    """Job that restores the values before the last download, and returns a JobReport. Raises InputError where there is none."""
     contents = set_before_last(axis)
     return _writing(axis, RESTORE, contents, [Write("parameters_back", contents.name)])
 
 
 def _writing(axis: DriveAxis, kind: str, contents: ParameterSet, writes: Sequence[Write]) -> Job:
     def work(place: Workplace) -> JobReport:
-        (report,) = write_axes([axis], [contents], progress=_told(place), waiting=place.waiting)
+        (report,) = write_axes([axis], [contents], progress=_progress_events(place), waiting=place.waiting)
         return report
 
     return _job(axis, kind, writes, work)
 
 
 def recover_job(axis: DriveAxis, *, forward: bool) -> Job:
-    """Returns a JobReport: what was cut off is finished, or taken back. Raises StateError where nothing was."""
+    """Job that finishes (forward) or undoes an interrupted download, and returns a JobReport. Raises StateError where there is
+    none."""
     cut_off = unfinished(axis)
     if cut_off is None:
         raise StateError("nothing to do: no download was cut off")
 
     def work(place: Workplace) -> JobReport:
-        (report,) = recover_axes([axis], forward=forward, progress=_told(place), waiting=place.waiting)
+        (report,) = recover_axes([axis], forward=forward, progress=_progress_events(place), waiting=place.waiting)
         return report
 
     write = Write("parameters" if forward else "parameters_back", cut_off.set_name)
@@ -235,11 +246,69 @@ def _job(
     return Job(kind, plan, work, connects=True)
 
 
-def _told(place: Workplace) -> Progress:
-    """Progress as events; between two accesses somebody may stop it, also where no answer is waited for."""
+def _progress_events(place: Workplace) -> Progress:
+    """Progress as events. Between two accesses a stop is possible, also where no answer is waited for."""
 
-    def told(stage: str, drive: str, done: int, total: int) -> None:
+    def report(stage: str, drive: str, done: int, total: int) -> None:
         place.listener(Event(stage, drive, done, total))
         place.waiting.real(0.0)
 
-    return told
+    return report
+
+
+# -- files with sets ---------------------------------------------------------------------------------------------------
+LARGEST_BYTES = 2_000_000
+_HEAD_BYTES = 4096
+_NAME = re.compile(r"[\w][\w .+-]{0,99}")
+
+
+def set_files(axis: DriveAxis) -> tuple[Path, ...]:
+    """Files with sets in the axis file's folder and among the uploaded ones, sorted by name. Their contents are not checked."""
+    found = [path for folder in (_folder(axis), _brought(axis)) if folder.is_dir() for path in folder.iterdir()]
+    return tuple(sorted((path for path in found if _is_set(path)), key=lambda path: path.name))
+
+
+def keep_set(axis: DriveAxis, name: str, data: bytes) -> Path:
+    """Keep an uploaded set. Raises InputError for a file that is no set or too large, or that differs from the one of that name."""
+    name = Path(name).name
+    if not _NAME.fullmatch(name) or Path(name).suffix.lower().removeprefix(".") not in FORMATS:
+        raise InputError(f"{name!r}: expected the name of a set, ending in {', '.join(f'.{one}' for one in FORMATS)}")
+    require_size(name, len(data))
+    path, new = _brought(axis) / name, _brought(axis) / f".new-{name}"
+    if path.exists():
+        if read_bytes(path) != data:
+            raise InputError("is there already and holds something else: expected another name", path=path)
+        return path
+    new.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(new, data)
+    try:
+        read_any(new)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
+    return path
+
+
+def require_size(name: str, size_bytes: int) -> None:
+    """Raises InputError for a file larger than `LARGEST_BYTES`; for use before it is read."""
+    if size_bytes > LARGEST_BYTES:
+        raise InputError(f"{Path(name).name} has {size_bytes} bytes, expected at most {LARGEST_BYTES}")
+
+
+def _folder(axis: DriveAxis) -> Path:
+    return axis.path.resolve().parent
+
+
+def _brought(axis: DriveAxis) -> Path:
+    return axis.store.directory / "parameters" / "sets"
+
+
+def _is_set(path: Path) -> bool:
+    """By the file's suffix; for TOML by its first `_HEAD_BYTES` too, as axis files are TOML."""
+    if path.name.startswith(".") or not path.is_file():
+        return False
+    suffix = path.suffix.lower()
+    if suffix != ".toml":
+        return suffix.removeprefix(".") in FORMATS
+    with path.open("rb") as file:
+        return FORMAT.encode() in file.read(_HEAD_BYTES)

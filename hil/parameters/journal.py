@@ -1,7 +1,7 @@
-"""The journal of a download: what the drive held and what it is to hold, on the disk before the first write.
+"""The journal of a download: the old and the new value of every parameter, on disk before the first write.
 
-One file per download, one line of JSON per step, each synced before the next thing happens. A line torn by a power cut was never
-acted upon and does not count. A download whose journal has no end is unfinished: `resume` or `rollback` goes on from it.
+One file per download, one line of JSON per step, each synced before the next step. A line torn by a power cut was never acted upon
+and does not count. A download whose journal has no end is unfinished; `resume` and `rollback` recover it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from hil.records.files import read_bytes, sync_directory
 
 
 class Phase(Enum):
-    """How far a download came."""
+    """The steps of a download."""
 
     BEGIN = "begin"  # nothing is written yet
     PROVEN = "proven"  # everything reads back as wanted
-    STORING = "storing"  # the drive may have begun to keep it
+    STORING = "storing"  # the drive may have begun to store
     STORED = "stored"
     GOING_BACK = "going back"
     END = "end"  # with what the drive holds now
@@ -33,7 +33,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Noted:
-    """One parameter of a download, in the drive's bytes. after: addresses that are written before it."""
+    """One parameter of a download, as the drive's bytes. after: addresses that are written before it."""
 
     address: str
     name: str
@@ -44,7 +44,7 @@ class Noted:
 
 @dataclass(frozen=True)
 class Download:
-    """What stands in a journal. store: it was to be kept; phases: in the order of the lines; ending: what the last line says."""
+    """Contents of a journal. store: it was to be stored; phases: in the order of the lines; ending: from the last line."""
 
     axis: str
     set_name: str
@@ -59,15 +59,17 @@ class Download:
 
     @property
     def finished(self) -> bool:
+        """Whether the journal has its end."""
         return Phase.END in self.phases
 
     @property
     def changes(self) -> bool:
-        """Whether anything was to be held differently."""
+        """Whether any new value differs from the old one."""
         return any(each.old != each.new for each in self.parameters)
 
     @property
     def may_have_stored(self) -> bool:
+        """Whether a store was begun."""
         return Phase.STORING in self.phases
 
 
@@ -81,16 +83,16 @@ class Journal:
         return sorted(self.folder.glob("download-[0-9][0-9][0-9][0-9].jsonl"))
 
     def last(self) -> Download | None:
-        """The latest download that was begun. Raises InputError for a file that is none."""
+        """The latest download. Raises InputError for a file that is no journal."""
         return next((found for path in reversed(self._files()) if (found := _read(path)) is not None), None)
 
     def last_change(self) -> Download | None:
-        """The latest that was not only to keep what the drive held. Raises InputError for a file that is none."""
+        """The latest download that changes a value. Raises InputError for a file that is no journal."""
         found = (_read(path) for path in reversed(self._files()))
         return next((one for one in found if one is not None and one.changes), None)
 
     def unfinished(self) -> Download | None:
-        """The download that has to be finished before another begins."""
+        """The latest download if it is unfinished. Raises InputError for a file that is no journal."""
         last = self.last()
         return last if last is not None and not last.finished else None
 
@@ -104,7 +106,7 @@ class Journal:
         *,
         store: bool,
     ) -> Download:
-        """Note a download that is about to begin. Raises InputError when the disk does not take it."""
+        """Write the first line of a new journal, before the first write to the drive. Raises InputError when it cannot be written."""
         files = self._files()
         number = int(files[-1].stem.rpartition("-")[2]) + 1 if files else 1
         download = Download(
@@ -121,7 +123,7 @@ class Journal:
         return download
 
     def note(self, download: Download, phase: Phase, **facts: object) -> None:
-        """One more step. Raises InputError when the disk does not take it."""
+        """Append a step. Raises InputError when it cannot be written."""
         self._append(download.path, {"phase": phase.value, **facts})
 
     def _append(self, path: Path, form: Mapping[str, object], *, new: bool = False) -> None:
@@ -169,7 +171,7 @@ def _form(download: Download) -> dict[str, Any]:
 
 
 def _read(path: Path) -> Download | None:
-    """A journal; None for one whose first line was torn: nothing was written then."""
+    """A journal; None for one whose first line is torn, as nothing was written to the drive then."""
     data = read_bytes(path)
     whole = data[: data.rfind(b"\n") + 1]
     lines = whole.decode("utf-8", errors="replace").splitlines()

@@ -1,4 +1,4 @@
-"""A drive's parameters as whole sets: backed up, compared, downloaded all or nothing, verified, stored; finished or taken back."""
+"""The screen's page on parameter sets: backup, compare, verify, download, store, restore, resume and rollback."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.app.jobs.job import Job
 from hil.app.panel.pieces import Reading, Table
 from hil.app.panel.view import View
 from hil.parameters import job as parameters
-from hil.parameters.jobs.files import LARGEST_BYTES, keep_set, require_size, set_files
+from hil.parameters.job import LARGEST_BYTES, keep_set, require_size, set_files
 from hil.parameters.journal import Download
 from hil.parameters.screen import ParameterRow, parameters_screen
 from hil.parameters.set_file import ParameterSet
@@ -23,22 +23,22 @@ FIGURES = ("held", "wanted")
 
 
 @dataclass(frozen=True)
-class AtHand:
-    """What is in the axis's folder: files with sets, and a download that was cut off."""
+class Stored:
+    """Contents of the axis's folder: files with sets, and an interrupted download."""
 
     sets: tuple[Path, ...]
     cut_off: Download | None
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draw the page."""
     with view.card("parameters.instructions"):
         ui.markdown(view.t("parameters.steps"))
     messages = view.messages("parameters.messages")
-    at_hand = Reading(view, lambda: AtHand(set_files(view.desk.axis), parameters.unfinished(view.desk.axis)))
-    parts = [_draw_interrupted(view, at_hand)]
+    stored = Reading(view, lambda: Stored(set_files(view.desk.axis), parameters.unfinished(view.desk.axis)))
+    parts = [_draw_interrupted(view, stored)]
     with view.card("parameters.set"):
-        choice = _draw_choice(view, at_hand)
+        choice = _draw_choice(view, stored)
         parts.append(_draw_buttons(view, choice))
     parts += [_draw_outcome(view), _draw_differences(view)]
 
@@ -51,8 +51,8 @@ def draw(view: View) -> None:
     view.every(refresh)
 
 
-def _draw_interrupted(view: View, at_hand: Reading[AtHand]) -> Refresh:
-    """A download that was cut off: finish it, or take it back."""
+def _draw_interrupted(view: View, stored: Reading[Stored]) -> Refresh:
+    """Card of an interrupted download, with the buttons to finish or undo it."""
     box = view.named(ui.element("section").classes("hil-card"), "parameters.interrupted")
     with box:
         note = view.named(ui.label().classes("hil-note bad"), "parameters.unfinished")
@@ -61,7 +61,7 @@ def _draw_interrupted(view: View, at_hand: Reading[AtHand]) -> Refresh:
             take_back = view.button("parameters.rollback", lambda: _recover(view, forward=False))
 
     def refresh() -> None:
-        cut_off, job = None if at_hand.value is None else at_hand.value.cut_off, view.desk.job()
+        cut_off, job = None if stored.value is None else stored.value.cut_off, view.desk.job()
         box.set_visibility(cut_off is not None and not (job is not None and job.running))
         if cut_off is not None:
             note.set_text(view.t("parameters.unfinished", name=cut_off.set_name, began=cut_off.began))
@@ -75,8 +75,8 @@ async def _recover(view: View, *, forward: bool) -> None:
     await view.ask_and_run(parameters.recover_job(view.desk.axis, forward=forward))
 
 
-def _draw_choice(view: View, at_hand: Reading[AtHand]) -> ui.select:
-    """The file with the set: one at hand, or one that is brought."""
+def _draw_choice(view: View, stored: Reading[Stored]) -> ui.select:
+    """Choice of the file with the set: a stored one, or an upload."""
     axis = view.desk.axis
     with ui.row().classes("items-center hil-fields"):
         choice = ui.select({}, label=view.t("parameters.file")).style("min-width: 26rem")
@@ -90,7 +90,7 @@ def _draw_choice(view: View, at_hand: Reading[AtHand]) -> ui.select:
                 brought[:] = [str(keep_set(axis, event.file.name, await event.file.read()))]
 
             await view.attempt(keep)
-            at_hand.again()
+            stored.again()
 
         upload = ui.upload(
             label=view.t("parameters.bring"), on_upload=bring, auto_upload=True, max_file_size=LARGEST_BYTES
@@ -98,7 +98,7 @@ def _draw_choice(view: View, at_hand: Reading[AtHand]) -> ui.select:
         view.named(upload.classes("hil-upload").props("flat accept=.toml,.dcf,.cdcf"), "parameters.bring")
 
     def offer() -> None:
-        found = {} if at_hand.value is None else {str(path): path.name for path in at_hand.value.sets}
+        found = {} if stored.value is None else {str(path): path.name for path in stored.value.sets}
         if found != choice.options:
             choice.set_options(found, value=choice.value if choice.value in found else None)
         if brought and brought[0] in found:
@@ -109,7 +109,7 @@ def _draw_choice(view: View, at_hand: Reading[AtHand]) -> ui.select:
 
 
 def _draw_buttons(view: View, choice: ui.select) -> Refresh:
-    """What can be done; what writes to the drive is the builder's."""
+    """Buttons of the jobs. Those that write to the drive need the builder's role."""
     axis = view.desk.axis
 
     def chosen() -> ParameterSet:
@@ -146,7 +146,7 @@ def _draw_buttons(view: View, choice: ui.select) -> Refresh:
 
 
 def _draw_outcome(view: View) -> Refresh:
-    """How far the job is, and what it came to."""
+    """Progress and outcome of the job."""
     t = view.t
     with ui.element("div").classes("hil-grid"):
         with view.card("parameters.drive"):

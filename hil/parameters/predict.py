@@ -1,7 +1,4 @@
-"""How long a download will keep the bus busy, and how long it will take, before anything is sent.
-
-What may go in: adding up what the drives' own files say of the cost of accesses. Nothing is measured here.
-"""
+"""Predicted bus time and duration of a download, from the sizes of its accesses. Nothing is sent or measured."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from hil.parameters.preflight import Wanted
 
 @dataclass(frozen=True)
 class Prediction:
-    """One drive's share. look: reading everything once; write: writing and reading back what differs."""
+    """One drive's share. look: reading every entry once; write: writing and reading back the entries that differ."""
 
     drive: str
     look: WireTime
@@ -23,16 +20,18 @@ class Prediction:
 
     @property
     def whole(self) -> WireTime:
+        """look and write together."""
         return self.look + self.write
 
     def as_json(self) -> dict[str, Any]:
+        """As `--json` writes it."""
         return {"drive": self.drive, "look": vars(self.look), "write": vars(self.write)}
 
 
 def predict(drive: RawParameters, wanted: Sequence[Wanted], differing: Sequence[str] | None = None) -> Prediction:
-    """Of a download of these; differing: addresses that have to be written, None for all of them.
+    """Prediction of a download. differing: addresses to be written, None for all.
 
-    What the drive holds at present stands in the answers as what it is to hold: a guess of some stuff bits, no more.
+    The present values are unknown; the wanted ones are taken for them, which affects only the number of stuff bits.
     """
     every = [(each.address, each.data) for each in wanted]
     written = [pair for pair in every if differing is None or pair[0] in differing]
@@ -40,9 +39,9 @@ def predict(drive: RawParameters, wanted: Sequence[Wanted], differing: Sequence[
 
 
 def seconds_together(costs: Sequence[WireTime], answer_s: float = 0.0) -> tuple[float, float, float]:
-    """(least, likely, most) of drives served side by side on one bus, each taking `answer_s` for an answer.
+    """(least, likely, most) duration, s, for drives served side by side on one bus. answer_s: a drive's own time for one answer, s.
 
-    The bus is shared, a drive's thinking is its own: the longer of the two decides.
+    It is the longer of the bus time of all drives and the bus and answer time of the slowest drive.
     """
     found = []
     for name in ("seconds_least", "seconds_likely", "seconds_most"):

@@ -1,7 +1,4 @@
-"""May this set be written to this drive? Every entry is looked at before the first is written, and every objection is named.
-
-What may go in: decisions on what is known already. Reading it from the drive is `transaction`'s.
-"""
+"""Checks of a set before the first write: every entry is checked and every objection is listed. Does no I/O."""
 
 from __future__ import annotations
 
@@ -15,12 +12,14 @@ from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters
 from hil.parameters.set_file import ParameterSet, SetEntry
 
 WITHOUT_POWER = (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
-_AGREES = 1e-6  # of a value as written by a person, relative to its raw one
+"""States in which parameters are written."""
+_AGREES = 1e-6
+"""Relative tolerance between an entry's value and its raw form."""
 
 
 @dataclass(frozen=True)
 class Objection:
-    """Why something is not written. address "" speaks of the drive as a whole; line: of the set's file."""
+    """Why something is not written. address: "" for the drive as a whole; line: in the set's file."""
 
     address: str
     name: str
@@ -35,7 +34,7 @@ class Objection:
 
 @dataclass(frozen=True)
 class Wanted:
-    """One entry of a set as the drive would hold it."""
+    """One entry of a set as the drive's bytes. after: addresses written before it."""
 
     parameter: RawParameter
     data: bytes
@@ -43,11 +42,12 @@ class Wanted:
 
     @property
     def address(self) -> str:
+        """Address of the parameter."""
         return self.parameter.address
 
 
 def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted], list[Objection]]:
-    """The set in the drive's bytes, and what speaks against it: missing, wrong type, out of limits, read only, moves the axis."""
+    """The set as the drive's bytes, and objections: missing, wrong type, out of limits, read-only, moves the axis."""
     wanted: list[Wanted] = []
     objections: list[Objection] = []
     for entry in contents.entries:
@@ -73,7 +73,8 @@ def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted
 
 
 def data_of(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> bytes:
-    """An entry's bytes. Raises InputError where type, value or raw do not fit, or do not agree with each other."""
+    """An entry as the drive's bytes. Raises InputError for a type, value or raw form that does not fit, or that contradict each
+    other."""
     if entry.type and entry.type.upper() != parameter.type.upper():
         raise InputError(f"is a {entry.type} in the set, the drive's is a {parameter.type}")
     if entry.raw is None:
@@ -114,7 +115,10 @@ def _agree(drive: RawParameters, parameter: RawParameter, entry: SetEntry, data:
 def objections_to_identity(
     meant: DriveIdentity | None, found: DriveIdentity, *, any_version: bool = False, same_unit: bool = False
 ) -> list[Objection]:
-    """A set for another model is never written; for another revision or firmware when that is wanted; same_unit: this very drive."""
+    """Objections to writing a set of the identity `meant` to the drive `found`.
+
+    Another model is always an objection, another revision or firmware unless any_version, another serial number if same_unit.
+    """
     if meant is None:
         return []
     if meant.protocol != found.protocol:
@@ -142,7 +146,7 @@ def _shown(value: int | str | None) -> str:
 
 
 def objection_to_state(state: DriveState) -> Objection | None:
-    """Parameters are written without power on the motor only."""
+    """An objection unless the drive is disabled (`WITHOUT_POWER`)."""
     if state in WITHOUT_POWER:
         return None
     return Objection("", "", f"the drive is {state.value}: parameters are written while it is disabled")

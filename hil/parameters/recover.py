@@ -1,7 +1,6 @@
-"""Going on from a journal: finish a download that was cut off, or have everything as it was before it.
+"""Recovery of an interrupted download from its journal: finish it (resume), or restore the old values (rollback).
 
-What may go in: what may still be done to a drive nobody has seen since. It may hold old and new values, or others if it was without
-power meanwhile; in the end it holds one side entirely, and has shown it.
+The drive may hold old and new values, or others if it was without power meanwhile. Afterwards it holds one side entirely, read back.
 """
 
 from __future__ import annotations
@@ -17,23 +16,23 @@ from hil.parameters.journal import Download, Journal, Phase
 from hil.parameters.preflight import objection_to_state, objections_to_identity
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry
+from hil.parameters.tasks import DriveTask, Progress, no_progress, reports_of, stage
 from hil.parameters.transaction import DriveJob
-from hil.parameters.works import Progress, Work, reports_of, stage, unseen
 
 
 @dataclass
 class Unfinished:
-    """A drive whose journal has a download without an end."""
+    """A drive with an unfinished download in its journal."""
 
     drive: RawParameters
     journal: Journal
 
 
-def recover(targets: Sequence[Unfinished], *, forward: bool, progress: Progress = unseen) -> list[JobReport]:
-    """Finish (forward) or undo the unfinished download of each drive. The drive must be the one it was begun with.
+def recover(targets: Sequence[Unfinished], *, forward: bool, progress: Progress = no_progress) -> list[JobReport]:
+    """Finish (forward) or undo the unfinished download of each drive, which must be the same unit.
 
-    Never raises for what a drive or its wire does; then the job stays unfinished and can be tried again. Raises InputError where a
-    journal cannot be read or the drive's file does not know its parameters.
+    After an error of a drive or its wire the download stays unfinished and can be recovered again; the report names the error. Raises
+    InputError where a journal cannot be read, or the drive's file lacks one of its parameters.
     """
     works = []
     for target in targets:
@@ -53,8 +52,8 @@ def recover(targets: Sequence[Unfinished], *, forward: bool, progress: Progress 
     return reports_of(works)
 
 
-def _work(target: Unfinished, noted: Download, forward: bool) -> Work:
-    work = Work(target.drive, target.journal, DriveJob(target.drive), noted=noted, meant_back=not forward)
+def _work(target: Unfinished, noted: Download, forward: bool) -> DriveTask:
+    work = DriveTask(target.drive, target.journal, DriveJob(target.drive), noted=noted, meant_back=not forward)
     work.began_ns = target.drive.clock.now_ns()
     for each in noted.parameters:
         parameter = target.drive.find(each.address)
@@ -68,7 +67,7 @@ def _work(target: Unfinished, noted: Download, forward: bool) -> Work:
     return work
 
 
-def _finish(work: Work, forward: bool) -> Steps[None]:
+def _finish(work: DriveTask, forward: bool) -> Steps[None]:
     noted = work.noted
     if noted is None:
         return
@@ -87,7 +86,7 @@ def _finish(work: Work, forward: bool) -> Steps[None]:
     work.ending = ending
 
 
-def _check(work: Work, noted: Download) -> Steps[None]:
+def _check(work: DriveTask, noted: Download) -> Steps[None]:
     identity = yield from work.drive.identify()
     objections = objections_to_identity(noted.identity, identity, same_unit=True)
     objection = objection_to_state((yield from work.drive.state()))
@@ -99,19 +98,19 @@ def _check(work: Work, noted: Download) -> Steps[None]:
 
 
 def _stores(noted: Download, forward: bool, written: bool) -> bool:
-    """Forward: when it was asked for and is not done. Back: when the drive may have kept what is now undone."""
+    """Whether to store. Forward: when it was requested and is not done. Back: when the drive may have stored the new values."""
     if not forward:
         return noted.may_have_stored
     return noted.store and (written or Phase.STORED not in noted.phases)
 
 
 def set_before(noted: Download) -> ParameterSet:
-    """What a drive held before a download, as a set."""
+    """The old values of a download, as a set."""
     return _side(noted, f"before {noted.set_name}", before=True)
 
 
 def set_after(noted: Download) -> ParameterSet:
-    """What a download wrote."""
+    """The new values of a download, as a set."""
     return _side(noted, noted.set_name, before=False)
 
 

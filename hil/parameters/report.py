@@ -1,7 +1,4 @@
-"""What became of a job on one drive, in words that were true when they were written down.
-
-What may go in: results as data, and the figures made of them. Printing is `hil.app.terminal`'s.
-"""
+"""The outcome of a job on one drive, as data."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ from typing import Any
 from drivers.parameters import ParameterValue
 from hil.parameters.preflight import Objection
 
-_SLOW = 5.0  # times the median latency, and
-_SLOW_S = 0.002  # at least so much longer than it
+_SLOW, _SLOW_S = 5.0, 0.002
+"""An answer is slow if it takes this factor times the median answer time, and so many seconds longer."""
 
 
 class Ending(Enum):
@@ -29,11 +26,12 @@ class Ending(Enum):
 
     @property
     def good(self) -> bool:
+        """Whether the drive holds the set."""
         return self in (Ending.UNCHANGED, Ending.WRITTEN)
 
 
 class Verdict(Enum):
-    """What became of one parameter."""
+    """Outcome of one parameter."""
 
     SAME = "same"
     WRITTEN = "written"
@@ -58,9 +56,9 @@ class Row:
 
 @dataclass(frozen=True)
 class JobReport:
-    """One drive's share of a job. stored: the drive was told to keep it, and said that it did; seconds: from first to last access.
+    """One drive's share of a job. stored: the drive has confirmed the store; seconds: from the first to the last access.
 
-    journal: where a job that is not finished stands.
+    journal: path of the journal of an unfinished download, else "".
     """
 
     drive: str
@@ -78,11 +76,12 @@ class JobReport:
 
     @property
     def good(self) -> bool:
-        """Whether the job did what it was there for."""
+        """Whether the job reached its aim."""
         reached = self.ending is Ending.PUT_BACK if self.meant_back else self.ending.good
         return reached and not self.error and self.audited is not False
 
     def as_json(self) -> dict[str, Any]:
+        """As `--json` writes it; bytes as hexadecimal digits."""
         return {
             "drive": self.drive,
             "good": self.good,
@@ -108,7 +107,7 @@ def _plain(value: ParameterValue) -> int | float | str:
 
 
 def shown(value: ParameterValue | None) -> str:
-    """A value as a person reads it in a table."""
+    """A value as text for a table; "–" for None, bytes as hexadecimal digits."""
     if value is None:
         return "–"
     if isinstance(value, bytes):
@@ -117,7 +116,7 @@ def shown(value: ParameterValue | None) -> str:
 
 
 def slow(rows: Sequence[Row]) -> list[Row]:
-    """Parameters whose answers take much longer than the others', the slowest first."""
+    """Parameters whose answers take much longer than the median (`_SLOW`, `_SLOW_S`), the slowest first."""
     times = [time for row in rows for time in (row.read_s, row.write_s) if time is not None]
     if not times:
         return []

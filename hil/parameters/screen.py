@@ -1,4 +1,4 @@
-"""What the screen shows of a drive's parameters: what the last job came to, row by row."""
+"""Contents of the screen's page on parameter sets: the outcome of the last job, row by row."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_ROWS = 2000
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One parameter that is not as in the set. held: before the job; outcome: by name, or why it cannot be, in English"""
+    """One parameter that differs from the set. held: before the job; outcome: by name; why: reason in English where it has one."""
 
     address: str
     name: str
@@ -40,8 +40,11 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class ParametersScreen:
-    """job: the latest of this page; outcome: a name, "" while there is none; same, differing: how many parameters the drive holds as
-    in the set and how many it does not, None where that is not known; warnings: in English"""
+    """Contents of the page.
+
+    job: the latest of this page; outcome: by name, "" for none; same, differing: numbers of parameters that the drive holds as in the
+    set and that it does not, None where unknown; warnings: in English.
+    """
 
     job: Progress | None
     outcome: str = ""
@@ -53,7 +56,7 @@ class ParametersScreen:
 
 
 def parameters_screen(desk: Desk) -> ParametersScreen:
-    """As the desk stands."""
+    """The contents at this moment."""
     jobs = [job for job in map(desk.last, KINDS) if job is not None]
     job = max(jobs, key=lambda one: one.number, default=None)
     if job is None:
@@ -110,5 +113,5 @@ def _of_report(job: Progress, report: JobReport) -> ParametersScreen:
 
 
 def _objections(objections: list[Objection] | tuple[Objection, ...]) -> tuple[ParameterRow, ...]:
-    """Of single parameters, as rows."""
+    """Objections to single parameters, as rows."""
     return tuple(ParameterRow(one.address, one.name, "", "", "", "", one.why) for one in objections if one.address)

@@ -1,4 +1,4 @@
-"""A parameter set as a file a person can read, compare and edit: TOML, one parameter a line.
+"""A parameter set as a TOML file, one parameter a line.
 
     format = "hil parameter set 1"
     name = "X, 2026-03-02"
@@ -11,9 +11,9 @@
     protocol = "canopen"
     model = { vendor_id = 0x1234, product_code = 0x0001 }
 
-value is in the drive's unit, raw what stands on the wire; one of the two may be left out, and so may the hash: whoever edits a value
-removes the other and the hash. Where both are there they must agree, and a hash must fit. `hil sign` puts the builder's signature
-beside the file.
+value is in the drive's unit, raw is the number on the wire. One of the two may be left out, and so may the hash: a person who edits a
+value removes the raw form and the hash. Where both are present they must agree, and a hash must match. `hil sign` writes the builder's
+signature beside the file.
 """
 
 from __future__ import annotations
@@ -58,7 +58,10 @@ class SetEntry:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """A set. identity None: the file does not say whose it is (a concise DCF); hash None: the file has none."""
+    """A set. identity: None where the file names none (a concise DCF); hash: None where the file has none.
+
+    Raises InputError for an address that occurs twice.
+    """
 
     name: str
     identity: DriveIdentity | None
@@ -75,10 +78,11 @@ class ParameterSet:
 
     @property
     def addresses(self) -> tuple[str, ...]:
+        """Addresses of the entries, in order."""
         return tuple(entry.address for entry in self.entries)
 
     def digest(self) -> str:
-        """What the hash of these contents is."""
+        """SHA-256 over the contents, as "sha256:…"."""
         identity = self.identity
         content = {
             "name": self.name,
@@ -95,19 +99,19 @@ class ParameterSet:
 
 
 def object_address(index: int, subindex: int) -> str:
-    """The address of a CANopen object as sets have it."""
+    """The address of a CANopen object, such as "2210h:01"."""
     return f"{index:04X}h:{subindex:02X}"
 
 
 def object_key(address: str) -> tuple[int, int] | None:
-    """(index, subindex) of such an address, None for a register's name."""
+    """(index, subindex) of an object's address, None for a register's name."""
     match = _OBJECT.match(address)
     return None if match is None else (int(match[1], 16), int(match[2], 16))
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def write_set(path: str | Path, contents: ParameterSet) -> ParameterSet:
-    """Write the file, whole or not at all, with its hash; what was written."""
+    """Write the file, whole or not at all, with its hash; returns the set as written. Raises InputError when it cannot be written."""
     written = replace(contents, hash=contents.digest(), path=Path(path))
     replace_file(path, render_set(written).encode())
     return written

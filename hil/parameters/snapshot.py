@@ -1,7 +1,4 @@
-"""What drives hold, as sets: a backup of everything that can be put back.
-
-What may go in: reading. What a backup leaves out is what a download would refuse.
-"""
+"""Backup: the parameters of drives, read into sets. It leaves out the parameters that a download would refuse."""
 
 from __future__ import annotations
 
@@ -13,13 +10,13 @@ from drivers.errors import BridgeError, TransportError
 from drivers.parameters import ParameterKind
 from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, Steps
 from hil.parameters.set_file import ParameterSet, SetEntry
+from hil.parameters.tasks import Progress, no_progress, run_together, serialized
 from hil.parameters.transaction import DriveJob, ended_in
-from hil.parameters.works import Progress, one_at_a_time, run_together, unseen
 
 
 @dataclass
 class Backup:
-    """One drive's. contents None: `error` says why there is none; unreadable: addresses, with what the drive said."""
+    """Backup of one drive. contents: None on failure, then `error` says why; unreadable: address -> the drive's refusal."""
 
     drive: RawParameters
     job: DriveJob
@@ -29,10 +26,13 @@ class Backup:
 
 
 def back_up(
-    drives: Sequence[RawParameters], *, name: str = "", everything: bool = False, progress: Progress = unseen
+    drives: Sequence[RawParameters], *, name: str = "", everything: bool = False, progress: Progress = no_progress
 ) -> list[Backup]:
-    """Read every parameter that may be written (everything: all that can be read) of each drive, side by side."""
-    backups, progress = [Backup(drive, DriveJob(drive)) for drive in drives], one_at_a_time(progress)
+    """Read every writable parameter of each drive, side by side. everything: also read-only ones; name: "", drive and time.
+
+    Errors of a drive or its wire become `Backup.error`.
+    """
+    backups, progress = [Backup(drive, DriveJob(drive)) for drive in drives], serialized(progress)
     errors = run_together(
         backups, lambda backup: backup.drive, lambda backup: _read(backup, name, everything, progress)
     )
@@ -69,20 +69,20 @@ def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> St
 
 
 def _refuse_silence(errors: Sequence[BridgeError | None]) -> None:
-    """A drive that stopped answering has no backup; one that refuses some objects has."""
+    """Raises the last error where the drive stopped answering. Refused objects do not prevent a backup."""
     last = errors[-1] if errors else None
     if isinstance(last, TransportError):
         raise last
 
 
 def set_of(name: str, identity: DriveIdentity | None, entries: Sequence[SetEntry]) -> ParameterSet:
-    """A set of these, with its hash."""
+    """A set of these entries, with its hash."""
     contents = ParameterSet(name, identity, tuple(entries))
     return ParameterSet(name, identity, tuple(entries), contents.digest())
 
 
 def entry_of(drive: RawParameters, parameter: RawParameter, data: bytes) -> SetEntry:
-    """One parameter as a set has it."""
+    """The entry of one parameter. data: as the drive's bytes."""
     info = parameter.info
     value = None if info.kind is ParameterKind.BYTES else drive.decode(parameter, data)
     name = "" if info.name == parameter.address else info.name

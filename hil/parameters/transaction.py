@@ -1,39 +1,42 @@
-"""One drive's part of a download, as steps: look, write, prove, or put everything back.
+"""One drive's part of a download, as steps: read, write in order, read back, or put everything back.
 
-What may go in: what is done in which order, against `RawParameters`; no wire, and no decision about other drives (`several`).
-The rule behind every line: nothing counts as written, or as put back, that the drive has not shown since.
+Nothing counts as written, or as put back, that was not read back from the drive afterwards.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from drivers.clock import Clock
 from drivers.errors import (
     AbortError,
     BridgeError,
+    InputError,
     LinkLostError,
     ProtocolError,
     RemoteError,
     TransportError,
 )
 from drivers.raw_parameters import Access, Pause, RawParameters, Steps, Tell, no_observer
-from hil.parameters.order import in_order, uncrossed
 
-SETTLE_S = 0.5  # a drive may take this long to show what it has taken
-PATIENCE_S = 3.0  # how long putting back is tried while nobody answers
+SETTLE_S = 0.5
+"""Time limit for a drive to read back what it has accepted, s."""
+RETRY_WITHIN_S = 3.0
+"""Time for which putting back is retried while the drive does not answer, s."""
 _POLL_S = 0.02
+"""Interval between two readings back, and first interval between two retries, s."""
 
 
 @dataclass
 class Latencies:
-    """Of each address, the longest that an answer took, s."""
+    """Longest answer time of each address, s."""
 
     read_s: dict[str, float] = field(default_factory=dict)
     write_s: dict[str, float] = field(default_factory=dict)
 
     def note(self, kind: dict[str, float], accesses: Sequence[Access]) -> None:
+        """Take the answer times of successful accesses. kind: `read_s` or `write_s`."""
         for each in accesses:
             if each.error is None:
                 kind[each.address] = max(each.seconds, kind.get(each.address, 0.0))
@@ -41,7 +44,7 @@ class Latencies:
 
 @dataclass
 class DriveJob:
-    """Work on one drive. tell: of each access that is through."""
+    """Accesses to one drive. tell: called with the number of accesses done."""
 
     drive: RawParameters
     tell: Tell = no_observer
@@ -50,11 +53,12 @@ class DriveJob:
 
     @property
     def clock(self) -> Clock:
+        """The drive's clock."""
         return self.drive.clock
 
     # -- looking ---------------------------------------------------------------------------------------------------------
     def show(self, addresses: Sequence[str]) -> Steps[dict[str, bytes]]:
-        """What the drive holds. Raises what the first failing access gave, a refused one with its address."""
+        """Read values, address -> the drive's bytes. Raises the error of the first failing access."""
         accesses = yield from self.drive.read(addresses, self.tell)
         self.latencies.note(self.latencies.read_s, accesses)
         for each in accesses:
@@ -72,10 +76,12 @@ class DriveJob:
         starts: int,
         prove_all: bool = False,
     ) -> Steps[list[str]]:
-        """Write those goals that are not present, and prove them by reading back; the addresses written.
+        """Write the goals that differ from `present`, and read them back; returns the addresses written, in order.
 
-        starts: how often the drive had been heard to start when `present` was read; prove_all: read back also what was not written.
-        Raises what the drive gave, ProtocolError for what it took and does not show, LinkLostError when it started anew meanwhile.
+        after: addresses to be written before an address; starts: the drive's count of restarts when `present` was read
+        prove_all: read back all goals, not only those written
+        Raises the drive's error, ProtocolError for a value that was accepted and does not read back, LinkLostError when the drive
+        restarts meanwhile, InputError for a circular order.
         """
         drive = self.drive
         differing = [address for address in goals if not self._same(address, present[address], goals[address])]
@@ -108,7 +114,7 @@ class DriveJob:
         return numbers
 
     def _write(self, ordered: Sequence[str], goals: Mapping[str, bytes]) -> Steps[None]:
-        """What the drive refuses is tried again once others have been written: it may have depended on them."""
+        """Write in order. A refused value is tried again after the others, as it may depend on them. Raises the first refusal left."""
         pending = list(ordered)
         refused: list[tuple[str, AbortError]] = []
         progress = False
@@ -131,7 +137,7 @@ class DriveJob:
             raise refused[0][1]
 
     def prove(self, addresses: Sequence[str], goals: Mapping[str, bytes]) -> Steps[None]:
-        """Read them back until they are the goals. Raises ProtocolError when they are not within `settle_s`."""
+        """Read back until the values are the goals. Raises ProtocolError when they are not within `settle_s`."""
         deadline = self.clock.deadline(self.settle_s)
         wrong = list(addresses)
         while True:
@@ -160,13 +166,13 @@ class DriveJob:
 
     # -- going to one side, whatever it takes ----------------------------------------------------------------------------
     def settle_at(
-        self, goals: Mapping[str, bytes], after: Mapping[str, Sequence[str]], patience_s: float = PATIENCE_S
+        self, goals: Mapping[str, bytes], after: Mapping[str, Sequence[str]], retry_within_s: float = RETRY_WITHIN_S
     ) -> Steps[list[str]]:
-        """Bring the drive to the goals from wherever it is, trying again until `patience_s` has passed; the addresses written.
+        """Bring the drive to the goals from any state, with retries until `retry_within_s` has passed; returns the addresses written.
 
-        Everything is read back at the end. Raises the last error when it cannot be done.
+        All goals are read back at the end. Raises the last error when it fails.
         """
-        deadline = self.clock.deadline(patience_s)
+        deadline = self.clock.deadline(retry_within_s)
         pause_s = _POLL_S
         written: list[str] = []
         while True:
@@ -187,5 +193,51 @@ class DriveJob:
 
 
 def ended_in(error: BridgeError) -> str:
-    """An error as a report's one line."""
+    """An error's message as one line."""
     return " ".join(str(error).split())
+
+
+# -- order of the writes -----------------------------------------------------------------------------------------------
+def in_order(
+    addresses: Sequence[str],
+    rank: Callable[[str], int],
+    after: Mapping[str, Sequence[str]],
+    crossing: Sequence[tuple[str, str]] = (),
+) -> list[str]:
+    """The addresses in the order of writing: by rank, then as given, each behind those it depends on.
+
+    after: address -> addresses to be written before it; crossing: further (first, second) pairs. Addresses outside of `addresses` are
+    ignored. Raises InputError for a circular order.
+    """
+    known = set(addresses)
+    before: dict[str, set[str]] = {address: set(after.get(address, ())) & known for address in addresses}
+    for first, second in crossing:
+        if first in known and second in known:
+            before[second].add(first)
+    waiting = sorted(addresses, key=rank)  # stable
+    ordered: list[str] = []
+    placed: set[str] = set()
+    while waiting:
+        free = next((address for address in waiting if before[address] <= placed), None)
+        if free is None:
+            raise InputError(
+                f"{' and '.join(waiting)} are to be written after each other, expected an order without a circle"
+            )
+        waiting.remove(free)
+        ordered.append(free)
+        placed.add(free)
+    return ordered
+
+
+def uncrossed(
+    pairs: Sequence[tuple[str, str]], before: Mapping[str, float], wanted: Mapping[str, float]
+) -> list[tuple[str, str]]:
+    """Order of writing (first, second) of each pair of limits (low, high), so that low <= high holds at every moment.
+
+    before, wanted: values by address, in the drive's unit. A pair that is not entirely in both is ignored.
+    """
+    found = []
+    for low, high in pairs:
+        if all(address in values for address in (low, high) for values in (before, wanted)):
+            found.append((high, low) if wanted[low] > before[high] else (low, high))
+    return found

@@ -1,7 +1,4 @@
-"""From axis files to their drives' parameters: the concrete lines and nodes behind `hil.parameters`.
-
-Drives on one bus share one link, so that work on them runs side by side. Nothing is opened for motion, enabled or moved.
-"""
+"""Connects the parameters of drives from axis files. Drives on one bus share one link. No drive is opened for motion or enabled."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
-from hil.machine.axis_place import held_axis, modbus_endpoint
+from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.wiring import bench_parameters
 from hil.parameters.journal import Journal
 from sim_backends.bench import Bench
@@ -40,7 +37,7 @@ _BOOT_S = 0.01  # of the bench's drive
 
 @dataclass
 class _Lines:
-    """What the drives share. waiting: through whom their clocks wait."""
+    """Links shared by the drives. waiting: the waits of their clocks go through it."""
 
     waiting: Waiting | None = None
     can: dict[Bus, CanLine] = field(default_factory=dict)
@@ -53,11 +50,11 @@ class _Lines:
 
 @contextmanager
 def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = None) -> Iterator[list[RawParameters]]:
-    """The parameters of each axis's drive, in the order of the axes. Reading and writing only; nothing is set up in a drive.
+    """The parameters of each axis's drive, in the order of the axes. Connecting writes nothing to a drive.
 
-    waiting: through whom the drives' clocks wait, so that somebody else can end a wait.
+    waiting: the waits of the drives' clocks go through it, so that another thread can end a wait.
     Raises InputError for an axis given twice or in use by another process, CapabilityError for a drive without parameters on a wire,
-    and whatever connecting raises.
+    and what connecting raises.
     """
     with ExitStack() as stack:
         lines = _Lines(waiting)
@@ -72,7 +69,7 @@ def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = No
 
 @contextmanager
 def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParameters]]:
-    """The same without a wire: what the drives' files say of their parameters. Work on them is never answered."""
+    """As `connected_parameters`, without a wire: the drives' files are used, accesses are never answered. Raises as it does."""
     with ExitStack() as stack:
         lines = _Lines()
         clock = WallClock()
@@ -91,7 +88,7 @@ def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParame
 
 
 def journal_of(axis: DriveAxis) -> Journal:
-    """Where an axis's downloads are noted."""
+    """The journals of an axis's downloads, in its store."""
     return Journal(axis.store.directory / "parameters")
 
 

@@ -114,7 +114,7 @@ async def _ask_passwords(at: ProbePage) -> None:
     given = await view.ask_passwords(*fields, yes="probe.open.yes", why="probe.open_why")
     if given is not None:
         token = view.token
-        await view.attempt(lambda: view.aside(lambda: view.desk.open_probe(token, at.config, *given)))
+        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.open_probe(token, at.config, *given)))
 
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------

@@ -19,9 +19,9 @@ from drivers.errors import AbortError, CapabilityError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.axis.axis_file import DriveAxis
-from hil.machine.axis_place import held_axis
+from hil.machine.axis_lock import held_axis
 from hil.machine.signals import ending_by_signals, stopped_by_signals
-from hil.machine.wiring import BENCH_PATIENCE_S, Links, canopen_drive, hardware_drive, modbus_drive
+from hil.machine.wiring import BENCH_TIMEOUT_S, Links, canopen_drive, hardware_drive, modbus_drive
 from hil.probe.machine_file import ProbeConfig, ProbeMachineConfig
 from hil.probe.session import ProbeSession, ProbeSignal
 from hil.records.rows import UM_PER_MM
@@ -241,8 +241,8 @@ def _on_modbus(name: str, axis: DriveAxis, bench: ProbeBench, stack: ExitStack) 
     endpoint: Endpoint
     if axis.drive.face == "modbus-tcp":
         _, port = stack.enter_context(tcp_server({unit: face}, bench.clock))
-        endpoint = TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_PATIENCE_S)
+        endpoint = TcpEndpoint("127.0.0.1", port, timeout_s=BENCH_TIMEOUT_S)
     else:
         _, path = stack.enter_context(rtu_slave({unit: face}, bench.clock))
-        endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_PATIENCE_S)
+        endpoint = RtuEndpoint(path, baud=115_200, parity="N", timeout_s=BENCH_TIMEOUT_S)
     return modbus_drive(axis, bench.clock, endpoint, unit), latch

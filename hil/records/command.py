@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.app.terminal.output import Align, add_json_option, number, print_facts, print_table, write_json
-from hil.app.terminal.resuming import state_of, way_on
+from hil.app.terminal.resume_hints import resume_command, state_of
 from hil.correction.formats import wide_iso
 from hil.figures.history import (
     FoundCampaign,
@@ -104,7 +104,7 @@ def _list(args: argparse.Namespace) -> int:
     heads: list[str | tuple[str, Align]] = ["begun", ("axis", "left"), ("kind", "left"), "passes", "rows"]
     print_table([*heads, ("campaign", "left"), ("state", "left")], rows)
     for one in campaigns:
-        if said := way_on(one).sentence():
+        if said := resume_command(one).sentence():
             print(f"{one.directory}: {said}")
     if args.json:
         write_json(args.json, {"campaigns": [_campaign_form(one) for one in campaigns]})
@@ -123,7 +123,7 @@ def _inspect(args: argparse.Namespace) -> int:
     for one in campaign.passes:
         for note in one.notes:
             print(f"{one.name}: {note}")
-    if said := way_on(campaign).sentence():
+    if said := resume_command(campaign).sentence():
         print(f"unfinished, {said}")
     chain, good = _chain(campaign)
     print(f"rows: {chain}")
@@ -167,7 +167,7 @@ def _rows(one: Pass) -> int:
 
 
 def _campaign_form(campaign: FoundCampaign) -> dict[str, Any]:
-    way = way_on(campaign)
+    way = resume_command(campaign)
     return {
         "directory": str(campaign.directory),
         "axis": campaign.axis,

@@ -13,7 +13,7 @@ import socket
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -115,6 +115,27 @@ def replace_file(path: str | Path, data: bytes, *, mode: int | None = None) -> N
         _replace(Path(path), data, mode)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+
+
+def append_durably(
+    handle: int, data: bytes, *, keep: int | None = None, then: Callable[[], object] = lambda: None
+) -> None:
+    """Write `data` behind the first `keep` bytes of an open file (default: all), flush it to the disk, then call `then`.
+
+    handle: a file descriptor. On OSError, also of `then`, the file is cut back to what was kept, and the error is raised.
+    """
+    end = os.fstat(handle).st_size if keep is None else keep
+    try:
+        if keep is not None:
+            os.ftruncate(handle, keep)
+        left = data
+        while left:
+            left = left[os.write(handle, left) :]
+        os.fsync(handle)
+        then()
+    except OSError:
+        os.ftruncate(handle, end)
+        raise
 
 
 def sync_directory(directory: Path) -> None:

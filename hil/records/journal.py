@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from drivers.errors import InputError, StateError
-from hil.records.files import read_bytes, read_text, replace_file, sync_directory
+from hil.records.files import append_durably, read_bytes, read_text, replace_file, sync_directory
 from hil.records.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
 from hil.records.rows import Records, format_row, parse_csv
 
@@ -141,27 +141,20 @@ class RowJournal:
 
         An interrupt during this leaves a file that the next opening recovers, and closes it.
         """
-        end = os.fstat(self._fd).st_size if keep is None else keep
+
+        def chain() -> None:
+            if self._chain is not None and data:
+                self._chain.add(self.path.name, data)
+
         try:
-            try:
-                if keep is not None:
-                    os.ftruncate(self._fd, keep)
-                left = data
-                while left:
-                    left = left[os.write(self._fd, left) :]
-                os.fsync(self._fd)
-                if self._chain is not None and data:
-                    self._chain.add(self.path.name, data)
-            except OSError:
-                os.ftruncate(self._fd, end)
-                raise
-            except BaseException:
-                self.close()
-                raise
+            append_durably(self._fd, data, keep=keep, then=chain)
         except OSError as error:
             raise InputError(
                 f"cannot be written: {error.strerror}; the rows before are kept", path=self.path
             ) from error
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the file; harmless when it is closed already."""

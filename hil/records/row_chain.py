@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Self
 
 from drivers.errors import InputError, StateError
-from hil.records.files import held, read_bytes, replace_file, sync_directory
+from hil.records.files import append_durably, held, read_bytes, replace_file, sync_directory
 
 CHAIN = "rows.chain"
 _FORMAT = b"hil-rows/1\n"
@@ -212,15 +212,7 @@ class RowChain:
         for line in lines:
             digest = _link(digest, name, line)
             text += f"{digest.hex()} {name}\n".encode()
-        end = os.fstat(self._fd).st_size
-        try:
-            left = text
-            while left:
-                left = left[os.write(self._fd, left) :]
-            os.fsync(self._fd)
-        except OSError:
-            os.ftruncate(self._fd, end)
-            raise
+        append_durably(self._fd, text)
         self._digest = digest
         self._lines[name] = self._lines.get(name, 0) + len(lines)
 

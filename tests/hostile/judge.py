@@ -43,7 +43,8 @@ HOMING_MM = 5.0
 """Allowed distance below the travel, mm: homing goes to the limit switch, 3 mm outside, and beyond it as it brakes from 50 mm/s
 at 1000 mm/s² (1.25 mm) and by the time that a servo needs to notice the switch."""
 REACH_MM = 1.0
-"""Allowed distance above the travel, mm, which no order reaches: overshoot of a supervised axis (`hil.machine.place.OUTSIDE_MM`)."""
+"""Allowed distance above the travel, mm, which no order reaches: overshoot of a supervised axis
+(`hil.machine.position_check.OUTSIDE_MM`)."""
 COAST_MM = 50.0**2 / (2 * 80.0)
 """The same for a drive that loses its power by itself, instead of `HOMING_MM`: from the 50 mm/s of its homing, at 80 mm/s²; the end
 stop, 8 mm outside, comes first. No command can stop it."""
@@ -262,7 +263,7 @@ def run(case: Case) -> Outcome:
         stack.enter_context(rows.catch())
         if case.wire == "modbus":
             for module in (hil.machine.wiring, hil.probe.wiring):
-                stack.enter_context(patch.object(module, "BENCH_PATIENCE_S", BENCH_SILENCE_S))
+                stack.enter_context(patch.object(module, "BENCH_TIMEOUT_S", BENCH_SILENCE_S))
                 stack.enter_context(patch.object(module, "tcp_server", behind_proxy(armed)))
         began_s, error = time.monotonic(), None
         try:

@@ -342,7 +342,7 @@ def test_what_would_be_refused_is_not_called_a_way_to_go_on(
         assert main(["calibrate", str(axis)]) == 130
     told = capsys.readouterr().err
     assert "go on with: " not in told
-    assert f"hil: cannot be gone on with: {'' if spoil is other_zero else campaign}" in told
+    assert f"hil: cannot be resumed: {'' if spoil is other_zero else campaign}" in told
     assert says[0] in told.splitlines()[-1]
     assert main(["records", "list", str(axis.parent), "--json", str(axis.parent / "list.json")]) == 0
     listed = capsys.readouterr().out

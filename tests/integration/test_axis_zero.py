@@ -17,7 +17,7 @@ from support import bench_axis
 
 import hil.machine.wiring
 from drivers.drive import DriveState
-from hil.app.jobs.of_zero import OfZero
+from hil.app.jobs.zero_statement import ZeroStatement
 from hil.app.terminal.main import main
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
@@ -273,7 +273,7 @@ def test_a_zero_taken_anew_in_a_connection_that_lasts_is_homed_anew(site: Make) 
         here.bench.servo.move_absolute(1_000_000, 1e7, 1e7)  # to where its zero is to be
         here.bench.clock.sleep_s(10.0)
         here.bench.servo.power_off()
-        with machine.session.one_job(), OfZero(anew=True).told(machine.session):
+        with machine.session.one_job(), ZeroStatement(anew=True).applied(machine.session):
             machine.session.prepare()
         assert not keeper.anew
         second = read_zero(here.axis.zero_path)

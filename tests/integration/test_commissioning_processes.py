@@ -22,7 +22,7 @@ from support.commissioning import Job, kept, look, prepare, rows_of, wait_for
 from support.sim_process import SimProcess, sim
 
 from hil.app.terminal.main import main
-from hil.machine.signals import ENDED, INTERRUPTED, WAY_OUT_S
+from hil.machine.signals import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 WIRES = {
     "modbus tcp": ("modbus", "--tcp", "127.0.0.1:0"),
@@ -271,6 +271,6 @@ def test_ctrl_c_twice_ends_a_job_whose_drive_hangs_with_the_axis_stopped(tmp_pat
             took_s = time.monotonic() - asked_s
         assert at.machine.end() == 0, at.machine.errors
         assert (job.returncode, errors) == (INTERRUPTED, ENDED)
-        assert took_s < WAY_OUT_S + 1.0
+        assert took_s < STOP_WITHIN_S + 1.0
         assert at.machine.left is not None
         assert at.machine.left["moving"] is False, "told to stop, although no SDO is answered"

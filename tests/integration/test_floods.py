@@ -19,7 +19,7 @@ from drivers.canopen.scan import FoundNode, listen, scan
 from drivers.errors import BridgeError
 from hil.axis.axis_file import load_axis
 from hil.doctor.procedure import Check, doctor
-from hil.machine.instruments import instrument
+from hil.machine.instruments import build_instrument
 from hil.machine.session import AxisSession
 from hil.machine.wiring import Links, bench_parameters, canopen_drive, session_of
 from sim_backends.bench import Bench
@@ -125,8 +125,8 @@ def on_wire(folder: Path, flood: list[tuple[int, bytes]], period_s: float, start
         drive = canopen_drive(
             axis, bench.clock, ("simulated", "wire"), stack, links=Links({("simulated", "wire"): link})
         )
-        looking = instrument(axis.instrument, bench.laser_path, bench.clock)
-        yield session_of(axis, drive, looking, None)
+        instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
+        yield session_of(axis, drive, instrument, None)
 
 
 def examined(

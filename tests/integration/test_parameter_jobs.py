@@ -19,7 +19,7 @@ from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.machine.events import Event
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
-from hil.parameters.jobs.files import keep_set, set_files
+from hil.parameters.job import keep_set, set_files
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
 from sim_backends.modbus_drive import tcp_server

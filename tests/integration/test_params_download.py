@@ -13,11 +13,11 @@ from drivers.canopen.eds import EdsFile, load_eds
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
 from hil.parameters.compare import compare
-from hil.parameters.defaults import load_defaults
 from hil.parameters.download import Target, download
 from hil.parameters.journal import Journal
 from hil.parameters.recover import Unfinished, recover, set_before
 from hil.parameters.report import Ending, JobReport, Verdict
+from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from sim_backends.canopen_dictionary import RefusedError

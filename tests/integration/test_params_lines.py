@@ -17,8 +17,8 @@ from drivers.modbus.wear import WearLedger
 from drivers.raw_parameters import Pause, RawParameters, Steps
 from hil.parameters.download import Target, download
 from hil.parameters.report import Ending, JobReport
+from hil.parameters.tasks import run_together
 from hil.parameters.transaction import DriveJob
-from hil.parameters.works import run_together
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.clock import SimClock
 
@@ -84,7 +84,7 @@ def proves(drive: RawParameters) -> Steps[None]:
 
 
 def settles(drive: RawParameters) -> Steps[None]:
-    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, patience_s=4 * SLOW_S)
+    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, retry_within_s=4 * SLOW_S)
 
 
 @pytest.mark.parametrize("steps", [proves, settles])

@@ -14,8 +14,8 @@ from drivers.errors import NoAnswerError
 from drivers.raw_parameters import RawParameters, Steps
 from hil.parameters.download import Target, download
 from hil.parameters.report import Ending
+from hil.parameters.tasks import run_together
 from hil.parameters.transaction import DriveJob
-from hil.parameters.works import run_together
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
 COUNT = 12
@@ -97,7 +97,7 @@ def proves(drive: RawParameters) -> Steps[None]:
 
 
 def settles(drive: RawParameters) -> Steps[None]:
-    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, patience_s=4 * SLOW_S)
+    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, retry_within_s=4 * SLOW_S)
 
 
 @pytest.mark.parametrize("steps", [proves, settles])

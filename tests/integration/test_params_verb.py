@@ -90,7 +90,7 @@ def test_what_cannot_be_done_is_one_line(axis: Path, tmp_path: Path, capsys: pyt
         (("download", axis, "--set", new, "--audit"), "--audit needs --store"),
         (("download", axis, "--set", new, "--signed"), "new.toml: has no signature beside it"),
         (("download", axis, axis, "--set", new), "axis X is given twice"),
-        (("restore", axis, "--factory", "--store"), "--factory stands alone"),
+        (("restore", axis, "--factory", "--store"), "--factory goes with no other option"),
         (("restore", axis), "has no download of X in its journal"),
         (("backup", axis, "--out", "a", "--out", "b"), "--out is given 2 times"),
         (("backup", axis, "--format", "dcf"), "is no CANopen object"),

@@ -13,7 +13,7 @@ from drivers.errors import InputError, LinkLostError
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from drivers.instruments.gauge import Gauge
 from hil.axis.axis_file import DisplayConfig, InstrumentConfig
-from hil.machine.instruments import instrument, with_instrument
+from hil.machine.instruments import build_instrument, with_instrument
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.gauge import GaugeParameters
@@ -59,7 +59,7 @@ def rig(kind: str, display: DisplayConfig, *faults: Fault, port: str = "") -> It
     with Bench(parameters) as bench:
         if port:
             os.symlink(bench.laser_path, port)
-        with instrument(config, port or bench.laser_path, bench.clock) as gauge:
+        with build_instrument(config, port or bench.laser_path, bench.clock) as gauge:
             yield Rig(bench, gauge)
 
 

@@ -59,7 +59,7 @@ def test_the_faults_asked_for_happen_on_the_wire(capsys: pytest.CaptureFixture[s
         place = machine.place["drive"]
         where = ["--interface", place["interface"], "--channel", place["channel"], "--nodes", str(place["node_id"])]
         assert main(["scan", *where, "--timeout", "1"]) == 1
-    assert "nobody answers" in capsys.readouterr().out
+    assert "no device answers" in capsys.readouterr().out
 
 
 def test_a_port_in_use_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,6 @@
-"""A job's questions to somebody at the machine: asked in the axis's thread, answered from any.
+"""A job's questions to the operator: asked in the axis's thread, answered from any thread.
 
-The axis is watched while its job waits, so that a stop ends the wait; and the wait is as long as the axis's clock says, so that it
-ends by itself where nobody is there.
+The axis is watched while its job waits, so that a stop ends the wait. The wait has a time limit by the axis's clock.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from hil.machine.supervisor import SLICE_S
 
 @dataclass(frozen=True)
 class Pending:
-    """A question that waits for its answer; number: of the question at this axis"""
+    """A question without an answer. number: of the question at this axis."""
 
     number: int
     question: Question
@@ -35,21 +34,21 @@ class Asking:
 
     @property
     def pending(self) -> Pending | None:
-        """What is asked now."""
+        """The present question, None for none."""
         with self._lock:
             return self._pending
 
     def answer(self, number: int, yes: bool) -> None:
-        """From any thread; an answer to a question that is no longer asked is none."""
+        """Answer the question of this number; ignored when it is no longer asked. For any thread."""
         with self._lock:
             if self._pending is not None and self._pending.number == number and not self._answered.is_set():
                 self._given = yes
                 self._answered.set()
 
     def ask(self, question: Question, clock: Clock, watch: Callable[[float], object]) -> bool | None:
-        """In the axis's thread: the answer, None where there was none in time.
+        """Ask, in the axis's thread; returns the answer, None when there was none in time.
 
-        watch: lets so many seconds of the axis's time pass; what it raises, such as at a stop, ends the question.
+        watch: lets so many seconds of the axis's time pass. What it raises, as at a stop, ends the question and is raised.
         """
         with self._lock:
             self._asked += 1

@@ -1,4 +1,4 @@
-"""The one thread that owns an axis: it connects it, looks at it 20 times a second, and runs its jobs."""
+"""The thread that owns an axis: it connects the axis, samples it 20 times a second, and runs its jobs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Connection:
     session: AxisSession | None
 
     def one_job(self) -> AbstractContextManager[object]:
-        """Around a job: whatever goes wrong stops the axis, and afterwards it is as it was found."""
+        """Around a job: an error stops the axis, and at the end it is disabled unless it was enabled before."""
         if self.session is None:
             return Supervisor([WatchedAxis(self.drive)])
         return self.session.one_job()
@@ -45,7 +45,7 @@ Connect = Callable[[Waiting], AbstractContextManager[Connection]]
 
 
 def to_axis(axis: DriveAxis) -> Connect:
-    """The axis of an axis file, with its instrument where it has one."""
+    """Connects the axis of an axis file, with its instrument where it has one."""
 
     @contextmanager
     def connect(waiting: Waiting) -> Iterator[Connection]:
@@ -60,14 +60,15 @@ def to_axis(axis: DriveAxis) -> Connect:
 
 
 RETRY_S = 2.0
-"""Between two attempts to connect an axis that does not answer."""
+"""Interval between two attempts to connect an axis, s."""
 CLOSING_S = 10.0
+"""Time limit for the thread to end, and to release its axis, s."""
 LOOK_NS = round(NS_PER_S / RATE_HZ)
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A job to be run. store: as far as it was opened when it was asked for; lent: the threads whose axes it connects by itself"""
+class JobRequest:
+    """A job to be run. store: of the person who requested it, None if not opened; lent: threads whose axes the job connects itself."""
 
     job: Job
     log: JobLog
@@ -76,7 +77,7 @@ class Asked:
 
 
 class AxisThread:
-    """Everything below "in the thread" happens in it; the rest is for any thread. pace: of jobs, as for `Pacing`."""
+    """The thread of one axis. Methods below "in the thread" run in it, the others in any thread. pace: of jobs, as for `Pacing`."""
 
     def __init__(self, axis: DriveAxis, connect: Connect, pace: float) -> None:
         self.axis = axis
@@ -89,7 +90,7 @@ class AxisThread:
         self._pace = pace
         self._pacing = Pacing(self.stop)
         self._lock = threading.Lock()
-        self._asked: Asked | None = None
+        self._asked: JobRequest | None = None
         self._borrowed: tuple[AxisThread, ...] = ()  # of the job that runs
         self._lent = threading.Event()
         self._let_go = threading.Event()
@@ -99,42 +100,41 @@ class AxisThread:
 
     # -- for any thread ------------------------------------------------------------------------------------------------
     def start(self) -> None:
+        """Start the thread, which connects the axis."""
         self._thread.start()
 
     def press_stop(self) -> None:
-        """Stop at the next moment the thread waits, and see how its axis, and those lent to its job, come to rest."""
+        """Stop at the thread's next wait, and measure how its axis, and those lent to its job, come to rest."""
         for thread in (self, *self._borrowed):
             thread.standstill.pressed(self._pacing.now_ns())
         self.stop.press()
 
     def close(self) -> None:
-        """Stop whatever runs, let go of the axis, end the thread. Raises StateError where it does not end in time."""
+        """Stop the running job, disconnect the axis, end the thread. Raises StateError when it does not end in `CLOSING_S`."""
         self._closing.set()
         self.stop.press()
         self._thread.join(CLOSING_S)
         if self._thread.is_alive():
-            raise StateError(
-                f"axis {self.axis.name}: its thread is still busy {CLOSING_S:g} s after it was told to stop"
-            )
+            raise StateError(f"axis {self.axis.name}: its thread is still busy {CLOSING_S:g} s after its stop")
 
-    def ask(self, asked: Asked) -> None:
-        """Run this next; one at a time, which is the desk's to see to. A stop before it has begun cancels it."""
+    def ask(self, asked: JobRequest) -> None:
+        """Run this job next. The desk requests one at a time. A stop before its begin cancels it."""
         with self._lock:
             self._asked = asked
 
     def lend(self) -> None:
-        """Let go of the axis, for a job of another thread."""
+        """Disconnect the axis, for a job of another thread."""
         self._lent.set()
         self._let_go.clear()
 
     def take_back(self) -> None:
-        """That job is over."""
+        """Connect the axis again, after that job."""
         self._lent.clear()
 
     def wait_let_go(self) -> None:
-        """Raises StateError where it does not come to it in time."""
+        """Wait until the axis is disconnected. Raises StateError after `CLOSING_S`."""
         if not self._let_go.wait(CLOSING_S):
-            raise StateError(f"axis {self.axis.name} was not let go within {CLOSING_S:g} s")
+            raise StateError(f"axis {self.axis.name} was not disconnected within {CLOSING_S:g} s")
 
     # -- in the thread: connecting -------------------------------------------------------------------------------------
     def _work(self) -> None:
@@ -147,37 +147,37 @@ class AxisThread:
                     self._watch(connection.drive, connection.session)
                     self._serve(connection)
                 self._run_connecting()
-            except StoppedByOperator:  # pressed while it was connecting or letting go: nothing is enabled
+            except StoppedByOperator:  # pressed while connecting or disconnecting: nothing is enabled
                 self._cancel(Phase.STOPPED)
                 self.stop.rearm()
-            except Exception as error:  # noqa: BLE001  whatever it is, the axis gets another chance and people are told
+            except Exception as error:  # noqa: BLE001  the axis is connected again, and the error is shown
                 self._lose(error)
         self._cancel(Phase.STOPPED)
         self.board.forget("closed")
 
     def _stay_away(self) -> None:
-        """While another thread has the axis."""
+        """Wait while another thread has the axis."""
         self.board.forget()
         while self._lent.is_set() and not self._closing.is_set():
-            self._let_go.set()  # whoever comes next may ask before it was seen that the one before is through
+            self._let_go.set()  # repeatedly: the next borrower may wait before the end of the last loan was seen here
             self._closing.wait(1.0 / RATE_HZ)
         self.board.forget()
 
     def _lose(self, error: Exception) -> None:
-        """There is no axis any more; a job that was asked for meanwhile will not be run."""
+        """The connection is lost: show the error, cancel a requested job, wait before the next attempt."""
         said = self.errors.line_of(error)
         self.board.forget(said)
         self._cancel(Phase.FAILED, said)
         self.stop.rearm()  # the error may have come while a stop was carried out
         self._closing.wait(RETRY_S)
 
-    def _take(self) -> Asked | None:
+    def _take(self) -> JobRequest | None:
         with self._lock:
             asked, self._asked = self._asked, None
             return asked
 
     def _cancel(self, phase: Phase, error: str = "") -> None:
-        """A job that was asked for and has not begun will not be run."""
+        """Cancel a requested job that has not begun."""
         asked = self._take()
         if asked is not None:
             for other in asked.lent:
@@ -185,7 +185,8 @@ class AxisThread:
             asked.log.end(phase, error=error)
 
     def _serve(self, connection: Connection) -> None:
-        """Until the axis is to be let go: for a job that connects by itself, for another thread, or for good."""
+        """Sample the axis and run jobs until it is to be disconnected: for a job that connects by itself, another thread, or the
+        end."""
         due_ns = connection.drive.clock.now_ns()
         while not (self._closing.is_set() or self._lent.is_set()):
             try:
@@ -204,7 +205,7 @@ class AxisThread:
 
     # -- in the thread: jobs -------------------------------------------------------------------------------------------
     def _run(self, connection: Connection) -> None:
-        """The job that was asked for; then the axis is as it was found."""
+        """Run the requested job on the connected axis."""
         self.stop.check()
         asked = self._take()
         if asked is None:
@@ -217,7 +218,7 @@ class AxisThread:
         self._carry_out(work, asked.log)
 
     def _run_connecting(self) -> None:
-        """The job that was asked for, if it connects by itself: our axis was let go, the others' are waited for."""
+        """Run the requested job if it connects by itself. This axis is disconnected; lent axes are waited for."""
         self.stop.check()
         asked = self._take() if self._asked is not None and self._asked.job.connects else None
         if asked is None:
@@ -229,7 +230,7 @@ class AxisThread:
             return asked.job.work(self._place(asked, None, None))
 
         self._borrowed = asked.lent
-        self.board.forget()  # unless the job lets it be watched
+        self.board.forget()  # the job may show the axis by `Workplace.watch`
         try:
             self._carry_out(work, asked.log)
         finally:
@@ -238,7 +239,7 @@ class AxisThread:
             for other in asked.lent:
                 other.take_back()
 
-    def _place(self, asked: Asked, drive: ServoDrive | None, session: AxisSession | None) -> Workplace:
+    def _place(self, asked: JobRequest, drive: ServoDrive | None, session: AxisSession | None) -> Workplace:
         threads = {one.axis.name: one for one in (self, *asked.lent)}
 
         def watch(name: str, drive: ServoDrive, session: AxisSession | None) -> None:
@@ -253,7 +254,7 @@ class AxisThread:
         return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask)
 
     def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
-        """A job's work, however it ends. No more is asked of a job than that it ends: the axis was put back before."""
+        """Run a job's work and record how it ends. `one_job` has put the axis back before."""
         self._pacing.set_factor(self._pace)
         for thread in (self, *self._borrowed):
             thread.standstill.forget()
@@ -261,17 +262,17 @@ class AxisThread:
             log.end(Phase.DONE, work())
         except StoppedByOperator:
             log.end(Phase.STOPPED)
-        except Exception as error:  # noqa: BLE001  a mistake of ours in a job must not leave the axis without its thread
+        except Exception as error:  # noqa: BLE001  a program error in a job must not end the thread
             log.end(Phase.FAILED, error=self.errors.line_of(error))
         finally:
             self._pacing.set_factor(1.0)
             self.stop.rearm()
 
     def _hold(self, drive: ServoDrive) -> None:
-        """The stop was pressed with no job running; one that was just asked for is not begun."""
+        """Carry out a stop while no job runs; a requested job is cancelled."""
         try:
             self._cancel(Phase.STOPPED)
-            with suppress(BridgeError):  # the next look tells what is wrong
+            with suppress(BridgeError):  # the next sample shows the error
                 if drive.sample().state is DriveState.ENABLED:
                     drive.quick_stop()
         finally:
@@ -279,7 +280,7 @@ class AxisThread:
 
     # -- in the thread: looking ----------------------------------------------------------------------------------------
     def _watch(self, drive: ServoDrive, session: AxisSession | None) -> None:
-        """From now on every look of any procedure is shown."""
+        """From now on show every sample of the drive and every reading."""
 
         def looked(sample: DriveSample) -> None:
             self.standstill.look(sample)
@@ -304,11 +305,11 @@ class AxisThread:
         )
 
     def _look(self, connection: Connection) -> None:
-        """With no job: look at everything, and let nothing that is seen stop the looking; only a drive that is gone does."""
+        """Sample drive and instrument while no job runs. Only a lost drive raises; faults and old readings are shown."""
         connection.drive.looked_at(connection.drive.sample())
         session = connection.session
         if session is not None and session.axis.on_readings is not None:
-            with suppress(LinkLostError):  # its readings get old, and are shown so
+            with suppress(LinkLostError):  # the age of the last reading is shown
                 session.axis.on_readings(session.instrument.poll())
 
 

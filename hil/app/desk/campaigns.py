@@ -1,4 +1,4 @@
-"""What an axis has measured, as a list to choose from: one line for each measurement, the newest first."""
+"""Stored measurements, reports and history of an axis, as the screen lists them, the newest first."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ STATES = ("torn", "changed", "open", "closed")
 
 @dataclass(frozen=True)
 class Measurement:
-    """One or more passes of a campaign that were measured as one, on the machine in one condition.
+    """One or more passes of a campaign, measured in one condition of the machine.
 
-    key: names it in its axis's folder; state: of its worst pass; figures_um: of ISO 230-2, those that it has
+    key: unique in the axis's folder; state: of its worst pass; figures_um: figures of ISO 230-2, those that it has, µm.
     """
 
     key: str
@@ -39,12 +39,12 @@ class Measurement:
 
     @property
     def diagnosis(self) -> Path:
-        """Where its diagnosis is kept, if one was made."""
+        """Path of its stored diagnosis, which may not exist."""
         return stored_beside(self.paths)
 
 
 def measurements(directory: Path) -> list[Measurement]:
-    """Of an axis's folder; those without a readable row are left out."""
+    """Measurements in an axis's folder, the newest first; those without a readable row are left out."""
     if not directory.is_dir():
         return []
     found = [one for campaign in find_campaigns([directory]) for one in _of(campaign)]
@@ -74,7 +74,7 @@ def _of(campaign: FoundCampaign) -> Iterable[Measurement]:
 # -- reports -----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class ReportFile:
-    """One report of an axis. kind: report, comparison or history"""
+    """One report of an axis. kind: report, comparison or history."""
 
     name: str
     kind: str
@@ -83,7 +83,7 @@ class ReportFile:
 
 
 def reports(directory: Path) -> list[ReportFile]:
-    """Of an axis's folder, the newest first."""
+    """Reports in an axis's folder, the newest first."""
     pages = [path for path in (directory / FOLDER).glob("*.html") if NAME.fullmatch(path.name)]
     found = []
     for page in pages:
@@ -96,9 +96,10 @@ def reports(directory: Path) -> list[ReportFile]:
 # -- history -----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class AxisHistory:
-    """Figures of ISO 230-2 over time, of the passes of one name; trends by figure, None where there is too little for one.
+    """Figures of ISO 230-2 over time, of the passes of one name.
 
-    times_s: since 1970, of each point; figures_um: by name, a value for each time, None where the pass has none
+    times_s: of each point, s since 1970; figures_um: by name, a value in µm for each time, None where the pass has none
+    trends: by name, None for too few points
     """
 
     usual: str
@@ -108,22 +109,22 @@ class AxisHistory:
 
     @property
     def begun(self) -> datetime:
-        """When the first of them was measured."""
+        """Time of the first point."""
         return datetime.fromtimestamp(self.times_s[0]).astimezone()
 
     @property
     def days(self) -> tuple[float, ...]:
-        """Of each point, since the first."""
+        """Days of each point since the first."""
         return tuple((time_s - self.times_s[0]) / DAY_S for time_s in self.times_s)
 
     def points(self, name: str) -> Points:
-        """A figure in µm over the days."""
+        """A figure as (day, µm)."""
         return tuple(
             (day, value) for day, value in zip(self.days, self.figures_um[name], strict=True) if value is not None
         )
 
     def line(self, name: str) -> Points:
-        """The ends of a figure's straight line; none without a trend."""
+        """The two ends (day, µm) of a figure's trend line; empty without a trend."""
         found, points = self.trends[name], self.points(name)
         if found is None:
             return ()
@@ -133,7 +134,7 @@ class AxisHistory:
 
 @dataclass(frozen=True)
 class ReportsScreen:
-    """What an axis has measured, the reports made of it, and its figures over time"""
+    """Measurements, reports and history of an axis."""
 
     measurements: tuple[Measurement, ...]
     reports: tuple[ReportFile, ...]
@@ -141,12 +142,12 @@ class ReportsScreen:
 
 
 def reports_screen(directory: Path, axis: str) -> ReportsScreen:
-    """Of an axis's folder. Reads files: not for a page's own loop."""
+    """Measurements, reports and history in an axis's folder. Reads files: not to be called in a page's own loop."""
     return ReportsScreen(tuple(measurements(directory)), tuple(reports(directory)), axis_history(directory, axis))
 
 
 def axis_history(directory: Path, axis: str) -> AxisHistory | None:
-    """Of an axis's folder; None while nothing there has figures."""
+    """History in an axis's folder; None where no pass has figures."""
     campaigns = [one for one in find_campaigns([directory]) if one.axis == axis] if directory.is_dir() else []
     moments = history(campaigns, HISTORY_FIGURES)
     if not moments:

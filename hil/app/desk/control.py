@@ -1,7 +1,7 @@
-"""Who holds control of the desk: one at a time, by a token nobody can guess.
+"""Control of a desk: one person at a time may give commands, by a random token.
 
-Everybody sees the same state; what moves or writes asks for the token. Control is free to take when nobody has it or its holder
-released it; from a holder who has given no sign of life for a while it can be taken over, by an act of its own.
+All browsers see the same state; commands that move or write need the token. Control can be taken while it is free, and taken over
+from a holder whose browser has been silent for `SILENT_S`.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from dataclasses import dataclass
 from drivers.errors import LocalError
 
 SILENT_S = 15.0
-"""After so long without a sign of life control can be taken over."""
+"""Time without a message from the holder's browser after which control can be taken over, s."""
 
 
 class NotInControlError(LocalError):
-    """Whoever asks does not hold control, or not any more."""
+    """The caller does not hold control, or not any more."""
 
 
 class ControlHeldError(LocalError):
-    """Somebody else holds control."""
+    """Another person holds control."""
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds control, by the name he gave; silent_s: since his last sign of life; lost: it can be taken over"""
+    """The holder, by the name given. silent_s: time since the last message; lost: control can be taken over."""
 
     name: str
     silent_s: float
@@ -37,7 +37,8 @@ class Holder:
 
 
 class Control:
-    """For any thread. on_change: called, with the lock held, whenever the holder changes: rights that he had end with him."""
+    """Control of one desk, for any thread. on_change: called, with the lock held, when the holder changes; it ends the holder's
+    rights."""
 
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = monotonic_s
@@ -48,7 +49,7 @@ class Control:
         self.on_change: Callable[[], None] = lambda: None
 
     def holder(self) -> Holder | None:
-        """Who has it; None when it is free."""
+        """The holder; None when control is free."""
         with self._lock:
             if self._token is None:
                 return None
@@ -56,14 +57,14 @@ class Control:
             return Holder(self._name, silent_s, silent_s > SILENT_S)
 
     def take(self, name: str) -> str:
-        """Control, as a token. Raises ControlHeldError while somebody has it."""
+        """Take control; returns the token. Raises ControlHeldError while it is held."""
         with self._lock:
             if self._token is not None:
                 raise ControlHeldError(f"control is held by {self._name}")
             return self._give(name)
 
     def take_over(self, name: str) -> str:
-        """Control, away from a holder who gives no sign of life. Raises ControlHeldError while he does."""
+        """Take control from a silent holder; returns the token. Raises ControlHeldError while the holder is not silent."""
         with self._lock:
             holder = self.holder()
             if holder is not None and not holder.lost:
@@ -79,7 +80,7 @@ class Control:
         return self._token
 
     def release(self, token: str | None) -> None:
-        """Give it back. Raises NotInControlError."""
+        """Release control. Raises NotInControlError for a wrong token."""
         with self._lock:
             self.require(token)
             self._token = None
@@ -91,13 +92,13 @@ class Control:
             return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
 
     def sign_of_life(self, token: str | None) -> None:
-        """The holder is still there; nothing happens for anybody else."""
+        """Note a message from the holder; ignored for any other token."""
         with self._lock:
             if self.holds(token):
                 self._seen_s = self._now_s()
 
     def require(self, token: str | None) -> None:
-        """Raise NotInControlError unless this token is the one in force; asking is a sign of life."""
+        """Raises NotInControlError unless this token is the one in force. Counts as a message from the holder."""
         if not self.holds(token):
             raise NotInControlError("somebody else holds control of the axis, or nobody: take it first")
         self.sign_of_life(token)

@@ -1,7 +1,7 @@
-"""One axis's desk: what everybody may see and do, and what only whoever holds control.
+"""The desk of one axis: its state and stop for everyone, its jobs for the person in control.
 
-Behind it one thread owns the axis (`AxisThread`). Everybody else reads what it publishes, and asks: for a job, with the token of
-control, and for a stop, without.
+One thread owns the axis (`AxisThread`). Other threads read what it publishes and request jobs, with the token of control, or a stop,
+without a token.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 
 from drivers.errors import LocalError, StateError
 from hil.app.desk.asking import Pending
-from hil.app.desk.axis_thread import Asked, AxisThread, Connect, to_axis
+from hil.app.desk.axis_thread import AxisThread, Connect, JobRequest, to_axis
 from hil.app.desk.control import Control
 from hil.app.desk.live import Live, TracePoint
 from hil.app.desk.progress import Graph, JobLog, Phase, Progress
 from hil.app.desk.roles import Rights
 from hil.app.desk.standstill import CameToRest
-from hil.app.desk.worker_process import Aside, Computed
+from hil.app.desk.worker_process import Computed, WorkerProcess
 from hil.app.jobs.job import Job
 from hil.app.jobs.plan import Plan
 from hil.axis.axis_file import DriveAxis
@@ -28,14 +28,14 @@ from hil.probe.machine_file import ProbeMachineConfig
 
 
 class BusyError(LocalError):
-    """A job is running already."""
+    """Another job is running."""
 
 
 class Desk:
-    """Use as a context manager: inside, the axis's thread runs.
+    """A context manager: the axis's thread runs inside.
 
-    pace: simulated seconds per real one during a job on the bench, 0 for as fast as it goes; a real axis knows no such thing.
-    numbers: of jobs, in the order they are asked for; desks whose jobs are to be put in order share one.
+    pace: simulated seconds per real second during a job on the bench, 0 for as fast as possible; without effect on a real axis
+    numbers: job numbers in the order of the requests, shared by the desks of one server
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Desk:
         self.control.on_change = self.rights.forget
         self._thread = AxisThread(axis, connect or to_axis(axis), pace)
         self.errors = self._thread.errors
-        self._aside = Aside(axis.path, self.errors)
+        self._worker = WorkerProcess(axis.path, self.errors)
         self._lock = threading.Lock()
         self._log: JobLog | None = None
         self._last: dict[str, JobLog] = {}
@@ -62,19 +62,20 @@ class Desk:
     # -- for everybody -------------------------------------------------------------------------------------------------
     @property
     def name(self) -> str:
+        """The axis's name."""
         return self.axis.name
 
     @property
     def live(self) -> Live:
-        """The axis as it was last seen."""
+        """The last state of the axis."""
         return self._thread.board.live
 
     def trace(self, since: int = 0) -> tuple[TracePoint, ...]:
-        """The last minute of its signals, after the point of this number."""
+        """Its signals of the last minute, after the point number `since`."""
         return self._thread.board.trace(since)
 
     def job(self) -> Progress | None:
-        """The job that is running, or ran last; another desk's while that has our axis."""
+        """The running or last job; another desk's job while that has this axis."""
         borrower = self._borrowing()
         if borrower is not None:
             return borrower.job()
@@ -97,17 +98,17 @@ class Desk:
 
     @property
     def question(self) -> Pending | None:
-        """What the running job asks somebody at the machine."""
+        """The running job's question to the operator, None for none."""
         borrower = self._borrowing()
         return self._thread.asking.pending if borrower is None else borrower.question
 
     @property
     def computed(self) -> Computed:
-        """What is being computed of stored campaigns, or was last."""
-        return self._aside.computed
+        """The running or last computation on stored campaigns."""
+        return self._worker.computed
 
     def stop(self) -> None:
-        """Quick stop, now, whoever asks. A running job ends; what it measured is kept."""
+        """Quick stop, without a token. A running job ends; its rows are kept."""
         borrower = self._borrowing()
         if borrower is not None:
             borrower.stop()
@@ -116,14 +117,15 @@ class Desk:
 
     @property
     def came_to_rest(self) -> CameToRest | None:
-        """How the axis did after the last stop of a job in motion; None before, and since another job began."""
+        """How the axis came to rest after the last stop in motion; None before, and after the begin of another job."""
         return self._thread.standstill.found
 
-    # -- for whoever holds control -------------------------------------------------------------------------------------
+    # -- for the person in control -------------------------------------------------------------------------------------
     def run(self, token: str | None, job: Job, lent: Mapping[Desk, str | None] | None = None) -> None:
-        """Start a job. lent: other desks whose axes the job connects by itself, with their tokens.
+        """Start a job. lent: other desks whose axes the job connects itself, with their tokens.
 
-        Raises NotInControlError, LockedError, BusyError, and StateError while an axis is not connected.
+        Raises NotInControlError for a wrong token, LockedError without the role that the job needs, BusyError while another job runs,
+        and StateError while an axis is not connected.
         """
         self.control.require(token)
         self.rights.require(locked=job.plan.locked, of_probe=job.plan.of_probe)
@@ -136,43 +138,43 @@ class Desk:
                 self._require_free()
                 self._log = self._last[job.kind] = log
                 threads = tuple(other._thread for other in lent or ())
-                self._thread.ask(Asked(job, log, self.rights.store, threads))
+                self._thread.ask(JobRequest(job, log, self.rights.store, threads))
             undo.pop_all()
 
     def answer(self, token: str | None, number: int, *, yes: bool) -> None:
-        """Answer the question of this number, if it is still asked."""
+        """Answer the question of this number, if it is still asked. Raises NotInControlError."""
         self.control.require(token)
         (self._borrowing() or self)._thread.asking.answer(number, yes)
 
     def power_off(self, token: str | None) -> None:
-        """Take the power off an axis that was left enabled."""
+        """Disable an axis that was left enabled. Raises as `run`."""
         self.run(token, Job("power off", self._bare_plan(), lambda place: place.drive.disable()))
 
     def reset_fault(self, token: str | None) -> None:
-        """Acknowledge a fault; the axis stays without power."""
+        """Acknowledge a fault; the axis stays disabled. Raises as `run`."""
         self.run(token, Job("reset fault", self._bare_plan(), lambda place: place.drive.reset_fault()))
 
     def compute(self, token: str | None, request: Mapping[str, Any]) -> None:
-        """Have something made of stored campaigns (`hil.app.jobs.worker_process.request`), whatever the axis does.
+        """Start a computation on stored campaigns (`hil.app.jobs.worker_process.request`), independent of the axis.
 
-        Raises ComputingError.
+        Raises NotInControlError, and ComputingError while another runs.
         """
         self.control.require(token)
-        self._aside.start(request)
+        self._worker.start(request)
 
     def cancel_computing(self, token: str | None) -> None:
-        """Give up what is being computed."""
+        """Cancel the computation. Raises NotInControlError."""
         self.control.require(token)
-        self._aside.cancel()
+        self._worker.cancel()
 
     def become_builder(self, token: str | None, key_password: str, reading_password: str = "") -> None:
-        """Take the builder's role, until control changes hands. Takes about a second; raises what opening the key raises."""
+        """Take the builder's role, until control changes. Takes about a second. Raises NotInControlError, and as `Rights`."""
         self.control.require(token)
         self.rights.become_builder(key_password, reading_password)
         self._forget_unless_held(token)
 
     def read_tables(self, token: str | None, password: str) -> None:
-        """Give the tables' reading password, until control changes hands. Raises what opening them raises."""
+        """Open the tables for reading, until control changes. Raises NotInControlError, and as `Rights`."""
         self.control.require(token)
         self.rights.read_tables(password)
         self._forget_unless_held(token)
@@ -180,18 +182,18 @@ class Desk:
     def open_probe(
         self, token: str | None, config: ProbeMachineConfig, reading_password: str, key_password: str = ""
     ) -> None:
-        """Give the passwords of the probe's sealed run-out, until control changes hands. Raises what opening it raises."""
+        """Open the probe's sealed run-out, until control changes. Raises NotInControlError, and as `Rights`."""
         self.control.require(token)
         self.rights.open_probe(config, reading_password, key_password)
         self._forget_unless_held(token)
 
     def become_operator(self, token: str | None) -> None:
-        """Give up the builder's role."""
+        """Return to the operator's role and forget all passwords. Raises NotInControlError."""
         self.control.require(token)
         self.rights.forget()
 
     def _forget_unless_held(self, token: str | None) -> None:
-        """Control may have changed hands while a key was being opened."""
+        """Undo an opening if control has changed meanwhile. Raises NotInControlError then."""
         if not self.control.holds(token):
             self.rights.forget()
             self.control.require(token)
@@ -210,7 +212,7 @@ class Desk:
             raise StateError(f"axis {self.name} is not connected: {self.live.trouble or 'connecting'}")
 
     def _borrowing(self) -> Desk | None:
-        """The desk whose running job has our axis."""
+        """The desk whose running job has this axis."""
         borrower = self._borrower
         return None if borrower is None or borrower[1].phase is not Phase.RUNNING else borrower[0]
 
@@ -234,9 +236,9 @@ class Desk:
         self.close()
 
     def close(self) -> None:
-        """Stop whatever runs, let go of the axis. Raises StateError where it does not end in time."""
+        """Stop the running job and disconnect the axis. Raises StateError when the thread does not end in time."""
         self.stop()
         try:
-            self._aside.close()
+            self._worker.close()
         finally:
             self._thread.close()

@@ -1,6 +1,6 @@
-"""What is shown of an axis: one frozen picture of it, and the last minute of its signals in memory of fixed size.
+"""The state of an axis as the screen shows it: the latest state, and its signals of the last minute in memory of fixed size.
 
-One thread publishes, any thread reads; readers get values that nobody changes any more.
+One thread publishes, any thread reads. Published values are immutable.
 """
 
 from __future__ import annotations
@@ -17,17 +17,20 @@ from drivers.instrument import Environment, Reading, ReadingStatus
 from hil.records.rows import UM_PER_MM
 
 TRACE_S = 60.0
+"""Length of the kept signals, s."""
 RATE_HZ = 20.0
+"""Points of the signals per second."""
 _KEPT = round(TRACE_S * RATE_HZ)
 
 
 @dataclass(frozen=True)
 class Live:
-    """The axis at one moment, in its clock's time. What is not known is None.
+    """The axis at one moment, in its clock's time. Unknown values are None.
 
-    position_load_mm: by the motor's encoder; remaining_mm: to where the motion under way leads; instrument_mm: in the load's frame
-    where the instrument has a datum (`on_datum`), else in its own; correction_um: what the last command had on it; in_force: what
-    corrects, "" for nothing; trouble: why there is no axis, "" while there is
+    position_load_mm: by the motor's encoder; remaining_mm: distance to the target of the present motion
+    instrument_mm: load position where the instrument has a datum (`on_datum`), else in its own frame
+    correction_um: correction in the last command; in_force: digest of the tables in force, "" for none
+    trouble: why the axis is not connected, "" while it is
     """
 
     connected: bool = False
@@ -54,8 +57,8 @@ class Live:
 
 @dataclass(frozen=True)
 class TracePoint:
-    """One point of the live plots. number: counts up without a gap, so that a reader can ask for what is new; instrument_load_mm: None
-    while the instrument has no datum, for one curve is in one frame"""
+    """One point of the live plots. number: consecutive, so that a reader can request new points; instrument_load_mm: None while the
+    instrument has no datum, as a curve is in one frame."""
 
     number: int
     time_s: float
@@ -67,7 +70,7 @@ class TracePoint:
 
 
 def of_sample(before: Live, sample: DriveSample, destination_load_mm: float | None) -> Live:
-    """The picture after a look at the drive."""
+    """The state after a sample of the drive. destination_load_mm: target of the present motion, mm, None where unknown."""
     error_mm = sample.following_error_mm
     moving = sample.state is DriveState.ENABLED and not sample.target_reached
     left_mm = None
@@ -92,7 +95,7 @@ def of_sample(before: Live, sample: DriveSample, destination_load_mm: float | No
 
 @dataclass
 class Board:
-    """Where the axis's thread puts what it sees, and everybody reads it."""
+    """The published state of an axis: written by its thread, read by any."""
 
     monotonic_s: Callable[[], float] = time.monotonic
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -104,7 +107,8 @@ class Board:
 
     # -- for the axis's thread -----------------------------------------------------------------------------------------
     def publish(self, live: Live) -> None:
-        """The picture from now on; a point of the plots RATE_HZ times a second of real time, however uneven the looks come."""
+        """Publish a state. A point of the plots is added `RATE_HZ` times per second of real time, also at an uneven rate of
+        samples."""
         now_s = self.monotonic_s()
         with self._lock:
             self._live = live
@@ -114,12 +118,12 @@ class Board:
                 self._trace.append(_trace_point(self._number, live))
 
     def forget(self, trouble: str = "") -> None:
-        """There is no axis here for now, and what was read of it is not shown as if there were."""
+        """Publish that the axis is not connected, without its old values. trouble: the reason."""
         self._reading = None
         self.publish(Live(trouble=trouble))
 
     def heard(self, readings: Sequence[Reading], position_of: Callable[[Reading], float | None]) -> None:
-        """The instrument has sent something. position_of: a good reading in the load's frame, None without a datum."""
+        """Take new readings. position_of: load position of a good reading, mm, None without a datum."""
         if not readings:
             return
         last = readings[-1]
@@ -134,17 +138,18 @@ class Board:
             )
 
     def instrument_age_s(self, now_ns: int) -> float | None:
-        """How old the last reading is; None before the first."""
+        """Age of the last reading, s; None before the first."""
         return None if self._reading is None else self._reading.age_ns(now_ns) / NS_PER_S
 
     # -- for everybody ---------------------------------------------------------------------------------------------------
     @property
     def live(self) -> Live:
+        """The latest state."""
         with self._lock:
             return self._live
 
     def trace(self, since: int = 0) -> tuple[TracePoint, ...]:
-        """The points after number `since` that are still kept, oldest first."""
+        """The kept points after number `since`, oldest first."""
         with self._lock:
             first = self._number - len(self._trace) + 1
             skip = max(0, since + 1 - first)

@@ -1,4 +1,4 @@
-"""What is shown of a job: its events, collected in memory of fixed size."""
+"""The state of a job as the screen shows it: its events, in memory of fixed size."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ KEPT_POINTS, KEPT_SERIES, KEPT_FIGURES, KEPT_MESSAGES = 2000, 40, 200, 100
 
 
 class Phase(Enum):
+    """State of a job."""
+
     RUNNING = "running"
     DONE = "done"
     STOPPED = "stopped"  # by the operator
@@ -23,8 +25,11 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Progress:
-    """A job as it stands. number: of the job, counted over all desks; figures: what was measured, in the order of time; result: of
-    a job that is done; error: in one line, of one that failed; stopping: the stop was pressed and is not carried out yet"""
+    """The state of a job.
+
+    number: of the job, counted over all desks; figures: results in the order of time; result: of a job that is done
+    error: of a job that failed, one line; stopping: the stop was pressed and is not yet carried out
+    """
 
     number: int
     kind: str
@@ -42,12 +47,13 @@ class Progress:
 
     @property
     def running(self) -> bool:
+        """Whether the job has not ended."""
         return self.phase is Phase.RUNNING
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Points (x, y) of a job's curves, by their names; points: how many there were so far, for asking for the rest later"""
+    """Points (x, y) of a job's curves, by name. points: number of points so far, for the next request."""
 
     points: int
     series: Mapping[str, list[tuple[float, float]]]
@@ -55,7 +61,7 @@ class Graph:
 
 @dataclass
 class JobLog:
-    """Hears a job's events in the axis's thread; anybody reads."""
+    """Collects a job's events in the axis's thread; any thread reads."""
 
     number: int
     kind: str
@@ -71,7 +77,7 @@ class JobLog:
     _points: int = 0
 
     def hear(self, event: Event) -> None:
-        """A listener for procedures."""
+        """Take an event; the listener of procedures."""
         with self._lock:
             self._event = event
             if event.warning:
@@ -90,17 +96,17 @@ class JobLog:
         self._series[point.series].append((self._points, point.x, point.y))
 
     def tell(self, text: str) -> None:
-        """A message that is to be kept."""
+        """Keep a message."""
         with self._lock:
             self._messages.append(text)
 
     def end(self, phase: Phase, result: object = None, error: str = "") -> None:
-        """It is over."""
+        """Note that the job has ended."""
         with self._lock:
             self.phase, self.result, self.error = phase, result, error
 
     def progress(self, *, stopping: bool = False) -> Progress:
-        """As it stands now."""
+        """The present state. stopping: the stop was pressed."""
         with self._lock:
             event = self._event
             return Progress(

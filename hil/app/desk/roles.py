@@ -1,7 +1,7 @@
-"""What a person at the desk may do: an operator measures, a builder changes what is locked.
+"""Roles at the desk: an operator measures, a builder also changes locked tables and parameters.
 
-The builder's role is the builder's key, really opened with its password. Passwords are used and forgotten; what they opened is kept in
-memory for as long as the same person holds control, and nowhere else.
+The builder's role requires the builder's key, opened with its password. Passwords are not kept; what they opened is kept in memory
+only, while the same person holds control.
 """
 
 from __future__ import annotations
@@ -19,16 +19,18 @@ from hil.probe.store import RunOutStore
 
 
 class Role(Enum):
+    """Role of the person in control."""
+
     OPERATOR = "operator"
     BUILDER = "builder"
 
 
 class LockedError(LocalError):
-    """Only the builder may do this."""
+    """The action needs the builder's role."""
 
 
 class Rights:
-    """Of whoever holds control at present. For any thread."""
+    """Role and opened stores of the person in control, for any thread."""
 
     def __init__(self, axis: DriveAxis) -> None:
         self._axis = axis
@@ -39,20 +41,24 @@ class Rights:
 
     @property
     def role(self) -> Role:
+        """The present role."""
         return self._role
 
     @property
     def store(self) -> SealedStore | None:
-        """The axis's sealed store, as far as passwords were given: for reading, or with the builder's key for writing."""
+        """The axis's opened store: for reading, or with the builder's key for writing; None if not opened."""
         return self._store
 
     @property
     def probe_store(self) -> RunOutStore | None:
-        """The sealed run-out of the machine's probe, as far as passwords were given: for reading, or with its builder's key."""
+        """The opened run-out of the machine's probe: for reading, or with its builder's key; None if not opened."""
         return self._probe_store
 
     def open_probe(self, config: ProbeMachineConfig, reading_password: str, key_password: str = "") -> None:
-        """Give the passwords of the probe's run-out, that of its builder's key if it is to be changed. Raises what opening raises."""
+        """Open the probe's run-out; key_password: of its builder's key, needed for changes.
+
+        Raises WrongPasswordError, and InputError for a missing or damaged file.
+        """
         store = opened_store(config, lambda: reading_password, (lambda: key_password) if key_password else None)
         if store.path.exists():
             store.load()
@@ -60,7 +66,7 @@ class Rights:
             self._probe_store = store
 
     def read_tables(self, password: str) -> None:
-        """Give the tables' reading password. Raises what opening them raises."""
+        """Open the tables for reading. Raises WrongPasswordError, and InputError for missing or damaged tables."""
         store = SealedStore.of(self._measured_axis(), password)
         store.load()
         with self._lock:
@@ -68,7 +74,7 @@ class Rights:
                 self._store = store
 
     def become_builder(self, key_password: str, reading_password: str = "") -> None:
-        """Open the builder's key. reading_password: of the tables, without it only what needs no tables can be changed.
+        """Open the builder's key. reading_password: of the tables; without it only jobs that need no tables are possible.
 
         Raises WrongPasswordError, and InputError where there is no builder's key.
         """
@@ -88,14 +94,14 @@ class Rights:
             self._role, self._store = Role.BUILDER, store or self._store
 
     def forget(self) -> None:
-        """Back to an operator who has given no password."""
+        """Return to the operator's role, with no store opened."""
         with self._lock:
             self._role, self._store, self._probe_store = Role.OPERATOR, None, None
 
     def require(self, *, locked: bool, of_probe: bool = False) -> None:
-        """Raise LockedError where something locked is to be changed by somebody who is not the builder.
+        """Raises LockedError for a locked change without the builder's role.
 
-        of_probe: it is the probe's run-out, which its own builder's key opens.
+        of_probe: the change concerns the probe's run-out, which has a builder's key of its own.
         """
         opened = self._probe_store
         is_builder = self._role is Role.BUILDER

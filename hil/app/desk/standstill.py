@@ -1,4 +1,4 @@
-"""How an axis came to rest after the operator's stop, by what its thread saw of it."""
+"""Time and distance of an axis from the operator's stop to its standstill, from the samples of its thread."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample
 
 RESTS_BELOW = 0.1
-"""Of the speed it had; what is left below it is the last creep into position."""
+"""Share of its speed below which the axis counts as at rest; what remains is the settling into position."""
 MOVES_ABOVE_MM_S = 0.05
+"""Speed above which an axis counts as moving, mm/s."""
 
 
 @dataclass(frozen=True)
 class CameToRest:
-    """After a stop: the time from the click until the axis was seen at rest, s, and its way meanwhile, mm."""
+    """A stop: time from the click to the standstill, s, and the distance meanwhile, mm."""
 
     after_s: float
     way_mm: float
 
 
 class Standstill:
-    """`pressed` is for any thread, `look` for the one that owns the axis. found: of the last stop in motion, once it is known"""
+    """`pressed` is for any thread, `look` for the one that owns the axis. found: result of the last stop in motion, None before."""
 
     def __init__(self) -> None:
         self.found: CameToRest | None = None
@@ -31,17 +32,17 @@ class Standstill:
         self._from_mm = 0.0
 
     def pressed(self, now_ns: int) -> None:
-        """The stop was clicked at this time of the axis's clock; a second click before it is at rest counts as the first."""
+        """Note the click at this time of the axis's clock. A second click before the standstill is ignored."""
         if self._pressed_ns is None:
             self._pressed_ns = now_ns
 
     def forget(self) -> None:
-        """A new job begins."""
+        """Drop the result: call when a job begins."""
         self.found = self._pressed_ns = self._before = None
         self._speed_mm_s = 0.0
 
     def look(self, sample: DriveSample) -> None:
-        """The axis was seen."""
+        """Take a sample of the drive."""
         before, self._before = self._before, sample
         if before is None or sample.time_ns <= before.time_ns:
             return

@@ -1,4 +1,4 @@
-"""Work on what is stored, in a process of its own: one at a time at each desk, whatever the axis does meanwhile."""
+"""Worker process for computations on stored campaigns: one at a time for each desk, independent of the axis."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from hil.app.error_log import ErrorLog
 
 PROGRAM = (sys.executable, "-m", "hil.app.jobs.worker_process")
 CLOSING_S = 5.0
+"""Time limit for the process to end, s; then it is killed."""
 
 
 class ComputingError(LocalError):
-    """Something is being computed already."""
+    """Another computation is running."""
 
 
 @dataclass(frozen=True)
 class Computed:
-    """The work that is being done, or was done last. work: "" before the first; made: files; error: in one line; seconds: so far"""
+    """The running or last computation. work: its name, "" before the first; made: files; error: one line; seconds: so far."""
 
     number: int = 0
     work: str = ""
@@ -35,8 +36,8 @@ class Computed:
     seconds: float = 0.0
 
 
-class Aside:
-    """For any thread. errors: keeps mistakes of the program; program: what is started, with the axis file's path behind it."""
+class WorkerProcess:
+    """Starts and ends the process, from any thread. errors: log of program errors; program: command, without the axis file's path."""
 
     def __init__(
         self,
@@ -56,13 +57,13 @@ class Aside:
 
     @property
     def computed(self) -> Computed:
-        """As it stands."""
+        """The present state."""
         with self._lock:
             now = self._computed
             return replace(now, seconds=self._monotonic_s() - self._started_s) if now.running else now
 
     def start(self, request: Mapping[str, Any]) -> None:
-        """Begin. Raises ComputingError while the last is not done."""
+        """Start a computation. Raises ComputingError while one is running."""
         with self._lock:
             if self._computed.running:
                 raise ComputingError(f"being computed already: {self._computed.work}")
@@ -72,7 +73,7 @@ class Aside:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
-                start_new_session=True,  # Ctrl-C at the server ends it by `cancel`, not in the middle of a line
+                start_new_session=True,  # Ctrl-C at the server reaches it by `cancel` only
             )
             self._computed = Computed(self._computed.number + 1, str(request["work"]), running=True)
             self._started_s = self._monotonic_s()
@@ -81,13 +82,13 @@ class Aside:
             self._thread.start()
 
     def cancel(self) -> None:
-        """End it; nothing half-written stays."""
+        """End the computation; no partly written file remains."""
         with self._lock:
             if self._process is not None and self._computed.running:
                 self._process.terminate()
 
     def close(self) -> None:
-        """End it, and wait until it has ended; where it does not for `CLOSING_S`, by force."""
+        """End the computation and wait for the process; kill it after `CLOSING_S`."""
         self.cancel()
         if self._thread is not None and self._process is not None:
             self._thread.join(CLOSING_S)
@@ -101,7 +102,7 @@ class Aside:
                 said, complained = process.communicate(request)
             made, error = _answer(said, complained, process.returncode)
             error = self._errors.line_of_process(error, complained)
-        except Exception as mistake:  # noqa: BLE001  otherwise it would be computing for ever
+        except Exception as mistake:  # noqa: BLE001  otherwise the state would remain "running"
             made, error = (), self._errors.line_of(mistake)
         with self._lock:
             seconds = self._monotonic_s() - started_s
@@ -109,10 +110,10 @@ class Aside:
 
 
 def _answer(said: str, complained: str, status: int) -> tuple[tuple[str, ...], str]:
-    """What was made, and what went wrong."""
+    """The files made, and the error."""
     try:
-        told = json.loads(said)
-        return tuple(map(str, told.get("made", ()))), str(told.get("error", ""))
+        answer = json.loads(said)
+        return tuple(map(str, answer.get("made", ()))), str(answer.get("error", ""))
     except (ValueError, AttributeError):
         lines = complained.strip().splitlines()
         return (), "cancelled" if status < 0 else lines[-1] if lines else f"ended with status {status}"

@@ -1,4 +1,4 @@
-"""The figures of a pass in a few numbers, for summaries."""
+"""Summary figures of a pass."""
 
 from __future__ import annotations
 

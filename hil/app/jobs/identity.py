@@ -1,4 +1,4 @@
-"""What a report says of the set-up: what was measured, on what, by what, and how well."""
+"""The set-up as a report states it: axis, drive, instrument and uncertainty."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from hil.figures.uncertainty import UncertaintyInputs
 
 
 def drive_in_words(axis: DriveAxis) -> str:
-    """The drive as a report names it."""
+    """The drive as text."""
     if axis.drive.backend == "bench":
         return f"bench, {axis.drive.machine} machine, as {axis.drive.face}"
     return axis.drive.backend
 
 
 def identity(axis: AxisConfig) -> dict[str, str]:
-    """What a reader must know of the set-up to repeat it."""
+    """The set-up that a repetition needs, name -> text."""
     drive = {
         "bench": f"simulated CiA-402 drive on a virtual CAN bus, machine {axis.drive.machine}, seed {axis.drive.seed}",
         "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
@@ -35,7 +35,7 @@ def identity(axis: AxisConfig) -> dict[str, str]:
 
 
 def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
-    """The instrument of an axis file and how it stood, name -> text."""
+    """The instrument and its alignment, name -> text."""
     if config.replay is not None:
         return {"Instrument": f"recording {Path(config.replay.file).name}, column {config.replay.column}"}
     if config.kind == "nd2xx":
@@ -59,7 +59,7 @@ def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
 
 
 def uncertainty_of(axis: AxisConfig) -> UncertaintyInputs | None:
-    """What the axis file says of it; how far the beam may lie off is taken from its alignment unless it is stated."""
+    """The axis file's uncertainty inputs, None without. A misalignment that is not stated is taken from the beam's alignment."""
     inputs, beam = axis.uncertainty, axis.instrument.alignment
     if inputs is None or beam is None or inputs.misalignment_mm:
         return inputs

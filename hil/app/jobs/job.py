@@ -1,4 +1,4 @@
-"""A job as the operator's desk runs it: what it is called, what it would do, and the work itself."""
+"""A job as the operator's desk runs it: its kind, its plan and its work, and the workplace that the work is given."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Watch = Callable[[str, ServoDrive, AxisSession | None], None]
 
 @dataclass(frozen=True)
 class Question:
-    """What somebody at the machine is asked while a job waits, to be answered by yes or no.
+    """A question to the operator, to be answered by yes or no.
 
-    kind: says what, such as "run" or "condition"; figures: what it is about, as procedures say it; within_s: how long the job waits
+    kind: such as "run" or "condition"; figures: name -> text, the subject of the question; within_s: time limit for the answer.
     """
 
     kind: str
@@ -33,28 +33,29 @@ class Question:
 
 
 Ask = Callable[[Question], bool | None]
-"""Asks, and waits with the axis watched: the answer, None where nobody gave one in time. A stop ends it."""
+"""Asks and waits for the answer with the axis watched; None for no answer in time. A stop ends the wait."""
 
 
 def tell_unchecked(campaign: Campaign, listener: Listener) -> None:
-    """Say what could not be checked of a resumed campaign's rows, before any are added to them."""
+    """Warn of what could not be checked of a resumed campaign's rows, before any are added."""
     if campaign.warning:
         listener(Event("rows", f"{campaign.directory}: {campaign.warning}", warning=True))
 
 
-def nobody(_question: Question) -> bool | None:
-    """For where nobody can be asked."""
+def no_answer(_question: Question) -> bool | None:
+    """No operator can be asked."""
     return None
 
 
 @dataclass(frozen=True)
 class Workplace:
-    """A connected axis as a job finds it; session: None for an axis without an instrument, or where the job connects by itself.
+    """What a job's work is given.
 
-    store: with the builder's key while a builder is at the desk, without it where only the reading password was given, else None.
-    waiting: for a job that connects by itself: its clock has to wait through this, so that it can be stopped.
-    watch: for the same: watch(axis name, drive, session or None) shows the looks at that axis on its desk.
-    ask: somebody at the machine.
+    connected: the open drive, None where the job connects by itself; session: None then too, and for an axis without an instrument
+    store: with the builder's key in the builder's role, without it where only the reading password was given, else None
+    waiting: for a job that connects by itself: its clocks must wait through this, so that it can be stopped
+    watch: for such a job: watch(axis name, drive, session or None) shows the samples of that axis on its desk
+    ask: asks the operator
     """
 
     axis: DriveAxis
@@ -65,13 +66,13 @@ class Workplace:
     store: SealedStore | None
     waiting: Waiting
     watch: Watch
-    ask: Ask = nobody
+    ask: Ask = no_answer
 
     @property
     def drive(self) -> ServoDrive:
         """The axis's drive, open. Raises CapabilityError where the job connects by itself."""
         if self.connected is None:
-            raise CapabilityError(f"axis {self.axis.name} was let go for this job")
+            raise CapabilityError(f"axis {self.axis.name} was disconnected for this job")
         return self.connected
 
     def machine(self) -> Machine:
@@ -81,7 +82,7 @@ class Workplace:
         return Machine(self.axis, self.session)
 
     def opened_store(self) -> SealedStore:
-        """The axis's store. Raises CapabilityError while nobody has given its password."""
+        """The axis's store. Raises CapabilityError until its password was given."""
         if self.store is None:
             raise CapabilityError(f"the tables of axis {self.axis.name} are sealed: give the reading password first")
         return self.store
@@ -89,9 +90,9 @@ class Workplace:
 
 @dataclass(frozen=True)
 class Job:
-    """kind: "backlash", "calibrate" …, of which one desk remembers the last; work: runs in the thread that owns the axis.
+    """A job. kind: "backlash", "calibrate" …, a desk keeps the last of each; work: runs in the thread that owns the axis.
 
-    connects: the job connects what it needs by itself (several axes, a machine with a probe); the desk lets go of its axis meanwhile.
+    connects: the job connects what it needs itself (several axes, a machine with a probe); the desk disconnects its axis meanwhile.
     """
 
     kind: str

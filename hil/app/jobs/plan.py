@@ -1,4 +1,4 @@
-"""What a job would move, and what it would write, as data: `--dry-run`'s text and the question that a screen asks are made of it."""
+"""The plan of a job: what it moves and writes, as data for `--dry-run` and for the screen's question before the start."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from hil.machine.measure import Step
 
 @dataclass(frozen=True)
 class Move:
-    """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; its furthest ends in load mm; its highest velocity
+    """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; low_mm, high_mm: its ends, load mm; velocity: the
+    highest.
 
-    how: "moves" between the two ends; "goes" to the one place that both are; "drives" by so much from wherever it stands; "turns",
-    with ends and velocity in degrees
+    how: "moves" between the two ends; "goes" to the position that both ends are; "drives" by a distance from its present position;
+    "turns", with ends and velocity in degrees
     """
 
     what: str
@@ -26,7 +27,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Write:
-    """One thing that is written. what: "rows", "tables", "parameter", "meanwhile" (put back afterwards) …; place: file or parameter"""
+    """One thing to be written. what: "rows", "tables", "parameter", "meanwhile" (restored afterwards) …; place: file or parameter."""
 
     what: str
     place: str
@@ -34,11 +35,13 @@ class Write:
 
 @dataclass(frozen=True)
 class Plan:
-    """positions: how many are captured, each with `at_rest_s` seconds at rest; datum_mm: where the instrument's zero is taken.
+    """The plan of a job.
 
-    overtravel_mm: of a probe, whose contacts the positions are then: how far beyond each it goes at most; locked: it changes what only
-    the builder may change; of_probe: that is the run-out of the probe, which has a builder's key of its own. new_zero: the axis's zero
-    is taken anew; instrument_zeroed: a person says that the instrument counts from another place than it did.
+    homes: the axis is homed; datum_mm: position at which the datum is taken
+    positions: number of captures (of a probe: contacts), each with `at_rest_s` seconds at rest
+    overtravel_mm: largest travel of a probe beyond each contact
+    locked: the job needs the builder's role; of_probe: with the key of the probe's run-out
+    new_zero: the axis's zero is taken anew; instrument_zeroed: the instrument was zeroed since the last measurement
     """
 
     axis: str
@@ -57,14 +60,14 @@ class Plan:
 
     @property
     def reach_mm(self) -> tuple[float, float] | None:
-        """The lowest and the highest position; None where nothing moves."""
+        """The lowest and the highest position, mm; None where nothing moves."""
         if not self.moves:
             return None
         return min(move.low_mm for move in self.moves), max(move.high_mm for move in self.moves)
 
 
 def measuring_plan(axis: AxisConfig, steps: Sequence[Step], writes: Sequence[Write], *, locked: bool = False) -> Plan:
-    """Of a job that measures these steps along the axis."""
+    """The plan of a job that measures these steps along the axis."""
     how = axis.measurement
     targets = [step.target_mm for step in steps]
     low = min(*targets, how.reference_mm) - how.overrun_mm

@@ -1,8 +1,8 @@
-"""Work on stored campaigns in a process of its own: python -m hil.app.jobs.worker_process AXIS.toml < request.json
+"""Program of the worker process: python -m hil.app.jobs.worker_process AXIS.toml < request.json
 
-It takes seconds and much memory, and neither the axis's thread nor the pages may notice. The request is an object with `work`
-("diagnose", "report", "compare" or "history") and `campaigns`: [[label, [file, …]], …]. The answer on standard output is an object
-with `made`, the files that were written, or `error` in one line.
+It computes on stored campaigns for seconds and with much memory, without delaying the axis's thread or the pages. The request is an
+object with `work` ("diagnose", "report", "compare" or "history") and `campaigns`: [[label, [file, …]], …]. The answer on standard
+output is an object with `made`, the files written, or `error`, one line.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from hil.diagnosis.stored import stored_beside
 
 DIAGNOSE, REPORT, COMPARE, HISTORY = "diagnose", "report", "compare", "history"
 LESS_URGENT = 10
-"""Added to the process's niceness: an axis that moves comes first."""
+"""Added to the process's niceness, so that the axis's thread runs first."""
 
 
 def request(work: str, campaigns: Sequence[Wanted] = ()) -> dict[str, Any]:
-    """What this process is asked for, as plain values."""
+    """A request to this process, as plain values."""
     return {"work": work, "campaigns": [[one.label, [str(path) for path in one.paths]] for one in campaigns]}
 
 
 def answer(axis: AxisConfig, asked: dict[str, Any]) -> list[str]:
-    """Do it; the files that were written. Raises InputError."""
+    """Do the work; returns the files written. Raises InputError for unknown work, and what the work raises."""
     wanted = [Wanted(label, tuple(map(Path, paths))) for label, paths in asked["campaigns"]]
     if asked["work"] == DIAGNOSE:
         from hil.diagnosis.job import diagnose_passes  # noqa: PLC0415  (only where it is wanted: slow to import)
@@ -47,19 +47,19 @@ def answer(axis: AxisConfig, asked: dict[str, Any]) -> list[str]:
 
 
 def main(path: str) -> int:
-    """0 with an answer, 1 with an error."""
+    """Exit status 0 with `made`, 1 with `error`."""
     os.nice(LESS_URGENT)
     place = Path(path).parent
     try:
         axis = load_axis(path)
         place = axis.store.directory
-        told: dict[str, Any] = {"made": answer(axis, json.load(sys.stdin))}
+        result: dict[str, Any] = {"made": answer(axis, json.load(sys.stdin))}
     except (BridgeError, OSError) as error:
-        told = {"error": one_line(error)}
-    except Exception as error:  # noqa: BLE001  whoever asked is told where its traceback is
-        told = {"error": ErrorLog(place / ERRORS).line_of(error)}
-    json.dump(told, sys.stdout)
-    return 1 if "error" in told else 0
+        result = {"error": one_line(error)}
+    except Exception as error:  # noqa: BLE001  whoever asked is result where its traceback is
+        result = {"error": ErrorLog(place / ERRORS).line_of(error)}
+    json.dump(result, sys.stdout)
+    return 1 if "error" in result else 0
 
 
 if __name__ == "__main__":

@@ -1,25 +1,25 @@
-"""The operator's screen: pages in a browser that draw what `hil.app.desk` knows and ask it to act. No logic of its own.
+"""The operator's screen: pages in a browser that show the state of `hil.app.desk` and call it. They contain no logic.
 
 How a page is added
 
 1. What it starts goes to `hil/<room>/job.py`: functions of a connected axis that the command line's verb calls too, a plan (`Plan`:
    what moves how far, what is written), and a `Job` made of both. A job runs in the axis's thread and gets a `Workplace`:
    `place.drive`, `place.session`, `place.machine()`, `place.opened_store()`, `place.listener` for events, `place.tell` for messages,
-   `place.ask` for what somebody at the machine has to answer or do (a line in `[ask]`; it is asked on every page).
-   A plan that is `locked` is refused to anybody but the builder.
-2. What it shows and is more than one figure of the desk goes to `hil/<room>/screen.py`: a function of the desk that returns a frozen
+   `place.ask` for questions to the operator (a line in `[ask]`; they are shown on every page).
+   A plan that is `locked` needs the builder's role.
+2. Contents that are more than one figure of the desk go to `hil/<room>/screen.py`: a function of the desk that returns a frozen
    value (`backlash_screen`), tested without a browser.
 3. `hil/<room>/page.py` has `draw(view: View) -> None`. It puts elements on the screen and calls `view.every(refresh)`. It makes
    figures with `view.value(key, unit)`, buttons with `view.button(key, action)`, frames with `with view.card(key)`, names any other
    element with `view.named(element, name)`, and starts a job with `await view.ask_and_run(job)`, which asks first.
 4. The page is listed in `hil/app/panel/pages/__init__.py`.
-5. Its words go to `texts/en.toml`, `de.toml` and `zh.toml`, the same keys in each: `[<page>]` for its own, and a line in `[page]`
+5. Its texts go to `texts/en.toml`, `de.toml` and `zh.toml`, the same keys in each: `[<page>]` for its own, and a line in `[page]`
    (title), `[job]` (kind of the job, blanks as _), `[plan.move]` and `[plan.write]` (what the plan moves and writes), `[said]`
-   (patterns of what its procedures say).
+   (patterns of its procedures' messages).
 
-What the server has besides axes is a field of the view (`view.probe`, the machine with a touch probe).
+Other parts of the server are fields of the view (`view.probe`, the machine with a touch probe).
 
 An element's name (`data-name`) is by default its text's key; tests find elements by it. A refresh is called five times a second and
-sends only what has changed: it reads the desk and sets texts, and never waits. What takes longer than a moment and is no job goes
-through `await view.aside(work)`.
+sends only what has changed: it reads the desk and sets texts, and never waits. Work of more than a few milliseconds that is no job
+goes through `await view.in_worker_thread(work)`.
 """

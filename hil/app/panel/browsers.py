@@ -1,6 +1,6 @@
-"""What is remembered of each browser, on the server and for as long as it runs: its language, its looks, and whether it holds control.
+"""Settings of each browser, in the server's memory: language, colours, and tokens of control.
 
-A browser is known by a random number in a cookie that no script can read. The tokens of control never leave the server.
+A browser is identified by a random number in a cookie that scripts cannot read. The tokens of control never leave the server.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _MOST = 200
 
 @dataclass
 class Browser:
-    """number: in the order of their coming; tokens: of control, by axis"""
+    """One browser. number: in the order of first visits; dark: dark colours; tokens: of control, by axis."""
 
     number: int
     language: str
@@ -24,7 +24,7 @@ class Browser:
 
 
 class Browsers:
-    """Of one server. Only for its event loop."""
+    """The browsers of one server, for use in its event loop only."""
 
     def __init__(self, language: str) -> None:
         self._language = language
@@ -32,7 +32,7 @@ class Browsers:
         self._came = 0
 
     def of(self, cookie: str) -> Browser:
-        """The browser with this cookie; the one not seen for longest is forgotten when they are too many."""
+        """The browser with this cookie. Beyond `_MOST` browsers the one not seen for longest is dropped."""
         if cookie not in self._known:
             self._came += 1
             self._known[cookie] = Browser(self._came, self._language)
@@ -43,5 +43,5 @@ class Browsers:
 
 
 def new_cookie() -> str:
-    """A number that nobody guesses."""
+    """A random number of 256 bits, as text."""
     return secrets.token_urlsafe(32)

@@ -32,6 +32,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil panel`."""
     parser = subparsers.add_parser(
         "panel",
         description="Serve the operator's screen of one or several axes.",
@@ -72,7 +73,7 @@ def _pace(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once it was told to end."""
+    """Serve until SIGINT or SIGTERM; exit status 0. Raises InputError for wrong arguments or a missing panel extra."""
     axes = [load_drive_axis(path) for path in args.axes]
     _check_names(axes)
     probe = None if args.probe is None else load_probe_machine(args.probe)
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         numbers = itertools.count(1)
         desks = [stack.enter_context(Desk(axis, pace=args.pace, numbers=numbers)) for axis in axes]
         for desk in desks:
-            stack.callback(desk.stop)  # all of them before any is waited for, whatever ends the server
+            stack.callback(desk.stop)  # on any end of the server all are stopped before any is waited for
         host = f"[{access.bind}]" if ":" in access.bind else access.bind
         print(f"{access.scheme}://{host}:{listening.getsockname()[1]}/", flush=True)
         if token is not None and not args.token_file:
@@ -109,7 +110,7 @@ def _check_names(axes: Sequence[DriveAxis]) -> None:
 
 
 def _access(args: argparse.Namespace) -> tuple[tuple[str, str] | None, str | None]:
-    """Certificate and key, and the access token: beyond loopback both are there, or it is refused."""
+    """Certificate and key, and the access token. Raises InputError for an address beyond loopback without a certificate."""
     if (args.cert is None) != (args.key is None):
         raise InputError("--cert and --key go together")
     tls = None if args.cert is None else (args.cert, args.key)

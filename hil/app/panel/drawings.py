@@ -1,4 +1,4 @@
-"""Drawings of a result that stands: points with curves laid over them, and deviations around a circle. Drawn once for each result."""
+"""Charts of a finished result, drawn once for each: points with curves, and deviations around a circle."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from hil.lost_motion.screen import CircleCurves
 Points = Sequence[tuple[float, float]]
 Options = dict[str, Any]
 RINGS = 4
-"""To each side of the circle that was commanded."""
+"""Number of rings on each side of the commanded circle."""
 _INSIDE = 8
-"""Rings' widths between the circle's centre and the innermost one."""
+"""Distance from the centre to the innermost ring, in widths of a ring."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Curve:
 
 
 class Drawing:
-    """A chart that changes with its result and not by the point. looks: "tall" or "round", as the style sheet has them"""
+    """A chart that is redrawn for each new result. looks: class of the style sheet, "tall" or "round"."""
 
     def __init__(self, view: View, name: str, looks: str = "tall") -> None:
         self._chart = ui.echart({"series": []})
@@ -127,7 +127,7 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
 
 
 def inks(view: View) -> tuple[str, str]:
-    """The colours of writing and of the lines behind it."""
+    """The colours of text and of grid lines."""
     return ("#f2f2ee", "#39424a") if view.browser.dark else ("#14181c", "#c3c8cc")
 
 

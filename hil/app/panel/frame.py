@@ -1,4 +1,4 @@
-"""What stands around every page: the stop, who holds control, the role, the way to the other pages, language and looks."""
+"""The frame of every page: stop button, control, role, navigation, language and colours."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from hil.app.panel.view import View
 
 @dataclass(frozen=True)
 class Page:
-    """One page. name: in its address, and of its title (`page.<name>` in the texts); draw: puts its elements on the screen.
+    """One page. name: in its address, and key of its title (`page.<name>` in the texts); draw: draws its elements.
 
-    several: of use with several axes only.
+    several: shown with several axes only.
     """
 
     name: str
@@ -26,7 +26,7 @@ class Page:
 
 
 def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
-    """Header and content."""
+    """Draw frame and content of a page."""
     ui.dark_mode(view.browser.dark)
     ui.page_title(f"{view.desk.name} · {view.t(f'page.{page.name}')}")
     _draw_lost(view)
@@ -41,7 +41,7 @@ def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
 
 
 def _draw_lost(view: View) -> None:
-    """Shown by the page's own script when a stop did not reach the server."""
+    """A warning that the page's own script shows when a stop did not reach the server."""
     lost = view.named(ui.element("div").classes("hil-lost").props("hidden role=alert"), "stop-lost")
     with lost:
         ui.label(view.t("stop.lost"))
@@ -71,7 +71,7 @@ def _draw_axes(view: View, page: Page) -> None:
 
 
 def _doing(view: View) -> str:
-    """The job that runs; else how the axis came to rest after a stop, if that is the last that happened."""
+    """The running job; else how the axis came to rest after the last stop; "" for neither."""
     now, rest, t = view.desk.job(), view.desk.came_to_rest, view.t
     if now is not None and now.running:
         return t("header.stopping") if now.stopping else t("header.running", job=t(f"job.{_key(now.kind)}"))
@@ -86,7 +86,7 @@ def _key(kind: str) -> str:
 
 # -- control and role --------------------------------------------------------------------------------------------------
 def _draw_control(view: View) -> None:
-    """Who holds control, and the buttons that fit."""
+    """The holder of control, and the buttons that apply."""
     with ui.row().classes("items-center gap-2"):
         who = view.named(ui.label(), "control.who")
         take = view.button("control.take", lambda: _take(view))
@@ -107,7 +107,7 @@ def _draw_control(view: View) -> None:
         over.set_visibility(holder is not None and not mine and holder.lost)
         builder.set_visibility(mine and view.desk.rights.role is Role.OPERATOR)
         operator.set_visibility(view.is_builder)
-        if view.client.has_socket_connection:  # its page outlives it for a while, and is no sign of life
+        if view.client.has_socket_connection:  # the server keeps a page for a while after its browser has gone
             view.desk.control.sign_of_life(view.token)
 
     view.every(refresh)
@@ -127,12 +127,12 @@ async def _take_over(view: View) -> None:
 
 
 async def _ask_passwords(view: View) -> None:
-    """The builder's role: the password of his key, and that of the tables where they are to be changed."""
+    """Ask for the passwords of the builder's role: of the key, and of the tables where they are to be changed."""
     fields = ("role.key_password", "role.reading_password")
     given = await view.ask_passwords(*fields, yes="role.yes", why="role.why")
     if given is not None:
         token = view.token
-        await view.attempt(lambda: view.aside(lambda: view.desk.become_builder(token, *given)))
+        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.become_builder(token, *given)))
 
 
 # -- looks and navigation ----------------------------------------------------------------------------------------------

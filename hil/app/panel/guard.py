@@ -1,9 +1,8 @@
-"""Who may talk to the server: an ASGI layer around all of it, web sockets included.
+"""Access control of the server: an ASGI layer around the whole application, web sockets included.
 
-A request is answered only if it was meant for this server (Host) and comes from a page of this server (Origin): a page from elsewhere
-that is open in the same browser can neither send anything here nor, by a name that it lets point to this machine, pretend to be us.
-Nor can it load anything from here, or show the screen inside itself; it can only lead to it, as any link does (Sec-Fetch-Site).
-Beyond loopback every browser is asked for the access token first.
+A request is answered only if it names this server (Host) and comes from a page of this server (Origin). So a foreign page in the same
+browser can neither send requests here nor use a name that it resolves to this machine (DNS rebinding). It cannot load anything from
+here or embed the screen; it can only link to it (Sec-Fetch-Site). Beyond loopback a browser needs the access token first.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ LOGIN = "/access"
 _LONGEST_FORM = 4096
 _UNFRAMED = ((b"content-security-policy", b"frame-ancestors 'none'"), (b"x-frame-options", b"DENY"))
 _FOREIGN = ("cross-site", "same-site")
-"""Of Sec-Fetch-Site: asked for by a page of another site, or of another server on the same machine."""
+"""Values of Sec-Fetch-Site for a request by a page of another site, or of another server on the same machine."""
 
 
 class Guard:
-    """hosts: names under which this server may be asked for, without port; access_token: None on loopback."""
+    """The layer. hosts: allowed host names, without port; access_token: None on loopback; form: HTML page that asks for the token."""
 
     def __init__(self, app: App, hosts: Iterable[str], access_token: str | None, form: str, *, secure: bool) -> None:
         self.app = app
         self._hosts = frozenset(host.lower() for host in hosts)
         self._token = access_token
-        self._admission = secrets.token_urlsafe(32)  # what a browser that knew the token shows from then on
+        self._admission = secrets.token_urlsafe(32)  # value of the cookie of an admitted browser
         self._form = form
         self._scheme = "https" if secure else "http"
         self._cookie_flags = "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
@@ -68,8 +67,8 @@ class Guard:
         return _host_name(host) in self._hosts
 
     def _from_our_page(self, scope: Scope, headers: dict[str, str]) -> bool:
-        """Reading needs no Origin (a browser sends none with a plain visit); anything else needs ours. What a foreign page asks for is
-        not from ours, except that it may lead here."""
+        """Whether the request comes from a page of this server. GET and HEAD need no Origin, as a browser sends none with a visit;
+        other requests need this server's. A foreign page may only link here."""
         if headers.get("sec-fetch-site") in _FOREIGN and not _leads_here(scope, headers):
             return False
         origin = headers.get("origin")
@@ -96,9 +95,9 @@ class Guard:
         await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
 
     async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
-        """Further in; a browser without a number gets one.
+        """Pass the request on. A browser without a cookie gets one.
 
-        Led here by a foreign page it has not shown the one it may have: it comes in as a stranger, and its own is kept.
+        A browser that follows a foreign page's link does not send its cookie: it gets one for this request only, and keeps its own.
         """
         if COOKIE in cookies(headers) or scope["type"] != "http":
             await self.app(scope, receive, send)
@@ -117,7 +116,7 @@ class Guard:
 
 
 def cookies(headers: dict[str, str]) -> dict[str, str]:
-    """The cookies of a request by name; none of a header that is not one."""
+    """The cookies of a request by name; empty for a malformed header."""
     try:
         return {name: morsel.value for name, morsel in SimpleCookie(headers.get("cookie", "")).items()}
     except CookieError:
@@ -125,20 +124,20 @@ def cookies(headers: dict[str, str]) -> dict[str, str]:
 
 
 def _leads_here(scope: Scope, headers: dict[str, str]) -> bool:
-    """A page that takes the place of the one that led to it; a frame is no "document"."""
+    """Whether the request is a top-level navigation; a frame's destination is not "document"."""
     how = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
     return how == ("navigate", "document") and scope["type"] == "http" and scope["method"] == "GET"
 
 
 def _with_headers(message: Message, *headers: tuple[bytes, bytes]) -> Message:
-    """The start of an answer with these as well; anything else as it is."""
+    """A response start with these headers added; any other message unchanged."""
     if message["type"] != "http.response.start":
         return message
     return {**message, "headers": [*message.get("headers", []), *headers]}
 
 
 def _host_name(host: str) -> str:
-    """Without the port; "" for what is no host."""
+    """The host without its port; "" for a malformed one."""
     try:
         return (urlsplit(f"//{host}").hostname or "").lower()
     except ValueError:

@@ -1,4 +1,4 @@
-"""Pieces that several pages are made of: the axis's position and step, what is read from its folder, results, and tables of them."""
+"""Elements shared by several pages: position and step of the axis, contents of its folder, results, tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from hil.app.panel.view import View
 
 
 def draw_where(view: View, page: str, job: Callable[[], Progress | None]) -> Callable[[], None]:
-    """In the card at hand, with names that begin with the page's; returns what refreshes it. job: whose step is shown."""
+    """Draw position and step in the present card; returns its refresh function. page: prefix of the names; job: whose step is
+    shown."""
     position = view.value("overview.position", "mm", name=f"{page}.position")
     remaining = view.value("overview.remaining", "mm", small=True, name=f"{page}.remaining")
     step = view.value(f"{page}.step", small=True)
@@ -30,9 +31,10 @@ LOOK_S = 0.5
 
 
 class Reading(Generic[Found]):
-    """What a page shows of the axis's folder: read beside the server's loop, again after each job and whatever was computed.
+    """Contents of the axis's folder for a page: read in a worker thread, again after each job and computation.
 
-    value: what was read last, None before it was read for the first time"""
+    value: the last contents, None before the first reading.
+    """
 
     def __init__(self, view: View, read: Callable[[], Found]) -> None:
         self._view, self._read = view, read
@@ -41,7 +43,7 @@ class Reading(Generic[Found]):
         ui.timer(LOOK_S, self._look)
 
     def again(self) -> None:
-        """Read it again at the next look."""
+        """Read again at the next check."""
         self._of = None
 
     async def _look(self) -> None:
@@ -58,21 +60,21 @@ class Reading(Generic[Found]):
 
 
 class Latest:
-    """One place on a page where results are shown. Results are told apart as objects, not by what is in them."""
+    """The result shown at one place of a page. Results are compared by identity."""
 
     def __init__(self) -> None:
         self._shown: object = None
 
     def is_new(self, result: object) -> bool:
-        """Whether this one is not shown yet; from now on it is. Nothing to show (None) is never new."""
+        """Whether the result is not shown yet; it then counts as shown. None is never new."""
         new = result is not None and result is not self._shown
         self._shown = result if new else self._shown
         return new
 
 
 class Table:
-    """columns: keys of their headings; the first `words` of them are words and the others figures, unless `figures` names those. tall:
-    it scrolls by itself."""
+    """A table. columns: keys of the headings; the first `words` columns are text, the others figures, unless `figures` names those.
+    tall: with its own scroll bar."""
 
     def __init__(
         self,
@@ -97,7 +99,7 @@ class Table:
         view.named(self._table, name)
 
     def show(self, rows: Sequence[Sequence[str]]) -> None:
-        """All its rows from now on."""
+        """Show these rows."""
         self._table.rows = [
             {"row": number, **dict(zip(self._columns, row, strict=True))} for number, row in enumerate(rows)
         ]

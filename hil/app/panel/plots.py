@@ -1,4 +1,4 @@
-"""Plots that grow point by point: only new points go to the browser, which keeps a bounded number of them."""
+"""Plots that grow point by point: only new points are sent to the browser, which keeps a limited number."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hil.app.desk.live import RATE_HZ, TRACE_S, TracePoint
 from hil.app.panel.view import View
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999")
-"""Okabe and Ito's, which stay apart for colour-blind eyes."""
+"""Colours of Okabe and Ito, distinguishable with colour-blindness."""
 _DIGITS = 7
 
 
 class Plot:
-    """A chart of curves, x and y each with a name and unit. dots: the points of a curve are not joined"""
+    """A chart of curves. x, y: axis titles with units; keep: points kept per curve; dots: points without lines."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Plot:
         self._anew = True
 
     def clear(self) -> None:
-        """Forget what was drawn with the next `append`."""
+        """Remove the drawn points at the next `append`."""
         self._anew = True
 
     def append(self, series: Mapping[str, Sequence[tuple[float, float]]]) -> None:
@@ -70,7 +70,7 @@ class LivePlot:
         self._seen = 0
 
     def refresh(self) -> None:
-        """Draw what is new."""
+        """Draw new points."""
         points = self._desk.trace(self._seen)
         if not points:
             return
@@ -108,7 +108,7 @@ class JobPlot:
         self._seen = 0
 
     def refresh(self) -> None:
-        """Draw what is new; a new job begins with an empty plot."""
+        """Draw new points; a new job starts with an empty plot."""
         job = self._desk.last_of(self._kinds)
         if job is None:
             return
@@ -129,6 +129,7 @@ def _short(value: float) -> float:
 
 
 def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]:
+    """ECharts options of a chart without curves, in the browser's colours. x, y: axis titles."""
     ink = "#f2f2ee" if view.browser.dark else "#14181c"
     grid = "#39424a" if view.browser.dark else "#c3c8cc"
     axis = {

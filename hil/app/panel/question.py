@@ -1,4 +1,4 @@
-"""What a running job asks somebody at the machine: on every page, to be answered in the browser that holds control."""
+"""The running job's question to the operator: shown on every page, answered in the browser that holds control."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ S_PER_MIN = 60.0
 
 
 def draw_question(view: View) -> None:
-    """Below the header; not there while nothing is asked."""
+    """Draw the question below the header; hidden while there is none."""
     t, desk = view.t, view.desk
     shown: list[Pending | None] = [None]
 

@@ -1,4 +1,4 @@
-"""The reports of the axes as files: looked at in a page of their own, or taken away. Nothing else of any folder is served."""
+"""Serves the reports of the axes as files, to open or to save. No other file of a folder is served."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hil.app.desk.desk import Desk
 from hil.app.report.job import FOLDER, NAME
 
 ALONE = {"Content-Security-Policy": "sandbox allow-scripts allow-modals", "X-Content-Type-Options": "nosniff"}
-"""A report's page has no part in the screen's: not its cookies, and it asks the server for nothing."""
+"""Headers that keep a report's page from the screen's cookies and from requests to the server."""
 
 
 def serve_reports(app: FastAPI, desks: Mapping[str, Desk]) -> None:
-    """Add their addresses: /axis/<axis>/reports/<name>; with ?save they are saved, not shown."""
+    """Add the addresses /axis/<axis>/reports/<name>; with ?save the file is downloaded."""
 
     @app.get("/axis/{axis}/reports/{name}")
     async def report(axis: str, name: str, save: str | None = None) -> Response:
@@ -27,5 +27,5 @@ def serve_reports(app: FastAPI, desks: Mapping[str, Desk]) -> None:
 
 
 def address(axis: str, name: str, *, save: bool = False) -> str:
-    """Of a report's file."""
+    """Address of a report's file. save: for download."""
     return f"/axis/{axis}/reports/{name}" + ("?save" if save else "")

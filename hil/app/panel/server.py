@@ -1,4 +1,4 @@
-"""The server: which addresses there are, and how it is started and ended."""
+"""The web server: its addresses, start and end."""
 
 from __future__ import annotations
 
@@ -36,8 +36,10 @@ _FORM = (
 
 @dataclass(frozen=True)
 class Access:
-    """Where the server listens, and who may come in. tls: certificate and key file, token: asked from every browser; both None on
-    loopback. names: further host names by which it may be asked for."""
+    """Address and access rules of the server. tls: certificate and key file; token: access token; both None on loopback.
+
+    names: further allowed host names.
+    """
 
     bind: str = "127.0.0.1"
     port: int = 0
@@ -47,17 +49,19 @@ class Access:
 
     @property
     def scheme(self) -> str:
+        """ "http" or "https"."""
         return "http" if self.tls is None else "https"
 
 
 class Server(uvicorn.Server):
-    """A server that stops its axes before anything else when it is told to end."""
+    """A server that stops its axes first on SIGINT or SIGTERM."""
 
     def __init__(self, config: uvicorn.Config, desks: Sequence[Desk]) -> None:
         super().__init__(config)
         self._desks = desks
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Stop all axes, then end the server."""
         for desk in self._desks:
             desk.stop()
         super().handle_exit(sig, frame)
@@ -70,10 +74,10 @@ def serve(
     listening: socket.socket,
     probe: ProbeMachineConfig | None = None,
 ) -> None:
-    """Serve until the process is told to end. listening: a socket; probe: the machine with a touch probe, if any."""
+    """Serve until SIGINT or SIGTERM. listening: a listening socket; probe: the machine with a touch probe, None for none."""
     app = guarded(application(desks, language, probe), access, language)
     cert, key = access.tls or (None, None)
-    # NiceGUI looks through all objects for its server, and one of canopen's bears no look: what is there by now is passed over
+    # NiceGUI searches all objects of the garbage collector for its server, which fails at one of canopen's: existing ones are hidden
     gc.freeze()
     config = uvicorn.Config(
         app,
@@ -94,7 +98,7 @@ def bound(access: Access) -> socket.socket:
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((access.bind, access.port))
-        listening.listen()  # who comes before the server is ready waits for it
+        listening.listen()  # connections before the server is ready wait in the backlog
     except BaseException:
         listening.close()
         raise
@@ -139,6 +143,6 @@ def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig 
     app.mount(STATIC, StaticFiles(directory=str(files("hil.app.panel") / "static")), name="static")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/panel.css">', shared=True)
     ui.add_head_html(f'<script src="{STATIC}/panel.js"></script>', shared=True)
-    # a browser that was cut off for less than this goes on where it was; after it, its page is loaded anew
+    # a browser that reconnects within this time keeps its page; later it loads the page again
     ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=30.0)
     return app

@@ -1,8 +1,8 @@
-"""Every word of the screen, in three languages: one file each, the same keys in all.
+"""The texts of the screen in three languages: one file each, with the same keys.
 
-Procedures and drives speak English, on purpose: what they say goes to terminals, journals and reports too, and a report that is made
-here is in English as well. `[said]` holds what they say as patterns: the English one is what they say, the others how it is said
-there, and so in turn for its parts. What is not in it, such as the words of an error, is shown as it came.
+Messages of procedures and drives are English in terminals, journals and reports. `[said]` holds them as patterns: the English text is
+the message, the other languages are its translation; the parts of a message are translated in the same way. A message without a
+pattern, such as an error's, is shown in English.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FIGURES = re.compile(r"-?\d+(\.\d+)?(, -?\d+(\.\d+)?)*( ± \d+(\.\d+)?)?")
 WEIGHTS = re.compile(r"\w+ [01]\.\d\d(, \w+ [01]\.\d\d)*")
 """Effects with their weights."""
 COLUMNS = re.compile(r"\w+( × \w+)*(; \w+( × \w+)*)*")
-"""Columns of which something depends."""
+"""Columns that something depends on."""
 NAMES = {re.compile(r"temp_(?P<place>\w+)_c"): "column.temp", re.compile(r"pos_(?P<axis>\w+)_mm"): "column.pos"}
 """Columns that are named after what they are of."""
 
@@ -39,14 +39,14 @@ class Texts:
         return self._texts[key].format(**figures) if figures else self._texts[key]
 
     def known(self, table: str, name: str) -> str:
-        """The text of a name in a table of names; a name that is not in it stands for itself."""
+        """The text of a name in a table of names; the name itself where it is not in the table."""
         return self._texts.get(f"{table}.{name}", name)
 
     def __contains__(self, key: str) -> bool:
         return key in self._texts
 
     def said(self, text: str) -> str:
-        """What a procedure said, in this language where it is known, and its parts likewise."""
+        """A procedure's message in this language, with its parts; unchanged without a pattern."""
         for key, pattern in _patterns():
             match = pattern.fullmatch(text)
             if match is not None:
@@ -57,7 +57,7 @@ class Texts:
         return self._texts[key].format(**{name: self.said(part) for name, part in match.groupdict().items()})
 
     def _named(self, text: str) -> str:
-        """The name of an effect or a column, or figures, or both; anything else as it is."""
+        """Names of effects and columns, and figures, in this language; anything else unchanged."""
         if FIGURES.fullmatch(text):
             return self._written(text.replace(", ", "; ") if self.language == "de" else text)
         if WEIGHTS.fullmatch(text):
@@ -74,14 +74,14 @@ class Texts:
         return figure.replace(".", ",") if self.language == "de" else figure
 
     def number(self, value: float | None, digits: int = 3, *, sign: bool = False) -> str:
-        """A figure as it is written in this language; a dash for one that is not known."""
+        """A figure in this language's notation; a dash for None and NaN."""
         if value is None or math.isnan(value):
             return "–"
         rounded = round(value, digits) + 0.0  # no −0.0
         return self._written(f"{rounded:{'+' if sign else ''}.{digits}f}")
 
     def significant(self, value: float | None, digits: int = 4) -> str:
-        """A figure to so many digits, whatever its size; a dash for one that is not known."""
+        """A figure to so many significant digits, without an exponent; a dash for None, NaN and infinity."""
         if value is None or not math.isfinite(value):
             return "–"
         return self._written(f"{Decimal(f'{value:.{digits}g}'):f}")
@@ -108,6 +108,6 @@ def _flat(table: dict[str, Any], prefix: str) -> list[tuple[str, str]]:
 
 @cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    """What is said in English, as patterns with a group for each {place}."""
+    """The English messages as patterns with a group for each {place}."""
     said = [(key, text) for key, text in load("en").items() if key.startswith(f"{SAID}.")]
     return tuple((key, re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>.+)", re.escape(text)))) for key, text in said)

@@ -1,4 +1,4 @@
-"""What a page is given: its axis's desk, the texts, and the few moves that every page makes. No page keeps anything of its own."""
+"""The view that a page is given: its axis's desk, the texts, and functions to draw and to start jobs. Pages keep no state."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from hil.probe.machine_file import ProbeMachineConfig
 
 AnyElement = TypeVar("AnyElement", bound=Element)
 REFRESH_S = 0.2
-"""Between two refreshes of a page."""
+"""Interval between two refreshes of a page, s."""
 
 
 @dataclass(frozen=True)
 class View:
-    """One page in one browser. t: the texts in its language; desks: all axes of the server; probe: the machine with a touch probe, if
-    the server was given one."""
+    """One page in one browser. t: the texts in its language; desks: of all axes of the server; probe: the machine with a touch probe,
+    None for none."""
 
     desk: Desk
     desks: Sequence[Desk]
@@ -42,20 +42,22 @@ class View:
     # -- who is there --------------------------------------------------------------------------------------------------
     @property
     def token(self) -> str | None:
-        """This browser's token of control; None when it never had any."""
+        """This browser's last token of control; None for none."""
         return self.browser.tokens.get(self.desk.name)
 
     @property
     def in_control(self) -> bool:
+        """Whether this browser holds control."""
         return self.desk.control.holds(self.token)
 
     @property
     def is_builder(self) -> bool:
+        """Whether this browser holds control in the builder's role."""
         return self.in_control and self.desk.rights.role is Role.BUILDER
 
     @property
     def can_start(self) -> bool:
-        """This browser holds control, the axis is there, and no job runs."""
+        """Whether this browser holds control, the axis is connected, and no job runs."""
         job = self.desk.job()
         return self.in_control and self.desk.live.connected and not (job is not None and job.running)
 
@@ -68,12 +70,12 @@ class View:
         return card
 
     def named(self, element: AnyElement, name: str) -> AnyElement:
-        """Give an element the name by which tests (and style sheets) find it: data-name."""
+        """Set an element's name for tests and style sheets (data-name); returns the element."""
         element.props(f'data-name="{name}"')
         return element
 
     def value(self, key: str, unit: str = "", *, small: bool = False, name: str = "") -> ui.label:
-        """A figure with its name and unit, large enough to be read from two metres; set its text with `.set_text`."""
+        """A figure with its name and unit, legible from two metres; set its text with `.set_text`."""
         with ui.element("div"):
             ui.label(self.t(key)).classes("hil-name")
             with ui.element("div"):
@@ -91,12 +93,12 @@ class View:
         return self.named(ui.button(self.t(key), on_click=press), name or key)
 
     def every(self, refresh: Callable[[], None], seconds: float = REFRESH_S) -> None:
-        """Call this now and again while the page is open."""
+        """Call `refresh` every `seconds` while the page is open."""
         refresh()
         ui.timer(seconds, refresh)
 
     def stage(self, job: Progress | None) -> str:
-        """The step of a job that is running, or how it ended."""
+        """The step of a running job, or how a job ended."""
         if job is None:
             return "–"
         if not job.running:
@@ -105,34 +107,34 @@ class View:
         return f"{self.t.said(job.stage)}: {self.t.said(job.message)}{count}"
 
     def number_of(self, field: ui.number) -> float:
-        """What stands in a field. Raises InputError, in the page's language, for one that was cleared."""
+        """The value of a field. Raises InputError, in the page's language, for an empty one."""
         if field.value is None:
             raise InputError(self.t("field.empty", field=field.label))
         return float(field.value)
 
     def messages(self, name: str) -> Messages:
-        """A note with what went wrong, not there while there is nothing to say."""
+        """A note for errors and warnings, hidden while there are none."""
         return Messages(self, self.named(ui.label().classes("hil-note bad"), name))
 
     # -- doing ---------------------------------------------------------------------------------------------------------
     async def attempt(self, action: Callable[[], object]) -> bool:
-        """Do it; an error is shown, in one line that says where its traceback is if nobody foresaw it. False for an error. An action
-        may be a coroutine function."""
+        """Call the action, which may be a coroutine function; False after an error, which is shown as one line. For a program error
+        the line names the file with the traceback."""
         try:
             done = action()
             if hasattr(done, "__await__"):
                 await done
-        except Exception as error:  # noqa: BLE001  whatever it is, it is shown
+        except Exception as error:  # noqa: BLE001  every error is shown
             self.show_error(error)
             return False
         return True
 
-    async def aside(self, work: Callable[[], object]) -> object:
-        """Run what takes longer than a moment (opening a key, reading files) beside the server's loop; its result."""
+    async def in_worker_thread(self, work: Callable[[], object]) -> object:
+        """Run work of more than a few milliseconds (opening a key, reading files) in a worker thread; returns its result."""
         return await run.io_bound(work)
 
     def show_error(self, error: BaseException) -> None:
-        """As a note that stays until it is closed."""
+        """Show an error as a note that stays until it is closed."""
         if isinstance(error, NotInControlError):
             text = self.t("control.not_yours")
         elif isinstance(error, OSError):
@@ -145,9 +147,9 @@ class View:
             )
 
     async def ask_and_run(self, job: Job, lent: Sequence[Desk] = ()) -> bool:
-        """Ask once, naming what will move how far and what will be written; then start it. True once it was started.
+        """Ask with the plan of motions and writes, then start the job. True if it was started.
 
-        lent: of other axes that the job connects by itself.
+        lent: desks of other axes that the job connects itself.
         """
         if not self.in_control:
             self.show_error(NotInControlError())
@@ -170,7 +172,7 @@ class View:
             return bool(await dialog)
 
     async def ask_passwords(self, *fields: str, yes: str, why: str = "") -> tuple[str, ...] | None:
-        """What was typed into fields with these keys; None for a no. why: key of a line above them; yes: name of the button."""
+        """Ask for passwords in fields with these keys; None for a no. why: key of a line above them; yes: name of the button."""
         with self.dialog() as dialog:
             with dialog, ui.card().classes("hil-card"):
                 if why:
@@ -186,17 +188,17 @@ class View:
 
     @contextmanager
     def dialog(self) -> Iterator[ui.dialog]:
-        """An empty one, to be filled and awaited; afterwards it is gone, and with it what was typed, however it ended."""
+        """An empty dialog, to be filled and awaited. At the end of the block it is deleted with the entries in it."""
         with self.client.content:
             dialog = ui.dialog()
         try:
             yield dialog
         finally:
-            if not dialog.is_deleted:  # as it is when its page was closed meanwhile
+            if not dialog.is_deleted:  # true when its page was closed meanwhile
                 dialog.delete()
 
     def question(self, plan: Plan) -> list[str]:
-        """A plan in words."""
+        """A plan as lines of text."""
         t = self.t
         lines = []
         if plan.moves:
@@ -222,13 +224,13 @@ class View:
 
 @dataclass(frozen=True)
 class Messages:
-    """What went wrong with an axis and its job, and what is to be watched out for."""
+    """Note with the errors and warnings of an axis and its job."""
 
     view: View
     label: ui.label
 
     def show(self, job: Progress | None, warning: str = "") -> None:
-        """warning: as a procedure says it."""
+        """Show them. warning: in the procedure's words."""
         t = self.view.t
         lines = [self.view.desk.live.trouble, t.said(warning)]
         if job is not None:

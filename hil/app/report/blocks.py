@@ -1,7 +1,6 @@
-"""What a report says, piece by piece, before it is a page or paper: `html` and `pdf` make both of the same pieces.
+"""Blocks of a report: headings, paragraphs, tables, drawings. The HTML page and the PDF are made of the same blocks.
 
-All words are plain text; how a piece looks is for whoever writes it. A drawing is only made when someone asks for it, on the ground
-and in the colours that suit them.
+Texts are plain; HTML and PDF decide on the layout. A drawing is made on request, on the ground and in the colours of the output.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from hil.records.rows import Floats
 
 @dataclass(frozen=True)
 class Heading:
-    """level 2: a part of the report, 3: a part of that; tag: a word or two that stand out beside it"""
+    """A heading. level: 2 for a section, 3 for a subsection; tag: a highlighted word or two beside it."""
 
     text: str
     level: int = 2
@@ -26,7 +25,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Span:
-    """Words within a paragraph. style: "", "strong" or "muted" """
+    """Text within a paragraph. style: "", "strong" or "muted"."""
 
     text: str
     style: str = ""
@@ -34,18 +33,19 @@ class Span:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """style: "", "muted", or "callout" for what must not be missed"""
+    """A paragraph. style: "", "muted", or "callout" for a warning."""
 
     spans: tuple[Span, ...]
     style: str = ""
 
     @property
     def text(self) -> str:
+        """The text of all spans."""
         return "".join(span.text for span in self.spans)
 
 
 def said(text: str, style: str = "") -> Paragraph:
-    """A paragraph of plain words."""
+    """A paragraph of one span."""
     return Paragraph((Span(text),), style)
 
 
@@ -59,9 +59,9 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Tile:
-    """One figure to be seen from afar.
+    """One large figure.
 
-    below: a word under it, verdict: a word after that; good: whether the verdict (the value, without one) is good news, None: neither
+    below: text under it; verdict: text after that; good: colour of the verdict (of the value, without one), None: neutral
     """
 
     name: str
@@ -74,19 +74,21 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiles:
+    """Large figures side by side."""
+
     tiles: tuple[Tile, ...]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and what they stand for."""
+    """Names and values."""
 
     facts: Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text; the first column names its row. style: words among numbers, meaning (its last column is words), hash"""
+    """Cells of text; the first column names its row. style: "words" among numbers, "meaning" (its last column is text), "hash"."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -96,10 +98,7 @@ class Table:
 
 @dataclass(frozen=True)
 class DataTable:
-    """Columns of numbers of one length, the data behind something. heads: what stands over a column instead of its name
-
-    unfolded: it is part of the report, not only there for whoever asks
-    """
+    """Columns of numbers of one length. heads: headings instead of column names; unfolded: shown without a click."""
 
     identifier: str
     title: str
@@ -113,7 +112,7 @@ class DataTable:
 
 @dataclass(frozen=True)
 class Drawing:
-    """key: sets its ids apart on a page; file: its name as a file of its own; description: for who cannot see it"""
+    """A drawing. key: prefix of its ids on a page; file: its file name; description: alternative text."""
 
     key: str
     file: str
@@ -122,13 +121,13 @@ class Drawing:
     caption: str = ""
 
     def figure(self, theme: Theme) -> FigureBase:
-        """On a ground of its own."""
+        """The drawing as a figure of its own."""
         return self.draw(theme, fresh)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What belongs together in a frame."""
+    """Blocks in one frame."""
 
     blocks: tuple[Block, ...]
 
@@ -137,7 +136,7 @@ Block = Heading | Paragraph | Bullets | Tiles | Facts | Table | DataTable | Draw
 
 
 def walk(blocks: Iterable[Block]) -> Iterator[Block]:
-    """All pieces in their order, those in frames too."""
+    """All blocks in order, those in frames included."""
     for block in blocks:
         if isinstance(block, Finding):
             yield from walk(block.blocks)

@@ -25,7 +25,7 @@ NOT_GOOD = "NOT GOOD: "
 
 
 def signatures(paths: Sequence[str], public: Ed25519PublicKey) -> dict[str, str]:
-    """Each file's name -> what its signature, its own or the FILE.sig beside it, is worth."""
+    """File name -> result of checking its signature, its own or the FILE.sig beside it."""
     return {Path(path).name: _signature(Path(path), public) for path in paths}
 
 
@@ -56,6 +56,7 @@ The file stands alone: it can be mailed, archived, printed, and signed with `hil
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil report`."""
     parser = subparsers.add_parser(
         "report",
         description="Write one self-contained HTML file: error plots, ISO 230-2 figures, before and after, and the data behind.",
@@ -113,7 +114,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: written; 1: written, and a signature is not good. Raises InputError for bad files and arguments."""
+    """Exit status 0: written; 1: written, and a signature is not good. Raises InputError for wrong files and arguments."""
     from hil.app.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (plots are slow to import)
     from hil.app.report.document import budgets, render_files  # noqa: PLC0415
     from hil.app.report.views import diagnosed  # noqa: PLC0415

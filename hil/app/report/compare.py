@@ -1,4 +1,4 @@
-"""Two campaigns of one axis set against each other: what moved between them, and whether by more than they scatter.
+"""Comparison of two campaigns of one axis: the change of its error, and whether it exceeds the scatter.
 
 The mean error of each target and direction of B minus that of A. Where they have not the same targets, A's means are taken on the
 straight line between its targets, and only where both were measured.
@@ -150,7 +150,7 @@ def section(a: NamedCampaign, b: NamedCampaign) -> list[Block]:
 
 
 def verdict(found: Difference) -> str:
-    """What the comparison comes to, in a sentence or two."""
+    """Result of the comparison in one or two sentences."""
     largest = int(np.argmax(np.abs(found.difference_um)))
     at = f"{found.difference_um[largest]:+.2f} µm at {found.target_mm[largest]:g} mm"
     said = f"With one run each there is no scatter to judge by; the largest difference is {at}."

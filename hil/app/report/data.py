@@ -1,4 +1,4 @@
-"""What a report is made of: plain pieces, put together by whoever has them.
+"""Contents of a report as plain data.
 
 Nothing here measures, fits or draws. A report says what was measured, on what, with which tables, and what came of it.
 """
@@ -110,7 +110,7 @@ class History:
 
 
 def history(records: Records) -> History:
-    """What is left of the error along time once each target's own mean is taken away: drift, steps, repeatability.
+    """The error over time less the mean of each target: drift, steps, repeatability.
 
     Without a complete `time_s` the row order stands in, and `timed` says so.
     """

@@ -1,4 +1,4 @@
-"""A report, put together: what it says (`content`), as one HTML page (`render_html`), its drawings as files (`render_files`).
+"""The report document: its blocks (`content`), one HTML page (`render_html`), its drawings as files (`render_files`).
 
 The page refers to nothing outside itself and says so in its own policy. The same data give the same bytes. (Importing this module
 loads matplotlib, which takes a moment: a command imports it when it needs it.)
@@ -108,11 +108,11 @@ SIGNS = (
     "Error = measured − target, in µm, with the correction that was in force; ↑ is direction +, ↓ direction −; s is the"
     " standard deviation over the runs (n − 1). A, E, M, R and B as defined in ISO 230-2:2014, clause 3."
 )
-"""What every figure of a report stands on."""
+"""The definitions behind every figure of a report."""
 
 
 def content(data: ReportData) -> list[Block]:
-    """Everything a report says, in its order, without its title."""
+    """All blocks of a report in order, without its title."""
     parts: list[Block] = [_tiles(data), *_identity(data)]
     if len(data.campaigns) > 1:
         parts += _comparison(data)

@@ -1,4 +1,4 @@
-"""An axis over months: its figures against the date, a straight line through each, and where every point comes from."""
+"""History report of an axis: its figures against the date, a trend line for each, and the source of every point."""
 
 from __future__ import annotations
 

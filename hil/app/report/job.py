@@ -1,4 +1,4 @@
-"""Reports of what stands on disk: the pieces that the command line and the operator's screen put together."""
+"""Makes reports of stored campaigns, for the command line and the screen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTML by the piece: escaped text, tables, figures with the data behind them. Knows nothing of what it shows."""
+"""HTML elements of a report: escaped text, tables, figures with their data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inli
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """The whole report file, which refers to nothing outside itself and says so in its own policy.
+    """The whole report file. It refers to nothing outside itself, which its content security policy enforces.
 
     parts: trusted markup, empty ones are left out
     """
@@ -149,7 +149,7 @@ def figure(svg: str, caption: str) -> str:
 
 
 def cell(name: str, value: float) -> str:
-    """A value of a column as a table shows it, by what its name says it is."""
+    """A value of a column as text, with the digits that its name implies."""
     if not math.isfinite(value):
         return ""
     if name.endswith("_um"):

@@ -73,7 +73,7 @@ def before_after_plot(
 
 
 def history_plot(campaign: NamedCampaign, theme: Theme, ground: Ground = fresh) -> FigureBase:
-    """What is left along time: deviation from the mean of the same target and direction, run means, temperatures if recorded."""
+    """Deviation over time from the mean of the same target and direction, run means, and temperatures if recorded."""
     records = campaign.records
     along = history(records)
     temperatures = [n for n in records.columns if (n.startswith("temp_") and n.endswith("_c")) or n == "air_temp_c"]

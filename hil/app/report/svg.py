@@ -1,4 +1,4 @@
-"""A matplotlib figure as bytes: SVG to stand inside a page, SVG or PNG to stand alone. Same figure, same bytes.
+"""A matplotlib figure as bytes: SVG for a page, SVG or PNG as a file. The same figure gives the same bytes.
 
 Inside a page the colours are CSS variables, so that one drawing serves a light and a dark page: figures are drawn with the marker
 colours of `PAGE`, which `inline_svg` replaces. Nothing in the result refers to anything outside it.
@@ -47,7 +47,7 @@ LIGHT = Theme(
     band="#009e73",
     surface="#ffffff",
 )
-"""For files that stand alone. Directions and band are colours of Okabe and Ito, told apart with every kind of colour vision."""
+"""Theme of separate files. Directions and band have colours of Okabe and Ito, distinguishable with every kind of colour vision."""
 
 PAGE = Theme(
     ink="#0a0001",

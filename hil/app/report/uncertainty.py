@@ -1,4 +1,4 @@
-"""The uncertainty part of a report: what was known of instrument and room, and how well the figures are known for it."""
+"""The uncertainty section of a report: inputs on instrument and room, and the uncertainty of the figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.figures.uncertainty import Budget, UncertaintyInputs, budget
 
 
 def budget_of(campaign: NamedCampaign, inputs: UncertaintyInputs | None) -> Budget | str | None:
-    """A campaign's budget; the sentence that says why it has none; None where nothing is known of the instrument."""
+    """A campaign's uncertainty budget; a sentence with the reason where it has none; None without inputs on the instrument."""
     figures = campaign.figures()
     if inputs is None or not isinstance(figures, Iso230):
         return None

@@ -1,4 +1,4 @@
-"""What to draw of a finding: which column, which residual, and what to lay over it.
+"""The plot of a finding: its column, its residual, and the curves over it.
 
 Both come from the finding's own `plot` where it has one, else from columns of the diagnosed records (`residual_um`, and
 `effect_<id>_um`, or `effect_um` for a single finding); where the effect is known from neither, the residual's own mean along the

@@ -1,1 +1,1 @@
-"""The command line: one module per verb that parses, calls, prints. No logic of the field lives here."""
+"""The command line: entry point, and what the verbs of all rooms share. Verbs parse arguments, call jobs and print."""

@@ -1,4 +1,4 @@
-"""What every verb that works on an axis shares: its arguments, its sealed store, its dry run."""
+"""Arguments, sealed store and dry run of the verbs that work on an axis."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hil.app.jobs.of_zero import OfZero
 from hil.app.jobs.plan import Plan, Write, measuring_plan
+from hil.app.jobs.zero_statement import ZeroStatement
 from hil.app.terminal.output import add_json_option
 from hil.app.terminal.passwords import KEY, READING, password
 from hil.axis.axis_file import AxisConfig
@@ -30,7 +30,7 @@ def add_axis_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_zero_options(parser: argparse.ArgumentParser, *, anew: bool = False) -> None:
-    """What a person knows of the axis's zero and nothing else can tell."""
+    """`--instrument-zeroed` and, with anew, `--new-zero`: facts about the axis's zero that only a person knows."""
     parser.add_argument(
         "--instrument-zeroed",
         action="store_true",
@@ -45,8 +45,8 @@ def add_zero_options(parser: argparse.ArgumentParser, *, anew: bool = False) -> 
 
 
 def tell_zero(args: argparse.Namespace, machine: Machine) -> None:
-    """Hand on what the options say. Raises InputError for a zero that is to be new in a campaign of old rows."""
-    said = OfZero(anew=getattr(args, "new_zero", False), instrument_zeroed=args.instrument_zeroed)
+    """Apply the zero options to the session. Raises InputError for a new zero in a resumed campaign."""
+    said = ZeroStatement(anew=getattr(args, "new_zero", False), instrument_zeroed=args.instrument_zeroed)
     said.check(resume=getattr(args, "resume", False))
     zero = machine.session.zero
     if zero is not None:
@@ -54,14 +54,14 @@ def tell_zero(args: argparse.Namespace, machine: Machine) -> None:
 
 
 def seed(text: str) -> int:
-    """A `--seed` as argparse takes it: what every random generator takes."""
+    """A `--seed` as an argparse type, 0 to 2**31 - 1. Raises ArgumentTypeError."""
     if not (text.isascii() and text.isdecimal() and int(text) < 2**31):
         raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number from 0 to {2**31 - 1}")
     return int(text)
 
 
 def positive(text: str) -> float:
-    """A number > 0 as argparse takes it."""
+    """A number > 0 as an argparse type. Raises ArgumentTypeError."""
     try:
         value = float(text)
     except ValueError:
@@ -72,7 +72,7 @@ def positive(text: str) -> float:
 
 
 def add_password_options(parser: argparse.ArgumentParser, *, key: bool) -> None:
-    """Where the passwords of the sealed store come from."""
+    """Options for the passwords of the sealed store."""
     parser.add_argument(
         "--password-file", metavar="F", help=f"file with the tables' reading password (else ${READING}, else asked)"
     )
@@ -83,13 +83,16 @@ def add_password_options(parser: argparse.ArgumentParser, *, key: bool) -> None:
 
 
 def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> SealedStore:
-    """The axis's sealed store, for writing with the builder's private key; every password is asked for before anything moves."""
+    """The axis's sealed store; writing: with the builder's private key. Passwords are asked for here, before any motion.
+
+    Raises InputError for a missing password, and as `SealedStore.of`.
+    """
     key = password(args.key_password_file, KEY, "builder key's password", os.environ) if writing else None
     return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key)
 
 
 def load_stored(store: SealedStore, effects: Sequence[Effect] = ALL) -> Compensation:
-    """What is stored, with a warning where it opens although it does not say all that it should."""
+    """The stored compensation; a warning of the store is printed. Raises as `SealedStore.load`."""
     compensation = store.load(effects)
     warning = store.warning()
     if warning is not None:
@@ -98,7 +101,7 @@ def load_stored(store: SealedStore, effects: Sequence[Effect] = ALL) -> Compensa
 
 
 def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:
-    """What would move how far, and what would be written."""
+    """Print the motions and files of a job that measures these steps."""
     print_plan(measuring_plan(axis, steps, [Write("", line) for line in writes]))
 
 
@@ -106,7 +109,7 @@ _WRITTEN = {"rows": "rows of each pass below ", "tables": ""}
 
 
 def print_plan(plan: Plan) -> None:
-    """The plan of a job that measures along the axis."""
+    """Print the plan of a job that measures along the axis."""
     reach = plan.reach_mm
     homing = "home it, " if plan.homes else ""
     if reach is not None:

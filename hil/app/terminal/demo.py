@@ -38,6 +38,7 @@ TURNING = Turning(Exploration(runs=4, rows=28, warm_up_s=180.0), most_further=0)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil demo`."""
     parser = subparsers.add_parser(
         "demo",
         description="Calibrate, verify, diagnose, extend and verify again, on a simulated machine over real protocols.",
@@ -51,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the loop found what was missing and the axis came out better; 1 when not."""
+    """Exit status 0: the loop found a cause and reduced the error; 1: it did not."""
     started = time.perf_counter()
     directory = Path(args.out)
     axis = _lay_out(directory, args.seed)
@@ -70,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lay_out(directory: Path, number: int | None) -> AxisConfig:
-    """A directory with the demo's axis file; one that an earlier demo made is replaced, any other is left alone."""
+    """Make the directory with the demo's axis file. One of an earlier demo is replaced. Raises InputError for any other that is not
+    empty."""
     if directory.exists():
         if not (directory / MARKER).exists() and any(directory.iterdir()):
             raise InputError("is there already and was not made by a demo; give another one with --out", path=directory)
@@ -85,7 +87,7 @@ def _lay_out(directory: Path, number: int | None) -> AxisConfig:
 
 
 def _store(axis: AxisConfig) -> SealedStore:
-    """A store with a builder's pair of its own; its password stands beside it, since this machine is not real."""
+    """A store with a new builder's key pair. The password is written beside it, as the machine is simulated."""
     password = secrets.token_hex(8)
     replace_file(axis.path.parent / "password", (password + "\n").encode(), mode=0o600)
     key = new_key()

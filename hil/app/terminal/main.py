@@ -1,8 +1,8 @@
-"""`hil`: the command line's entry. Every verb registers itself; this decides how errors look and what the process returns.
+"""The command line `hil`: runs one verb, prints errors and sets the exit status.
 
 Exit status: 0 done; 1 the job ran and its verdict is "not good", or the machine did not let it finish; 2 bad input or usage;
-130 interrupted. Errors are one line on stderr that says what, where, and what was expected; of a mistake in the program it names the
-file with the traceback. What was interrupted and can be gone on with is followed by one more line, the command that does so.
+130 interrupted. An error is one line on stderr that states what, where, and what was expected; for a program error it names the file
+with the traceback. After an interruption that can be resumed, one more line states the command for it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, NoReturn
 
 from drivers.errors import BridgeError, LocalError
 from drivers.undo import one_line
-from hil.app.error_log import ERRORS, ErrorLog, strays_caught
+from hil.app.error_log import ERRORS, ErrorLog, thread_errors_caught
 from hil.machine.signals import INTERRUPTED, ending_by_signals
 
 if TYPE_CHECKING:
-    from hil.app.terminal.resuming import Left
+    from hil.app.terminal.resume_hints import Unfinished
 
 VERBS = {
     "demo": ("app.terminal.demo", "the whole loop on the built-in bench"),
@@ -57,25 +57,26 @@ VERBS = {
     "panel": ("app.panel.command", "the operator's screen in a browser on loopback"),
     "sim": ("app.terminal.sim", "simulated drive and laser as processes on a real interface"),
 }
-"""By verb: its module in `hil` and its line in the help, in the order of the help. A module is imported when its verb is asked for."""
+"""Verb -> its module in `hil` and its line in the help, in the order of the help. A module is imported when its verb is called."""
 
 DONE, NOT_GOOD, BAD_INPUT = 0, 1, 2
 
 
 class _OneLineParser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
+    """A parser that reports an error as one line."""
 
     def error(self, message: str) -> NoReturn:
+        """Print the message and exit with status 2."""
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def load_verb(argv: Sequence[str]) -> ModuleType | None:
-    """The module of the verb that a command line names, None where it names none."""
+    """Import the module of the verb that a command line names; None where it names none."""
     return import_module(f"hil.{VERBS[argv[0]][0]}") if argv and argv[0] in VERBS else None
 
 
 def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """The command line: the named verb with its options, or every verb by its line in the help."""
+    """The parser: the named verb with its options, or every verb with its line in the help."""
     parser = _OneLineParser(
         prog="hil",
         description="Measure a feed axis, correct it through its servo drive, prove it, and trace what is left.",
@@ -92,31 +93,31 @@ def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb; the process's exit status."""
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal without µ shows a ?, and the verb goes on
+    """Run one verb; returns the process's exit status. argv: without the program's name, None for the process's own."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal without µ shows "?"
         sys.stdout.reconfigure(errors="replace")
     argv = sys.argv[1:] if argv is None else argv
     args, before = argparse.Namespace(), None
     try:
         args = build_parser(argv).parse_args(argv)
-        before = _left_behind(args)
-        with ending_by_signals(), strays_caught(lambda error: _say(_errors_of(args).line_of(error))):
+        before = _unfinished(args)
+        with ending_by_signals(), thread_errors_caught(lambda error: _say(_errors_of(args).line_of(error))):
             status = int(args.run(args))
-        if sys.stdout is not None:  # None: we were started with it closed
+        if sys.stdout is not None:  # None: the process was started with it closed
             sys.stdout.flush()
-    except BrokenPipeError:  # the reader of our output has seen enough
+    except BrokenPipeError:  # the reader of the output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = NOT_GOOD
-    except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001  a mistake of ours is told in one line too
+    except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001  a program error is one line too
         said, status = _end(error, args)
         _say(said)
-        for sentence in _how_to_go_on(args, argv, before, error):
+        for sentence in _resume_hints(args, argv, before, error):
             _say(sentence)
     return status
 
 
 def _end(error: BaseException, args: argparse.Namespace) -> tuple[str, int]:
-    """What is said of what ended a verb, and the exit status."""
+    """Message and exit status for the error that ended a verb."""
     if isinstance(error, KeyboardInterrupt):
         left = one_line(error) if getattr(error, "__notes__", ()) else ""
         done = "what was measured is kept" + (f", but: {left}" if left else "")
@@ -132,7 +133,7 @@ def _say(text: str) -> None:
 
 
 def _errors_of(args: argparse.Namespace) -> ErrorLog:
-    """Beside the campaigns of the verb's axis; where it has none, among what programs keep of themselves for this user."""
+    """The error log beside the campaigns of the verb's axis, else in the user's state directory (XDG_STATE_HOME)."""
     from hil.axis.axis_file import load_drive_axis  # noqa: PLC0415  (numpy is slow to import)
 
     for name in ("axis", "x", "source", "axes", "machine"):
@@ -145,22 +146,22 @@ def _errors_of(args: argparse.Namespace) -> ErrorLog:
     return ErrorLog(Path(state) / "hil" / ERRORS)
 
 
-def _left_behind(args: argparse.Namespace) -> Left | None:
+def _unfinished(args: argparse.Namespace) -> Unfinished | None:
     if not hasattr(args, "resumes"):
         return None
-    from hil.app.terminal.resuming import left_behind  # noqa: PLC0415  (numpy is slow to import, and few verbs resume)
+    from hil.app.terminal.resume_hints import find_unfinished  # noqa: PLC0415  (numpy is slow to import, and few verbs resume)
 
-    return left_behind(args)
+    return find_unfinished(args)
 
 
-def _how_to_go_on(
-    args: argparse.Namespace, argv: Sequence[str], before: Left | None, error: BaseException
+def _resume_hints(
+    args: argparse.Namespace, argv: Sequence[str], before: Unfinished | None, error: BaseException
 ) -> list[str]:
     if not hasattr(args, "resumes"):
         return []
-    from hil.app.terminal.resuming import how_to_go_on  # noqa: PLC0415  (as above)
+    from hil.app.terminal.resume_hints import resume_hints  # noqa: PLC0415  (as above)
 
-    return how_to_go_on(args, argv, before, error)
+    return resume_hints(args, argv, before, error)
 
 
 if __name__ == "__main__":

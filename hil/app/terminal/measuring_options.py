@@ -1,4 +1,4 @@
-"""What verbs that measure share: recording and playing recordings, and the passes in motion."""
+"""Shared by the verbs that measure: recording and replay, and the passes in motion."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 
 def recording_name(args: argparse.Namespace) -> str:
-    """File name of what is replayed; empty where nothing is."""
+    """File name of the replayed recording, "" for none."""
     return Path(args.replay).name if args.replay else ""
 
 
 @contextmanager
 def machine_of(args: argparse.Namespace, axis: AxisConfig, conditions: Conditions | None = None) -> Iterator[Machine]:
-    """The connected axis, recorded where that is asked for, or the axis of a recording."""
+    """The connected axis, recorded with `--record`, or the axis of a recording. Raises as `connected`, `recorded` and `replayed`."""
     if args.replay:
         with replayed(axis, Path(args.replay)) as machine:
             yield machine
@@ -61,7 +61,7 @@ def add_in_motion_options(parser: argparse.ArgumentParser) -> None:
 
 
 def feeds(text: str) -> tuple[float, ...]:
-    """At least two feeds, as argparse takes them."""
+    """At least two feeds, mm/s, as an argparse type. Raises ArgumentTypeError."""
     try:
         return feeds_of(text)
     except InputError as error:
@@ -69,7 +69,7 @@ def feeds(text: str) -> tuple[float, ...]:
 
 
 def passes_of(args: argparse.Namespace, at: tuple[float, ...], instrument: InstrumentConfig) -> InMotion:
-    """The passes that a command line asks for, with the instrument's latency and trigger as the axis file has them."""
+    """The passes of a command line, with the instrument's latency and trigger of the axis file. at: feeds, mm/s."""
     return InMotion(
         at,
         stretch_mm=args.stretch,

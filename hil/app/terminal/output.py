@@ -1,7 +1,4 @@
-"""What every verb prints with: a table for people, a JSON file for programs.
-
-Only what at least two verbs share belongs here.
-"""
+"""Output of the verbs: tables and facts on standard output, JSON files."""
 
 from __future__ import annotations
 
@@ -21,11 +18,11 @@ from hil.records.files import replace_file
 
 Align = Literal["left", "right"]
 PIPE_WIDTH = 140
-"""Columns of a table that goes to a file or a pipe, where there is no window to fit."""
+"""Width of a table in a file or pipe, characters."""
 
 
 def write_json(path: str | Path, obj: object) -> None:
-    """Write `obj` as UTF-8 JSON, whole or not at all. Values that JSON lacks (NaN, infinity) become null."""
+    """Write `obj` as UTF-8 JSON, whole or not at all. NaN and infinity become null. Raises InputError when it cannot be written."""
     text = json.dumps(_plain(obj), indent=2, ensure_ascii=False, allow_nan=False)
     replace_file(path, (text + "\n").encode("utf-8"))
 
@@ -57,7 +54,7 @@ def print_table(
 
 
 def binding_facts(binding: Binding | None) -> dict[str, str]:
-    """The header of a sealed file: how often and when it was resealed, and what it belongs to."""
+    """The binding of a sealed file, name -> text: number and date of resealings, and what it belongs to."""
     if binding is None:
         return {"bound to": "nothing: the file was made before sealed files stated what they belong to"}
     of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"

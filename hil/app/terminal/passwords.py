@@ -1,6 +1,6 @@
-"""Where a password comes from: a file, the environment, or the keyboard; never the command line, which others can read.
+"""Passwords from a file, the environment or the keyboard; never from the command line, which other users can read.
 
-The environment is handed in, so that nothing here looks it up behind a caller's back.
+The environment is a parameter of every function that uses it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def read_password_file(path: str | Path) -> str:
 def password(file: str | None, variable: str, what: str, environment: Mapping[str, str], *, new: bool = False) -> str:
     """One password: from `file`, else the environment's `variable`, else asked for (`new`: twice) on a terminal.
 
-    Raises InputError where none of them can be had.
+    Raises InputError where there is none, or for an empty one.
     """
     if file is not None:
         return read_password_file(file)
@@ -78,7 +78,10 @@ def password(file: str | None, variable: str, what: str, environment: Mapping[st
 def reading_passwords(
     args: argparse.Namespace, names: list[str], environment: Mapping[str, str], *, new: bool = False
 ) -> dict[str, str]:
-    """The password of each entry in `names`: its own where given, the common one for the rest (asked for only if needed)."""
+    """The password of each entry in `names`: its own where given, the common one for the others (asked for only if needed).
+
+    Raises InputError for a wrong `--entry-password`, and as `password`.
+    """
     passwords: dict[str, str] = {}
     for text in args.entry_password:
         name, separator, file = text.partition("=")

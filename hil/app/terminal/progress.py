@@ -1,4 +1,4 @@
-"""Progress of a procedure on a terminal: its events as a bar, or its warnings alone where stderr is no terminal."""
+"""Progress of a procedure on a terminal: a bar for each stage, or warnings only where stderr is no terminal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.machine.events import Event, Listener
 
 @contextmanager
 def terminal_progress() -> Iterator[Listener]:
-    """A listener that shows one bar per stage on stderr, and warnings whether it is a terminal or not."""
+    """A listener that shows one bar per stage on stderr if it is a terminal, and prints warnings in any case."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield _tell_warnings

@@ -1,7 +1,4 @@
-"""Reading one or more record files for a verb: whole, or some of their runs.
-
-What may go in: what fit, apply and diagnose share about their input files.
-"""
+"""Input files of fit, apply and diagnose: record files, whole or some of their runs, effects and models."""
 
 from __future__ import annotations
 
@@ -20,6 +17,7 @@ from hil.records.rows import Records, concatenate, read_csv
 
 
 def add_effects_option(parser: argparse.ArgumentParser) -> None:
+    """`--effects FILE.py`."""
     parser.add_argument(
         "--effects",
         metavar="FILE.py",
@@ -61,9 +59,9 @@ def parse_runs(text: str) -> tuple[int, ...]:
 
 
 def read_records(paths: Sequence[str], runs: tuple[int, ...] | None = None) -> Records:
-    """The rows of all files, runs of later files numbered on after those of the earlier.
+    """The rows of all files. Run numbers of a later file continue those of the earlier. runs: only these, None for all.
 
-    Raises InputError naming the file; naming the runs when a file lacks one that was asked for.
+    Raises InputError naming the file, and the runs that it lacks.
     """
     parts: list[Records] = []
     last = 0

@@ -1,7 +1,4 @@
-"""`hil sim`: the simulated parts as processes, so that everything else can be tried over a real interface.
-
-What may go in: arguments, the line that says what is where, and ending cleanly. The machine is `sim_backends.machine`'s.
-"""
+"""`hil sim`: a simulated machine, or a part of it, as a process on a real interface (CAN, Modbus, pty)."""
 
 from __future__ import annotations
 
@@ -95,6 +92,7 @@ FAULT_HELP = "what goes wrong, and when: KIND@SECONDS[+SECONDS][=SIZE], for exam
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil sim`."""
     parser = subparsers.add_parser(
         "sim",
         description="Run a simulated machine, or a part of one, as a process of its own in real time.",
@@ -165,7 +163,7 @@ def _add_laser(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 
 def _add_surroundings(parser: argparse.ArgumentParser) -> None:
-    """What a drive on a wire can be given: its laser, an axis file, other hosts."""
+    """Options of a drive on a wire: its laser, an axis file, other hosts."""
     parser.add_argument("--laser", action="store_true", help="the machine's laser too, on a pty")
     parser.add_argument("--axis-file", metavar="FILE", help="write an axis file for this machine (needs --laser)")
     parser.add_argument(
@@ -242,7 +240,7 @@ def _effects(texts: Sequence[str]) -> list[tuple[str, float]]:
 
 @contextmanager
 def _machine(args: argparse.Namespace, faults: Faults, *, laser: bool) -> Iterator[Bench]:
-    """The bench that is asked for; without its laser the terminal is closed."""
+    """The bench of the command line; laser: with its instrument on a pty."""
     effects = _effects(args.effect)
     with Bench(_parameters(args, faults), wait_for_arrival=False) as bench:
         for name, size_um in effects:
@@ -309,8 +307,8 @@ def _run(
     pace: Pace,
     serve: Callable[[float], None] | None,
 ) -> None:
-    """Say what is where, run until told to end, say how the axis was left."""
-    with _until_told() as keep_running:
+    """Print the interfaces as JSON, run until a signal or the time limit, print the final state of the axis as JSON."""
+    with _until_signal() as keep_running:
         laser = {"kind": args.kind, "port": bench.laser_path} if bench.has_instrument else None
         if getattr(args, "axis_file", None):
             instrument = instrument_text(args.kind, bench.laser_path)
@@ -332,16 +330,16 @@ def _run(
 
 
 @contextmanager
-def _until_told() -> Iterator[Callable[[], bool]]:
-    """Whether to go on: until SIGINT or SIGTERM, which end the loop instead of breaking into it."""
-    told: list[int] = []
+def _until_signal() -> Iterator[Callable[[], bool]]:
+    """A function that is true until SIGINT or SIGTERM, which set it false instead of raising."""
+    received: list[int] = []
 
     def end(number: int, _frame: FrameType | None) -> None:
-        told.append(number)
+        received.append(number)
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: not told
+        yield lambda: not received
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""Figures of a campaign in a few numbers, for the summaries that calibrate, verify, demo and close-loop print."""
+"""Summaries printed by calibrate, verify, demo and close-loop."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from hil.app.terminal.output import number, print_table
 
-if TYPE_CHECKING:  # loading it takes longer than calibrating needs to begin
+if TYPE_CHECKING:  # its import takes longer than the start of a calibration
     from hil.diagnosis import Diagnosis
 
 
 def print_findings(diagnosis: Diagnosis) -> None:
-    """What a diagnosis found, a line each."""
+    """Print the findings of a diagnosis, one line each."""
     for finding in diagnosis.findings:
         verdict = f"confidence {finding.confidence:.2f}, {finding.action.value}"
         print(f"found: {finding.effect} ({verdict}). {finding.explanation}")
@@ -24,7 +24,7 @@ def print_findings(diagnosis: Diagnosis) -> None:
 
 
 def print_stages(stages: Mapping[str, Mapping[str, Any]]) -> None:
-    """One line per stage of a job, with its figures."""
+    """Print a table with one line per stage of a job. stages: stage -> figures, µm."""
     columns = {"rows": "rows", "rms_um": "RMS", "peak_um": "peak", "A_um": "A", "R_um": "R", "B_um": "B", "M_um": "M"}
     rows = [
         [name, *(str(figures["rows"]) if key == "rows" else number(figures.get(key)) for key in columns)]

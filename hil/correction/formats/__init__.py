@@ -1,4 +1,4 @@
-"""Files of other people's making: compensation tables of CNC controllers, and measurements of other programs.
+"""Foreign file formats: compensation tables of CNC controllers, and measurements of other programs.
 
 One file per format, pure: text in, tables or records out, and back. A controller's format is a module with a frozen settings class,
 `export` and `dump` (tables to text) and `load` (text to tables); a measurement's has `load` (text to records). No I/O here: reading,

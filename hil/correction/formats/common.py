@@ -1,4 +1,4 @@
-"""What the controller formats share: the tables as the two curves a controller runs, and moving them onto its points.
+"""Shared by the controller formats: tables as the two curves that a controller applies, and their interpolation onto its points.
 
 A controller knows one correction per direction over its points, straight between them and constant beyond the ends. Everything here
 is pure: tables in, tables and figures out. Nothing about any one format belongs here.
@@ -123,7 +123,7 @@ def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[Singl
 
 
 def two_directional(single: SingleTable, backlash_um: float) -> DirectionalTable:
-    """What a controller with one table and a backlash runs: the - direction is plus - backlash."""
+    """Correction of a controller with one table and a backlash: the - direction is plus - backlash, µm."""
     return DirectionalTable(single.position_mm, single.value_um, single.value_um - backlash_um)
 
 

@@ -95,7 +95,7 @@ class FanucSettings:
 
     @property
     def step_um(self) -> float:
-        """What a point value of 1 moves."""
+        """Length of a point value of 1."""
         return self.detection_unit_um * self.magnification
 
 

@@ -1,4 +1,4 @@
-"""Tables as the file of manual mode, which `hil.correction.manual` reads: a controller's table to look at, edit and store."""
+"""Writes tables as a file of manual mode, which `hil.correction.manual` reads, to inspect, edit and store a controller's table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements as a table of somebody's making: any names of columns, any delimiter, decimal point or comma, lengths in any unit.
+"""Measurements as a CSV table of free form: any column names and delimiter, decimal point or comma, lengths in any unit.
 
 Which column is what is told, never guessed: `target_mm`, `measured_mm` (or `error_um` = measured - target), `direction`, `run`, and
 any other column of ours. Columns that are not named are left out. Where the file has no run and direction, `infer` reads them off the

@@ -1,4 +1,4 @@
-"""Measurements as reports of ISO 230-2 print them: a row per target, a column per run and direction.
+"""Measurements in the layout of ISO 230-2 reports: a row per target, a column per run and direction.
 
 The first column is the target; the others are headed by run and direction in either order: `1+ 1- 2+ 2-`, `1↑ 1↓`,
 `run 1 forward`, `up 3`. Cells are deviations (measured - target) or positions. The rows of the result come run by run in the order in

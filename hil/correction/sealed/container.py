@@ -116,6 +116,7 @@ class Header:
 
     @property
     def version(self) -> int:
+        """1 without a binding, 2 with one."""
         return 1 if self.binding is None else 2
 
 

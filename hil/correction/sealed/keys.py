@@ -33,7 +33,7 @@ from hil.correction.sealed.errors import DamagedError, ForeignSignatureError, Wr
 from hil.records.files import read_bytes, replace_file
 
 KEY_COST = Cost(n=1 << 14, r=8, p=5)
-"""As strong as the sealed files' default in half its memory, which is what other tools accept without being told to."""
+"""As strong as the sealed files' default with half its memory, which other tools accept by default."""
 
 _DETACHED = b"hil detached signature, version 1\0"
 _DETACHED_FORMAT = "hil-signature-1"
@@ -57,7 +57,8 @@ def fingerprint(public: Ed25519PublicKey | bytes) -> str:
 
 
 def password_bytes(password: str) -> bytes:
-    """A password as bytes: NFC, so that the same characters typed on another system are the same password."""
+    """A password as bytes in NFC, so that the same characters typed on another system give the same bytes. Raises InputError for
+    ""."""
     if not password:
         raise InputError("the password is empty, expected at least one character")
     return unicodedata.normalize("NFC", password).encode("utf-8")
@@ -130,7 +131,10 @@ def check_detached(data: bytes, signature: bytes, public: Ed25519PublicKey) -> N
 
 
 def check_signature(message: bytes, signature: bytes, stated: bytes, public: Ed25519PublicKey) -> None:
-    """Return if the builder signed `message`. `stated` is the public key that the file says it was signed with."""
+    """Returns if the builder signed `message`. stated: the public key in the file, 32 bytes.
+
+    Raises ForeignSignatureError for another key's good signature, DamagedError for any other.
+    """
     try:
         public.verify(signature, message)
     except InvalidSignature:

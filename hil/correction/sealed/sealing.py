@@ -1,4 +1,4 @@
-"""What can be done with a sealed file: seal, check, open, replace entries, sign anew; in memory and on disk.
+"""Operations on a sealed file: seal, check, open, replace entries, sign again; in memory and on disk.
 
 Key of an entry: scrypt over its password. Cipher: ChaCha20-Poly1305 (RFC 8439) with a random nonce, `container.associated_data`
 authenticated. Signature: Ed25519 over the whole file. Entries that share a password share a salt, so a common password is
@@ -73,7 +73,7 @@ def seal(
 
 
 def _next_binding(before: Binding | None, bound_to: Mapping[str, Any] | None) -> Binding:
-    """The one that follows `before`, bound to the same unless to something else."""
+    """The binding after `before`; bound_to: None, the same as before."""
     kept = {} if before is None else before.of
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return Binding(1 if before is None else before.counter + 1, now, kept if bound_to is None else bound_to)

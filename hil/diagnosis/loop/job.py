@@ -9,7 +9,7 @@ from typing import Any
 from drivers.errors import StateError
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Question, Workplace, tell_unchecked
-from hil.app.jobs.of_zero import UNSAID, OfZero
+from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.app.report.views import label_of
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import SealedStore
@@ -111,7 +111,7 @@ def run_loop(
     return loop
 
 
-def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: OfZero = UNSAID) -> Job:
+def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: ZeroStatement = NO_STATEMENT) -> Job:
     """For the desk: returns a Looped. The axis is watched while the diagnosis is made; a run that needs a person asks for one."""
 
     def work(place: Workplace) -> Looped:
@@ -120,7 +120,7 @@ def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: 
         session = machine.session
         before, session.conditions = session.conditions, person.conditions(axis, session.conditions)
         try:
-            with zero.told(session):
+            with zero.applied(session):
                 loop = run_loop(machine, place.opened_store(), how, place.listener, resume=resume)
         finally:
             session.conditions = before

@@ -64,8 +64,8 @@ def bounded(session: AxisSession, model: Model, like: TableSet, rows: Records) -
     Raises CorrectionBoundError naming the largest excess.
     """
     extended, what = compensation_of(model, like), "extended correction not used"
-    extended.check(session.steering.bound, what)
-    extended.check_rows(session.steering.bound, what, rows.columns)
+    extended.check(session.command_state.bound, what)
+    extended.check_rows(session.command_state.bound, what, rows.columns)
     return extended
 
 

@@ -21,7 +21,7 @@ from drivers.set_points import SetPointSettings
 from hil.correction.compensation import Compensation
 from hil.lost_motion.circle.figures import Circle, Trace, trace_of
 from hil.machine.events import Event, Listener, silent
-from hil.machine.sample_times import Dates, dates_of
+from hil.machine.sample_times import SampleDating, sample_dating
 from hil.machine.session import AxisSession
 from hil.records.rows import Floats
 
@@ -95,7 +95,7 @@ def drive_circle(
         for axis, compensation in zip(axes, compensations, strict=True):
             axis.compensation = compensation
         _to_the_start(axes, circle)
-        dates = [dates_of(axis, latency) for axis, latency in zip(axes, latency_s, strict=True)]
+        dates = [sample_dating(axis, latency) for axis, latency in zip(axes, latency_s, strict=True)]
         return _stream(axes, dates, circle, stage=stage, period_s=period_s, listener=listener)
     finally:
         for axis in axes:
@@ -111,7 +111,7 @@ def _to_the_start(axes: Sequence[AxisSession], circle: Circle) -> None:
 
 def _stream(
     axes: Sequence[AxisSession],
-    clocks: Sequence[Dates],
+    clocks: Sequence[SampleDating],
     circle: Circle,
     *,
     stage: str,
@@ -136,7 +136,7 @@ def _stream(
             places = stream.cycle([command.command_mm for command in commands])
             now_ns = first.clock.now_ns()
             for axis, command, rows, tell, place_mm in zip(axes, commands, samples, found, places, strict=True):
-                axis.steering.given(command)
+                axis.command_state.issued(command)
                 tell(now_ns, place_mm, feed)
                 rows.extend(axis.readings())
             if index % every == 0:
@@ -153,7 +153,7 @@ def _stream(
     return CircleRun(trace, (when[0][both] - when[0][both][0]) / 1e9, position, missed)
 
 
-def _dated(axis: AxisSession, times: Dates, samples: list[tuple[int, Reading]]) -> tuple[Floats, Floats]:
+def _dated(axis: AxisSession, times: SampleDating, samples: list[tuple[int, Reading]]) -> tuple[Floats, Floats]:
     """Times, ns, and positions, mm, of the samples of one axis."""
     when = np.array([times.taken_ns(number, reading) for number, reading in samples], dtype=np.float64)
     return when, np.array([axis.load_position_mm(reading) for _, reading in samples])

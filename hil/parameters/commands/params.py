@@ -1,42 +1,128 @@
-"""`hil params`: drive parameters as whole sets."""
+"""`hil params`: its jobs by name, and what they share: arguments, the set of each axis, progress."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-from hil.parameters.commands.options import EXAMPLE
+from drivers.errors import InputError
+from hil.app.terminal.output import add_json_option
+from hil.app.terminal.progress import terminal_progress
+from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.machine.events import Event
+from hil.parameters.job import load_set
+from hil.parameters.set_file import ParameterSet
+from hil.parameters.tasks import Progress
+
+EXAMPLE = """\
+example:
+  hil params backup X.toml                                  writes X.params.toml: every parameter that can be put back
+  hil params diff X.toml --set X.params.toml                what the drive holds differently
+  hil params download X.toml --set new.toml --dry-run       what would be looked at, and how long it takes
+  hil params download X.toml --set new.toml --store --audit all or nothing, read back, kept, proven by a restart
+  hil params download X.toml Y.toml Z.toml --set new.toml   several drives at once: if one refuses, none is changed
+  hil params verify X.toml --set new.toml                   read everything again
+  hil params restore X.toml                                 as it was before the last download
+  hil params resume X.toml                                  finish a download that was cut off; or: rollback
+
+A set is a TOML file, a DCF (.dcf) or a concise DCF (.cdcf). Motion targets, modes and commands are never written. Parameters are
+written while the drive is disabled. Exit status 1: the drive holds something else than asked for; the report says what.
+"""
+
+
+def add_job(
+    jobs: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    what: str,
+    run: Callable[[argparse.Namespace], int],
+    *,
+    sets: str | None = None,
+) -> argparse.ArgumentParser:
+    """Add a job on one or several axis files, with `--json`. sets: help text of `--set`, None for a job without it."""
+    parser = jobs.add_parser(
+        name, help=what, description=what, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "axes", metavar="AXIS.toml", nargs="+", help="the axis files; drives on one bus are served at once"
+    )
+    if sets is not None:
+        parser.add_argument(
+            "--set",
+            metavar="FILE",
+            action="append",
+            default=[],
+            dest="sets",
+            help=f"{sets}; one for all, or one for each axis",
+        )
+        parser.add_argument(
+            "--signed", action="store_true", help="refuse a set without the builder's signature beside it (FILE.sig)"
+        )
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def load_axes(args: argparse.Namespace) -> list[DriveAxis]:
+    """The axis files of a command line."""
+    return [load_drive_axis(path) for path in args.axes]
+
+
+def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[ParameterSet]:
+    """The set of each axis. Raises InputError unless `--set` is given once or once for each axis, SealedError for a wrong
+    signature."""
+    if not args.sets:
+        raise InputError("--set FILE is missing, expected the set to work with")
+    if len(args.sets) not in (1, len(axes)):
+        raise InputError(f"--set is given {len(args.sets)} times, expected once, or once for each of {len(axes)} axes")
+    paths = args.sets * len(axes) if len(args.sets) == 1 else args.sets
+    return [load_set(path, axis, signed=args.signed) for path, axis in zip(paths, axes, strict=True)]
+
+
+def ask_person(what: str) -> None:
+    """Ask the person at the machine to do something, on stderr."""
+    print(f"hil: {what}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """A progress bar for each stage and drive, on a terminal."""
+    with terminal_progress() as listener:
+
+        def show(stage: str, drive: str, done: int, total: int) -> None:
+            listener(Event(f"{stage}, {drive}", "", done, total))
+
+        yield show
+
 
 JOBS = {
-    "parameters.commands.files": {
+    "parameters.commands.jobs": {
         "backup": "read every parameter that can be put back, into a file",
         "diff": "what the drive holds differently from a set",
         "verify": "whether the drive holds a set",
-    },
-    "parameters.commands.download": {
         "download": "write a set to the drive: all or nothing, read back",
         "store": "have the drive keep what it was last told",
         "restore": "as before the last download, or as a backup has it",
-    },
-    "parameters.commands.recover": {
         "resume": "finish a download that was cut off",
         "rollback": "have everything as it was before a download that was cut off",
     },
     "drive_table.command": {"table": "the correction table that the drive holds itself"},
 }
-"""Modules in `hil` and the jobs that each brings by its `add_jobs(jobs)`. A module is loaded when a job of it is asked for: the
-table's proof takes longer to load than a backup takes."""
+"""Modules in `hil` and the jobs that each adds by `add_jobs(jobs)`. A module is imported when one of its jobs is called: the import
+for the table's proof takes longer than a backup."""
 
 
 class _Job(argparse.ArgumentParser):
-    """A job that is described by its module, which is loaded when the job is called for. like: the parser that it becomes."""
+    """A job whose arguments are added by its module, which is imported when the job is called. like: class of the real parser."""
 
     module = ""
     like: type[argparse.ArgumentParser] = argparse.ArgumentParser
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:  # type: ignore[override]
+        """Import the module and parse with the job's real parser."""
         parent, _, name = self.prog.rpartition(" ")
         jobs = self.like(prog=parent).add_subparsers(parser_class=self.like)
         import_module(f"hil.{self.module}").add_jobs(jobs)
@@ -44,6 +130,7 @@ class _Job(argparse.ArgumentParser):
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil params`."""
     parser = subparsers.add_parser(
         "params",
         description="Whole sets of drive parameters, written all or nothing and read back.",

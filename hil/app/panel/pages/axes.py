@@ -1,4 +1,4 @@
-"""All axes of the server at a glance: state, position and following error of each, live."""
+"""Page with all axes of the server: state, position and following error of each, live."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.app.panel.view import View
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draw the page."""
     with ui.element("div").classes("hil-grid"):
         parts = [_draw_axis(view, desk) for desk in view.desks]
 

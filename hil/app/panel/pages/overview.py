@@ -1,4 +1,4 @@
-"""The axis at a glance: state, position, following error, torque, instrument, correction in force, environment, with live plots."""
+"""Page with the state of one axis: position, following error, torque, instrument, correction, environment, live plots."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from functools import partial
 from nicegui import ui
 
 from hil.app.desk.desk import Desk
-from hil.app.desk.left_over import LeftOver, left_over
 from hil.app.desk.live import Live
+from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
 from hil.app.panel.pieces import Reading
 from hil.app.panel.plots import LivePlot
 from hil.app.panel.view import View
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draw the page."""
     t = view.t
     _draw_left_over(view)
     with ui.element("div").classes("hil-grid"):
@@ -77,10 +77,10 @@ def draw(view: View) -> None:
 
 
 def _draw_left_over(view: View) -> None:
-    """What an interruption left behind, each with the way to where it is put in order."""
+    """Notes of interrupted work, each a link to the page where it is resumed or restored."""
     notes = view.named(ui.column().classes("gap-1"), "overview.left_over")
-    kept: Reading[tuple[LeftOver, ...]] = Reading(view, partial(_left_over, view.desk))
-    shown: list[tuple[LeftOver, ...]] = [()]
+    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, partial(_left_over, view.desk))
+    shown: list[tuple[UnfinishedWork, ...]] = [()]
 
     def refresh() -> None:
         found = kept.value or ()
@@ -96,10 +96,10 @@ def _draw_left_over(view: View) -> None:
     view.every(refresh)
 
 
-def _left_over(desk: Desk) -> tuple[LeftOver, ...]:
-    """Nothing while a job runs, which may be going on with it."""
+def _left_over(desk: Desk) -> tuple[UnfinishedWork, ...]:
+    """Interrupted work; none while a job runs, which may be resuming it."""
     job = desk.job()
-    return () if job is not None and job.running else left_over(desk.axis)
+    return () if job is not None and job.running else unfinished_work(desk.axis)
 
 
 async def _reset_fault(view: View) -> None:

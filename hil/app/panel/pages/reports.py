@@ -1,4 +1,4 @@
-"""Campaigns and reports of the axis: make a report, compare two campaigns, open and keep them, and the axis's history."""
+"""Page with campaigns, reports and history of the axis: make a report, compare two campaigns, open and save reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from hil.app.desk.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
-from hil.app.jobs import worker_process as aside
+from hil.app.jobs import worker_process
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
 from hil.app.panel.pieces import Reading
 from hil.app.panel.report_files import address
@@ -24,7 +24,7 @@ COLUMNS = ("begun", "kind", "key", "rows", *HISTORY_FIGURES, "state")
 
 
 def draw(view: View) -> None:
-    """Put the page on the screen."""
+    """Draw the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("reports.no_instrument")).classes("hil-note"), "reports.no_instrument")
@@ -44,7 +44,7 @@ def draw(view: View) -> None:
 
 
 def _table(view: View) -> ui.table:
-    """All that was measured, the newest first, to choose from."""
+    """Table of all measurements, the newest first, with a choice."""
     words = ("begun", "kind", "key", "state")
     heads = [
         {
@@ -92,22 +92,22 @@ def _row(view: View, one: Measurement) -> dict[str, Any]:
 
 
 def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
-    """Make a report of what is chosen, compare two, make the history."""
+    """Buttons: report of the chosen measurements, comparison of two, history."""
     t, desk = view.t, view.desk
 
     def chosen() -> list[Wanted]:
-        """In the order of time."""
+        """The chosen measurements in the order of time."""
         keys = {row["key"] for row in table.selected}
         found = () if kept.value is None else kept.value.measurements
         return [Wanted(one.key, one.paths) for one in reversed(found) if one.key in keys]
 
     def make(work: str) -> None:
-        desk.compute(view.token, aside.request(work, [] if work == aside.HISTORY else chosen()))
+        desk.compute(view.token, worker_process.request(work, [] if work == worker_process.HISTORY else chosen()))
 
     with ui.row().classes("items-center"):
-        report = view.button("reports.report", partial(make, aside.REPORT))
-        compare = view.button("reports.compare", partial(make, aside.COMPARE))
-        history = view.button("reports.make_history", partial(make, aside.HISTORY))
+        report = view.button("reports.report", partial(make, worker_process.REPORT))
+        compare = view.button("reports.compare", partial(make, worker_process.COMPARE))
+        history = view.button("reports.make_history", partial(make, worker_process.HISTORY))
         cancel = view.button("reports.cancel", lambda: desk.cancel_computing(view.token)).props("outline")
         status = view.named(ui.label().classes("hil-name"), "reports.status")
     messages = view.named(ui.label().classes("hil-note bad"), "reports.messages")
@@ -119,11 +119,11 @@ def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
         compare.set_enabled(free and count == 2)
         history.set_enabled(free and kept.value is not None and kept.value.history is not None)
         cancel.set_visibility(now.running and view.in_control)
-        made = t("reports.made", files=", ".join(now.made)) if now.made and now.work != aside.DIAGNOSE else ""
+        made = t("reports.made", files=", ".join(now.made)) if now.made and now.work != worker_process.DIAGNOSE else ""
         status.set_text(
             t("diagnosis.computing", seconds=t.number(now.seconds, 0)) if now.running else made or t("reports.choose")
         )
-        failed = bool(now.error) and now.work != aside.DIAGNOSE
+        failed = bool(now.error) and now.work != worker_process.DIAGNOSE
         messages.set_text(t.said(now.error) if failed else "")
         messages.set_visibility(failed)
 
@@ -131,7 +131,7 @@ def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
 
 
 def _draw_files(view: View, kept: Kept) -> Refresh:
-    """The reports that there are, each to be opened or kept."""
+    """Card with all reports, each with links to open and save it."""
     with view.card("reports.files", name="reports.files.card"):
         box = view.named(ui.element("div"), "reports.files")
     shown: list[tuple[ReportFile, ...]] = []
@@ -171,7 +171,7 @@ def _draw_file(view: View, number: int, one: ReportFile) -> None:
 
 
 def _draw_history(view: View, kept: Kept) -> Refresh:
-    """The figures over time, with the straight line through each."""
+    """Card with the figures over time and their trend lines."""
     with view.card("reports.history", name="reports.history.card"):
         drawing = Drawing(view, "reports.history")
         trend = view.named(ui.label().style("white-space: pre-line; font-size: 1.15rem"), "reports.trend")

@@ -1,4 +1,4 @@
-"""`hil export`: the tables in force as a file of a CNC controller."""
+"""`hil export`: writes the tables in force as a file of a CNC controller."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ back before it is handed out; what a controller must be set to besides is printe
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil export`."""
     parser = subparsers.add_parser(
         "export",
         description="Write the correction tables of an axis in the format of a CNC controller.",
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_source(args: argparse.Namespace) -> Compensation:
-    """What the source holds. Raises InputError naming it."""
+    """Contents of the source. Raises InputError naming it."""
     suffix = Path(args.source).suffix.lower()
     if suffix == ".toml":
         return open_store(args, load_axis(args.source), writing=False).load(read_effects(args.effects))

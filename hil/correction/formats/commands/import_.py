@@ -1,4 +1,4 @@
-"""`hil import`: a controller's table, or measurements of another program, in our formats."""
+"""`hil import`: converts a controller's table, or measurements of another program, to the formats of this program."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ MEASUREMENT_OPTIONS = (
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil import`."""
     parser = subparsers.add_parser(
         "import",
         description="Turn a controller's compensation file into tables, or another program's measurements into records.",

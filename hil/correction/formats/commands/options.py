@@ -1,4 +1,4 @@
-"""What `hil export` and `hil import` share: options that become the settings of a format.
+"""Options of `hil export` and `hil import` for the settings of a format.
 
 Each option belongs to the formats whose settings have its field; given for another one it is refused, never ignored.
 """

@@ -1,4 +1,4 @@
-"""`hil check`: is this file as the builder signed it? Needs no password."""
+"""`hil check`: verifies the builder's signature of a file. Needs no password."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ exit code: 0 as the builder signed it, 1 not, 2 cannot be checked.
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil check`."""
     parser = subparsers.add_parser(
         "check",
         description="Check a sealed file, or a file with a detached signature, against the builder's public key.",
@@ -35,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check; 0 good, 1 not. Raises InputError for what cannot be checked at all."""
+    """Exit status 0: good; 1: not. Raises InputError for a file that cannot be checked."""
     data, public = read_bytes(args.file), load_public_key(args.builder)
     facts: dict[str, object] = {"file": str(args.file), "builder": fingerprint(public)}
     header: dict[str, str] = {}

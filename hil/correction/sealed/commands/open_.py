@@ -1,4 +1,4 @@
-"""`hil open`: the contents of a sealed file, for those who have the reading password."""
+"""`hil open`: decrypts a sealed file with its reading password."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ The builder's signature is checked first; nothing is decrypted from a file that 
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil open`."""
     parser = subparsers.add_parser(
         "open",
         description="Check a sealed file and decrypt its entries, to standard output (one entry) or into a directory.",
@@ -41,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Open. Raises the SealedError that says what is wrong, InputError for bad arguments."""
+    """Exit status 0. Raises SealedError for a file that is refused, InputError for wrong arguments."""
     data, public = read_bytes(args.sealed), load_public_key(args.builder)
     with naming(args.sealed):
         info = check(data, public)

@@ -1,4 +1,4 @@
-"""`hil seal`: lock files into one sealed file."""
+"""`hil seal`: encrypts and signs files into one sealed file."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ Each file becomes an entry of its own name, encrypted with its password; the bui
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil seal`."""
     parser = subparsers.add_parser(
         "seal",
         description="Lock files into one sealed file that machines can run with and only the builder can change.",
@@ -45,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Seal. Raises InputError for bad files, keys and passwords."""
+    """Exit status 0. Raises InputError for wrong files, keys and passwords."""
     entries: dict[str, bytes] = {}
     for file in args.files:
         name = Path(file).name

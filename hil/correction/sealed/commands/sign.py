@@ -1,4 +1,4 @@
-"""`hil sign`: the builder's signature, on a sealed file or beside any other file; and the key pair to sign with."""
+"""`hil sign`: signs a sealed file, or any file with a FILE.sig beside it; makes the builder's key pair."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ example:
   hil sign report.html --key builder.key                  # writes report.html.sig
   hil sign axis.sealed --key new.key --builder old.pub    # hands a sealed file on to another key
 
-A sealed file is signed anew only if its present signature is good: nobody signs a file that was changed on its way.
+A sealed file is signed anew only if its present signature is good, so that a file that was changed meanwhile is not signed.
 """
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil sign`."""
     parser = subparsers.add_parser(
         "sign",
         description="Sign a record, a report or a sealed file with the builder's key; or make a key pair.",
@@ -51,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Sign, or make a key pair. Raises InputError for bad arguments, the SealedError that says why a file is not signed."""
+    """Sign, or make a key pair; exit status 0. Raises InputError for wrong arguments, SealedError for a file that is refused."""
     if args.new_key is not None:
         if args.file or args.key or args.builder:
             raise InputError("--new-key stands alone: sign with the new key in a second step")

@@ -18,7 +18,7 @@ from hil.app.terminal.main import main
 from hil.app.terminal.sim import instrument_text
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.instrument import KINDS
-from hil.machine.instruments import instrument
+from hil.machine.instruments import build_instrument
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GAUGE_KINDS
 
@@ -42,7 +42,7 @@ def test_each_kind_is_read_made_and_named(tmp_path: Path, kind: str) -> None:
     (tmp_path / "r.csv").write_text(RECORDING)
     axis = axis_with(tmp_path, SECTIONS[kind])
     assert axis.instrument.kind == kind
-    made = instrument(axis.instrument, "/dev/nothing", SimClock())
+    made = build_instrument(axis.instrument, "/dev/nothing", SimClock())
     assert isinstance(made, UmdLaser if kind == "umd" else ReplayInstrument if kind == "replay" else Gauge)
     identity = " ".join(instrument_identity(axis.instrument).values())
     assert {"umd": "µMD", "nd2xx": "ND 2xx", "ascii": "mitutoyo", "replay": "r.csv"}[kind] in identity
@@ -53,7 +53,7 @@ def test_each_kind_is_read_made_and_named(tmp_path: Path, kind: str) -> None:
 
 def test_optics_beside_the_position_reach_the_rows(tmp_path: Path) -> None:
     axis = axis_with(tmp_path, "beside = { yaw_urad = { axis = 3, per_unit = -1.6 } }")
-    made = instrument(axis.instrument, "/dev/nothing", SimClock())
+    made = build_instrument(axis.instrument, "/dev/nothing", SimClock())
     assert isinstance(made, UmdLaser)
     assert made.settings.beside == {"yaw_urad": Beside(3, -1.6)}
     session = toy_session(ToyMachine())
@@ -68,7 +68,7 @@ def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
     config = axis_with(tmp_path / "n", SECTIONS["nd2xx"]).instrument
     assert config.display is not None
     assert (config.display.baud, config.display.data_bits, config.display.parity) == (19200, 7, "E")
-    gauge = instrument(config, "/dev/nothing", SimClock())
+    gauge = build_instrument(config, "/dev/nothing", SimClock())
     assert isinstance(gauge, Gauge)
     assert gauge._protocol.request == ASK_COUNT
 
@@ -110,5 +110,5 @@ def test_a_recording_that_is_missing_is_one_line(tmp_path: Path, capsys: pytest.
 def test_the_simulated_machine_s_own_section_is_read_back(tmp_path: Path, kind: str) -> None:
     config = axis_with(tmp_path, instrument_text(kind, "/dev/pts/9")).instrument
     assert config.port == "/dev/pts/9"
-    made = instrument(config, config.port, SimClock())
+    made = build_instrument(config, config.port, SimClock())
     assert (kind in ("mitutoyo", "ascii")) == (isinstance(made, Gauge) and isinstance(made._protocol, AsciiDecoder))

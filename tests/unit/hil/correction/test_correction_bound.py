@@ -233,7 +233,7 @@ def test_tables_of_a_frozen_laser_are_refused_when_they_are_computed(tmp_path: P
 def test_a_session_puts_nothing_beyond_its_bound_into_force() -> None:
     with toy_session(ToyMachine()) as session:
         session.prepare()
-        session.steering.bound = CorrectionBound(50.0)
+        session.command_state.bound = CorrectionBound(50.0)
         for level_um, fits in ((49.0, True), (51.0, False)):
             one = Compensation(bidirectional([0, 100], [level_um, level_um]))
             if fits:
@@ -249,7 +249,7 @@ def test_a_sensor_that_jumps_moves_nothing() -> None:
     machine = ToyMachine(temperatures={"screw": 20.0})
     with toy_session(machine) as session:
         session.prepare()
-        session.steering.bound = CorrectionBound(50.0)
+        session.command_state.bound = CorrectionBound(50.0)
         session.compensation = Compensation(bidirectional([0, 100], [0, 0]), (Sensed(2.0, 0.0),))
         session.move_to(30.0)
         machine.temperatures["screw"] = 30.0
@@ -268,7 +268,7 @@ def test_what_is_sealed_and_what_is_opened_is_held_against_the_axis_files_bound(
     wide = load_axis(path)
     assert wide.correction.bound == CorrectionBound(2000.0)
     with connected(wide) as machine:
-        assert machine.session.steering.bound == wide.correction.bound
+        assert machine.session.command_state.bound == wide.correction.bound
     large = bidirectional([0, 100], [1500.0, 1500.0])
     SealedStore.of(wide, READING, KEY).save_tables(large)
     assert SealedStore.of(wide, READING).load().tables == large
@@ -318,7 +318,7 @@ def test_a_lost_motion_beyond_it_is_refused_before_it_is_proven(tmp_path: Path) 
     )
     with toy_session(ToyMachine(play_mm=0.02)) as session:
         session.prepare()
-        session.steering.bound = CorrectionBound(15.0)
+        session.command_state.bound = CorrectionBound(15.0)
         campaign = Campaign(tmp_path, {"kind": "lost-motion"}, resume=False)
         with pytest.raises(
             CorrectionBoundError, match=r"by the lost motion measured not used: -20\.?\d* µm at .*\(−\)"

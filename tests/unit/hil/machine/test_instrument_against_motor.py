@@ -231,7 +231,7 @@ def test_after_a_loss_that_was_acknowledged_travel_counts_anew() -> None:
 def test_a_motor_that_is_faster_than_it_was_told_is_stopped(faster: float, reach_mm: float) -> None:
     machine = ToyMachine()
     with (
-        pytest.raises(OverspeedError, match=r"runs too fast: .* told were 5 mm/s, allowed are 20 % more"),
+        pytest.raises(OverspeedError, match=r"runs too fast: .* commanded 5 mm/s, allowed are 20 % more"),
         toy_session(machine) as session,
     ):
         session.prepare()

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from hil.machine.signals import ENDED, INTERRUPTED, WAY_OUT_S
+from hil.machine.signals import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 PROGRAM = """
 import ctypes, os, signal, sys, threading, time
@@ -79,7 +79,7 @@ def test_the_second_signal_stops_the_drives_and_ends_a_way_out_that_hangs(hangs:
         program.says(b"stop frame")
         status, seconds, errors = program.ended()
         assert (status, errors) == (INTERRUPTED, ENDED)
-        assert seconds >= 0.9 * WAY_OUT_S, "the way out had its time"
+        assert seconds >= 0.9 * STOP_WITHIN_S, "the way out had its time"
 
 
 def test_the_third_signal_ends_it_at_once() -> None:
@@ -91,7 +91,7 @@ def test_the_third_signal_ends_it_at_once() -> None:
         program.asked(signal.SIGHUP)
         status, seconds, errors = program.ended()
         assert (status, errors) == (INTERRUPTED, ENDED)
-        assert seconds < 0.9 * WAY_OUT_S
+        assert seconds < 0.9 * STOP_WITHIN_S
 
 
 def test_work_that_never_hears_the_first_one_is_ended_by_the_second() -> None:

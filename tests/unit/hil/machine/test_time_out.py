@@ -10,7 +10,7 @@ from support.toy_axis import ToyMachine, toy_session
 
 from drivers.drive import DriveSample, DriveState
 from drivers.errors import MotionTimeoutError
-from hil.machine.time_out import Motion, likely_reason, what_it_says
+from hil.machine.time_out import Motion, drive_report, likely_reason
 from hil.machine.watched_axis import STALLED_S
 
 MOVE = Motion("the move", 100.0, 50.0)
@@ -41,7 +41,7 @@ def test_a_homing_has_no_target_of_ours() -> None:
 
 def test_what_the_drive_says() -> None:
     sample = replace(STANDS, fault_code=0x8611, limited=True)
-    assert what_it_says(sample, 0.0, ["a warning"]) == (
+    assert drive_report(sample, 0.0, ["a warning"]) == (
         "operation enabled, at 40.0000 mm, 0.000 mm/s, torque 5 %, following error 0.0010 mm, internal limit active,"
         " error code 8611h, a warning"
     )

@@ -24,7 +24,7 @@ from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.calibrate import calibrate
 from hil.correction.tables import TableSet
-from hil.machine.axis_place import drive_place, held_axis
+from hil.machine.axis_lock import drive_address, held_axis
 from hil.machine.wiring import bench_parameters, connected, connected_drive
 from hil.parameters.wiring import connected_parameters
 from hil.records.journal import Campaign
@@ -275,7 +275,7 @@ def test_a_drive_is_held_whichever_axis_file_names_it(tmp_path: Path, kind: str,
 
 def test_the_benchs_drive_has_no_place_that_another_could_reach(tmp_path: Path) -> None:
     one, two = (load_axis(bench_axis.lay_out(tmp_path / name)) for name in ("one", "two"))
-    assert drive_place(one) is None
+    assert drive_address(one) is None
     with connected_drive(one), connected_drive(two):
         pass
 

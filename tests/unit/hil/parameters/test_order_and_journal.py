@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
 from hil.parameters.journal import Journal, Noted, Phase
-from hil.parameters.order import in_order, uncrossed
+from hil.parameters.transaction import in_order, uncrossed
 
 RANKS = {"unit": 0, "limit": 1}
 

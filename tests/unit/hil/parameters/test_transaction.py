@@ -12,15 +12,14 @@ from support.paper_drive import IDENTITY, PaperDrive, done
 from drivers.drive import DriveState
 from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.raw_parameters import DriveIdentity, WireTime
-from hil.parameters.audit import restart_drive
 from hil.parameters.compare import Side, compare
-from hil.parameters.defaults import load_defaults
 from hil.parameters.download import Target, download
 from hil.parameters.journal import Journal, Noted, Phase
 from hil.parameters.predict import predict, seconds_together
 from hil.parameters.preflight import match_set, objection_to_state, objections_to_identity
 from hil.parameters.recover import Unfinished, recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
+from hil.parameters.restart import load_defaults, restart_drive
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import DriveJob

@@ -10,10 +10,10 @@ from support.bench_axis import lay_out
 from drivers.clock import NS_PER_S, WallClock
 from drivers.drive import DriveSample, DriveState
 from drivers.instrument import Reading, ReadingStatus
-from hil.app.desk.left_over import LeftOver, left_over
 from hil.app.desk.live import Board, Live, of_sample
 from hil.app.desk.standstill import CameToRest, Standstill
 from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
 from hil.axis.axis_file import load_axis
 from hil.records.journal import Campaign
 from sim_backends.clock import BEAT_NS, SimClock
@@ -173,12 +173,12 @@ def test_what_is_not_told_is_not_made_up() -> None:
 # -- left over -------------------------------------------------------------------------------------------------------------
 def test_an_interrupted_calibration_is_found_until_it_is_finished(tmp_path: Path) -> None:
     axis = load_axis(lay_out(tmp_path))
-    assert left_over(axis) == ()
+    assert unfinished_work(axis) == ()
     campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False)
-    assert left_over(axis) == ()  # nothing was measured
+    assert unfinished_work(axis) == ()  # nothing was measured
     with campaign.rows("measure", ["run", "direction", "target_mm", "measured_mm"]):
         pass
-    assert left_over(axis) == (LeftOver("calibrate", "calibrate", "calibrate-001"),)
+    assert unfinished_work(axis) == (UnfinishedWork("calibrate", "calibrate", "calibrate-001"),)
     campaign.finish()
     (axis.store.directory / "backlash-before.json").write_text("{}")
-    assert left_over(axis) == (LeftOver("settings", "backlash", "X-campaign"),)
+    assert unfinished_work(axis) == (UnfinishedWork("settings", "backlash", "X-campaign"),)

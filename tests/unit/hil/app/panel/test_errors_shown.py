@@ -26,7 +26,7 @@ from hil.calibration import page as calibrate
 from hil.diagnosis.loop import page as close_loop
 from hil.lost_motion.circle import page as circle
 from hil.parameters import page as parameters
-from hil.parameters.jobs.files import LARGEST_BYTES
+from hil.parameters.job import LARGEST_BYTES
 
 Draw = Callable[[View], object]
 

@@ -107,7 +107,7 @@ def test_the_instruments_own_zero_is_not_shown_as_the_position_of_the_load(desk:
     assert curve == pytest.approx([live.position_load_mm] * len(curve), abs=0.1)
 
 
-@pytest.mark.parametrize(("of", "reads"), [(overview, "left_over"), (lost_motion, "resumable")])
+@pytest.mark.parametrize(("of", "reads"), [(overview, "unfinished_work"), (lost_motion, "resumable")])
 def test_the_folder_is_read_beside_the_loop_and_after_a_job(
     of: Any, reads: str, desk: Desk, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:

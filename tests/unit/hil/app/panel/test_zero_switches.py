@@ -16,7 +16,7 @@ from support.bench_axis import lay_out
 from drivers.errors import InputError, LinkLostError
 from hil.app.desk.desk import Desk
 from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.of_zero import OfZero
+from hil.app.jobs.zero_statement import ZeroStatement
 from hil.app.panel.browsers import Browser
 from hil.app.panel.pieces import Reading
 from hil.app.panel.texts import LANGUAGES, Texts
@@ -129,7 +129,7 @@ def test_every_job_that_the_terminal_lets_be_told_of_the_instrument_can_be_told_
 
 def test_the_session_goes_by_it_for_that_job_alone(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """The screen's session outlasts the job: what ended early must not take the zero anew in the next one."""
-    axis, said = cast(Any, desk.axis), OfZero(anew=True, instrument_zeroed=True)
+    axis, said = cast(Any, desk.axis), ZeroStatement(anew=True, instrument_zeroed=True)
     keeper = SimpleNamespace(anew=False, instrument_zeroed=False)
     machine = SimpleNamespace(session=SimpleNamespace(zero=keeper, conditions=None), axis=axis)
     place: Any = SimpleNamespace(
@@ -162,4 +162,4 @@ def test_the_session_goes_by_it_for_that_job_alone(desk: Desk, monkeypatch: pyte
 
 def test_a_resumed_calibration_takes_no_zero_anew(desk: Desk) -> None:
     with pytest.raises(InputError, match="does not go with"):
-        calibrate.calibration_job(cast(Any, desk.axis), resume=True, zero=OfZero(anew=True))
+        calibrate.calibration_job(cast(Any, desk.axis), resume=True, zero=ZeroStatement(anew=True))

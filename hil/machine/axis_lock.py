@@ -1,6 +1,6 @@
-"""The place of an axis's drive on a real wire, and holding an axis against other processes.
+"""Lock of an axis against other processes, by its axis file and by the address of its drive.
 
-Two axis files may name one drive: a copy with another store, a second name. So an axis is held by its file and by its drive's place.
+The address is locked besides the file because two axis files may name the same drive, as a copy with another store does.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from hil.records.files import held_by_name, held_place
 
 @contextmanager
 def held_axis(axis: DriveAxis) -> Iterator[None]:
-    """Nobody else connects this axis, by its file or by another one that names its drive, until the block ends or the process dies.
+    """Hold the lock of this axis and of its drive until the block ends or the process dies.
 
-    Raises InputError, naming the axis file, while somebody has it.
+    Raises InputError, naming the axis file, while another process holds either.
     """
-    place = drive_place(axis)
+    place = drive_address(axis)
     with ExitStack() as stack:
         stack.enter_context(held_by_name(axis.path))
         if place is not None:
@@ -36,9 +36,11 @@ def held_axis(axis: DriveAxis) -> Iterator[None]:
         yield
 
 
-def drive_place(axis: DriveAxis) -> str | None:
-    """Interface, channel and node id, host, port and unit, or serial device and unit; None for the bench's drive, which has no place
-    that another process could reach. Two names of one device or host give the same place."""
+def drive_address(axis: DriveAxis) -> str | None:
+    """Address of the drive: interface, channel and node id; host, port and unit; or serial device and unit.
+
+    None for the bench's drive, which no other process can reach. Two names of one device or host give the same address.
+    """
     drive = axis.drive
     if drive.backend == "canopen":
         interface = drive.interface.lower()
@@ -53,7 +55,7 @@ def drive_place(axis: DriveAxis) -> str | None:
 
 
 def modbus_endpoint(axis: DriveAxis) -> Endpoint:
-    """Raises InputError naming the axis file and what is wrong with its url."""
+    """Endpoint of the axis file's Modbus url. Raises InputError naming the axis file and what is wrong with the url."""
     try:
         return parse_endpoint(axis.drive.url, baud=axis.drive.baud)
     except InputError as error:
@@ -61,13 +63,13 @@ def modbus_endpoint(axis: DriveAxis) -> Endpoint:
 
 
 def _device(channel: str) -> str:
-    """A device file by its one real name; python-can's slcan takes a bit rate behind it, after an @."""
+    """A device file with symbolic links resolved, without the bit rate that python-can's slcan takes after an @."""
     name = channel.partition("@")[0]
     return os.path.realpath(name) if name.startswith("/") else channel
 
 
 def _host(host: str) -> str:
-    """Its first address; the name where it has none now, which connecting will tell."""
+    """The host's lowest IP address, or the name in lower case where it does not resolve (connecting then fails)."""
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except OSError:

@@ -1,4 +1,4 @@
-"""What every job on several drives is made of: one work for each drive, taken through the same stages side by side."""
+"""Jobs on several drives: one task for each drive, taken through the same stages side by side."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hil.parameters.transaction import DriveJob, ended_in
 
 P = ParamSpec("P")
 T = TypeVar("T")
-W = TypeVar("W", bound="Work")
+W = TypeVar("W", bound="DriveTask")
 Progress = Callable[[str, str, int, int], None]
 """progress(stage, drive, done, total)"""
 
@@ -32,16 +32,17 @@ VERDICTS = {
     Ending.REFUSED: Verdict.NOT_WRITTEN,
     Ending.UNFINISHED: Verdict.UNKNOWN,
 }
-"""Of a parameter whose old and new values differ; of others nothing became, unless nothing is known."""
+"""Outcome of a parameter whose old and new values differ. Others are `SAME`, unless the ending is unfinished."""
 
 
-def unseen(_stage: str, _drive: str, _done: int, _total: int) -> None:
-    """Nobody looks."""
+def no_progress(_stage: str, _drive: str, _done: int, _total: int) -> None:
+    """No observer is registered; progress is dropped."""
 
 
 @dataclass
-class Work:
-    """One drive under way. old, new: by address, as far as they are known; after: what comes before what."""
+class DriveTask:
+    """One drive during a job. old, new: address -> the drive's bytes, as far as known; after: address -> addresses written before
+    it."""
 
     drive: RawParameters
     journal: Journal
@@ -60,11 +61,11 @@ class Work:
     audited: bool | None = None
     lost: list[str] = field(default_factory=list)
     began_ns: int = 0
-    starts: int = 0  # of the drive, when it was looked at
+    starts: int = 0  # the drive's count of restarts when its values were read
     seconds: float = 0.0
 
     def fail(self, error: BridgeError) -> None:
-        """The first error is the one that is told."""
+        """Set the error, unless there is one already."""
         self.error = self.error or ended_in(error)
 
     def differing(self) -> list[str]:
@@ -72,10 +73,11 @@ class Work:
         return [address for address in self.new if not self.same(address, self.old[address], self.new[address])]
 
     def same(self, address: str, shown: bytes, meant: bytes) -> bool:
+        """Whether a value read back is the value meant, by the parameter's type."""
         return self.drive.same(self.parameters[address], shown, meant)
 
     def note(self, phase: Phase, **facts: object) -> None:
-        """Into the journal, where this drive has one under way."""
+        """Append a step to the journal, where this drive has one. Raises InputError when it cannot be written."""
         if self.noted is not None:
             self.journal.note(self.noted, phase, **facts)
 
@@ -83,9 +85,9 @@ class Work:
 def run_together(
     works: Sequence[T], drive: Callable[[T], RawParameters], steps: Callable[[T], Steps[None]]
 ) -> list[BridgeError | None]:
-    """Run steps for each side by side, those on different lines in threads of their own; what each raised.
+    """Run the steps of each task side by side, each line in a thread of its own; returns the BridgeError of each, None for none.
 
-    What a line raises beside BridgeErrors, and Ctrl-C, ends the others at their next transfer or pause, and is raised then.
+    Any other exception of a line, and KeyboardInterrupt, ends the other lines at their next transfer or pause, and is then raised.
     """
     lines = {id(drive(work).line): drive(work).line for work in works}
     jobs = [_OnLine(line, []) for line in lines.values()]
@@ -108,18 +110,18 @@ def run_together(
 
 @dataclass(frozen=True)
 class _OnLine:
-    """The works, by number, of one line."""
+    """The tasks of one line, by number."""
 
     line: Line
     numbers: list[int]
 
 
 class _EndedByAnotherError(BaseException):
-    """Ends the work of a line because another line's was ended. No BridgeError: nothing is to get over it."""
+    """Ends the tasks of a line because another line's were ended. It is no BridgeError, so that no task handles it."""
 
 
 def _in_threads(runs: Sequence[tuple[Clock, Callable[[Callable[[Steps[None]], Steps[None]]], None]]]) -> None:
-    """Each in a thread of its own, until all have ended. A second Ctrl-C does not wait for them."""
+    """Run each in a thread of its own and wait for all. A second Ctrl-C ends the wait."""
     ended = threading.Event()
     outcomes: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
 
@@ -156,7 +158,7 @@ def _in_threads(runs: Sequence[tuple[Clock, Callable[[Callable[[Steps[None]], St
 
 
 def _until(ended: threading.Event, steps: Steps[None]) -> Steps[None]:
-    """The same steps; at the first one after `ended` they end. A transfer under way is not cut off, a pause is."""
+    """The same steps, ended at the first one after `ended` is set. A pause is cut short, a transfer is not."""
     with closing(steps):
         while True:
             if ended.is_set():
@@ -172,8 +174,8 @@ def _over(ended: threading.Event, pause: Pause) -> bool:
     return ended.is_set() or pause.done()
 
 
-def one_at_a_time(told: Callable[P, T]) -> Callable[P, T]:
-    """For those who are told of several lines' works: their threads call it in turn."""
+def serialized(told: Callable[P, T]) -> Callable[P, T]:
+    """The function with a lock around it, for callbacks from the threads of several lines."""
     lock = threading.Lock()
 
     def tell(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -188,10 +190,10 @@ def stage(
     name: str,
     total: Callable[[W], int],
     steps: Callable[[W], Steps[None]],
-    progress: Progress = unseen,
+    progress: Progress = no_progress,
 ) -> None:
-    """Take every work through a stage; what it raises becomes its error. total: accesses of it, for the progress."""
-    progress = one_at_a_time(progress)
+    """Take every task through a stage. A BridgeError becomes the task's error. total: number of accesses, for the progress."""
+    progress = serialized(progress)
     for work in works:
         _count(work, name, max(1, total(work)), progress)
     errors = run_together(works, lambda work: work.drive, partial(_timed, steps))
@@ -201,14 +203,14 @@ def stage(
 
 
 def _timed(steps: Callable[[W], Steps[None]], work: W) -> Steps[None]:
-    """seconds: until this drive was through, whatever the others take."""
+    """Run the steps and set `seconds`, the time until this drive was done."""
     try:
         yield from steps(work)
     finally:
         work.seconds = (work.drive.clock.now_ns() - work.began_ns) * 1e-9
 
 
-def _count(work: Work, name: str, total: int, progress: Progress) -> None:
+def _count(work: DriveTask, name: str, total: int, progress: Progress) -> None:
     done = 0
 
     def tell(count: int) -> None:
@@ -219,13 +221,13 @@ def _count(work: Work, name: str, total: int, progress: Progress) -> None:
     work.job.tell = tell
 
 
-def reports_of(works: Sequence[Work]) -> list[JobReport]:
-    """What became of each."""
+def reports_of(works: Sequence[DriveTask]) -> list[JobReport]:
+    """The report of each task."""
     failed = [work.drive.name for work in works if work.error or work.objections]
     return [_report(work, [name for name in failed if name != work.drive.name]) for work in works]
 
 
-def _report(work: Work, others: Sequence[str]) -> JobReport:
+def _report(work: DriveTask, others: Sequence[str]) -> JobReport:
     ending = work.ending or Ending.UNFINISHED
     notes = list(work.notes)
     if others and not work.error and not work.objections and not ending.good:
@@ -246,7 +248,7 @@ def _report(work: Work, others: Sequence[str]) -> JobReport:
     )
 
 
-def _row(work: Work, address: str, ending: Ending) -> Row:
+def _row(work: DriveTask, address: str, ending: Ending) -> Row:
     parameter, latencies = work.parameters[address], work.job.latencies
     same = work.same(address, work.old[address], work.new[address])
     return Row(

@@ -1,7 +1,7 @@
-"""A lost signal in the middle of a measurement: the axis stands, someone clears the beam, and the point is measured again.
+"""Resuming after a lost signal: the axis stands until the signal is back, the datum is taken anew, and the point is measured again.
 
-What was lost with the signal is the instrument's zero, so the datum is taken anew before anything is measured. The axis moves again by
-itself: that is done only where the axis file allows it ([instrument] resume_within_s), for there may be a hand in the beam.
+The datum is taken anew because the instrument loses its zero with the signal. The axis then moves without an operator's command, and a
+hand may be in the beam: this is done only where the axis file allows it ([instrument] resume_within_s).
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.session import AxisSession
 
 STEADY_S = 1.0
-"""How long the signal has to be good without a break before it is believed."""
+"""Time for which the signal must be good without a break before it is used, s."""
 MOST_LOSSES = 3
-"""So often the signal may be lost on the way to one point and at it. The first loss may be anybody's hand, the second the hand that
-was not quite away; a beam that is lost a third time is cut off there by the machine itself (a cover, a cable, the pitch of the table),
-and each further try would move the axis by itself for nothing."""
+"""Losses at one point after which it is not tried again. A hand in the beam explains one or two; a third loss at the same point is
+likely caused by the machine (a cover, a cable, the pitch of the table), and each further try would move the axis without an
+operator."""
 
 T = TypeVar("T")
 
 
-def resuming(session: AxisSession, measure: Callable[[], T], tell: Callable[[str], None]) -> T:
-    """What `measure` returns; after a lost signal it is called again, from a new datum, if that comes back in time.
+def retry_after_signal_loss(session: AxisSession, measure: Callable[[], T], tell: Callable[[str], None]) -> T:
+    """Returns what `measure` returns. After a lost signal that comes back in time, `measure` is called again, from a new datum.
 
-    measure: of one point. tell: hears what was lost and when it went on. Raises the MeasurementLostError for a session without
-    `resume_within_s`, when the signal does not come back within that, or when it is lost for the time `MOST_LOSSES`; whatever the
-    drive raises meanwhile, at once.
+    measure: measures one point; tell: called with a message at each loss and resume. Raises MeasurementLostError in a session without
+    `resume_within_s`, when the signal does not come back within that, or at the loss number `MOST_LOSSES`. Errors of the drive
+    are raised at once.
     """
     for times in count(1):
         try:
@@ -50,14 +50,14 @@ def resuming(session: AxisSession, measure: Callable[[], T], tell: Callable[[str
 
 
 def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostError) -> None:
-    """Until the signal was good for STEADY_S and the datum was taken; one that is lost again meanwhile is waited for as well."""
+    """Wait until the signal was good for `STEADY_S`, then take the datum. A signal that is lost again meanwhile is waited for too."""
     deadline = session.clock.deadline(within_s)
     while True:
         try:
             session.acknowledge_loss()
             session.watch(STEADY_S)
             if session.drive.sample().state is not DriveState.ENABLED:
-                session.drive.disable()  # out of the quick stop, which holds it
+                session.drive.disable()  # a quick stop holds the drive until it is disabled
                 session.drive.enable()
             refuse_while_drive_corrects(session.drive)
             session.take_datum(signal_was_lost=True)

@@ -1,4 +1,4 @@
-"""What an interruption left behind, found in the axis's folder: by whoever comes next, after a restart of the server too."""
+"""Interrupted work in the axis's folder: campaigns to resume and settings to restore, also after a restart of the server."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ _RESUMED = {CALIBRATE: "calibrate", VERIFY: "calibrate"}
 
 
 @dataclass(frozen=True)
-class LeftOver:
-    """kind: of a campaign that can be gone on with, or "settings" to be put back; page: where that is done; place: its folder"""
+class UnfinishedWork:
+    """Interrupted work. kind: of a campaign to resume, or "settings" to restore; page: where that is done; place: name of its
+    folder."""
 
     kind: str
     page: str
     place: str
 
 
-def left_over(axis: DriveAxis) -> tuple[LeftOver, ...]:
-    """All of it; reads the folder."""
+def unfinished_work(axis: DriveAxis) -> tuple[UnfinishedWork, ...]:
+    """All interrupted work of an axis. Reads its folder."""
     directory = axis.store.directory
     found = []
     for kind, page in _RESUMED.items() if isinstance(axis, AxisConfig) else ():
         campaign = Campaign.unfinished(directory, kind)
         if campaign is not None:
-            found.append(LeftOver(kind, page, campaign.directory.name))
+            found.append(UnfinishedWork(kind, page, campaign.directory.name))
     if unrestored(axis):
-        found.append(LeftOver(SETTINGS, "backlash", directory.name))
+        found.append(UnfinishedWork(SETTINGS, "backlash", directory.name))
     return tuple(found)

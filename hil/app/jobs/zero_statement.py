@@ -1,4 +1,4 @@
-"""What a person says of an axis's zero for one job, and telling it to whoever holds the axis against its zero."""
+"""A person's statement about an axis's zero for one job: to be taken anew, or the instrument was zeroed."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ from hil.machine.session import AxisSession
 
 
 @dataclass(frozen=True)
-class OfZero:
-    """anew: take the zero anew, also where the axis stands now (homing 35, 37); what was made in the old one is of no use then.
+class ZeroStatement:
+    """The statement.
 
-    instrument_zeroed: the instrument was zeroed, or its beam was broken, since the axis was last measured.
+    anew: take the zero anew, also where the axis stands now (homing 35, 37); tables and rows of the old zero are then invalid
+    instrument_zeroed: the instrument was zeroed, or its beam was broken, since the axis was last measured
     """
 
     anew: bool = False
     instrument_zeroed: bool = False
 
     def check(self, *, resume: bool) -> None:
-        """Raises InputError for a zero that is to be new in a campaign of old rows."""
+        """Raises InputError for a new zero in a resumed campaign."""
         if self.anew and resume:
             raise InputError("--new-zero does not go with --resume: the rows so far were measured in the old zero")
 
     def in_plan(self, plan: Plan) -> Plan:
-        """The plan of a job that is told it."""
+        """The plan with this statement."""
         return replace(plan, new_zero=self.anew, instrument_zeroed=self.instrument_zeroed)
 
     @contextmanager
-    def told(self, session: AxisSession) -> Iterator[None]:
-        """Inside, the session goes by it; afterwards by nothing of it, however the job ended: the session may outlast it."""
+    def applied(self, session: AxisSession) -> Iterator[None]:
+        """Apply the statement to the session's zero inside the block, and withdraw it at the end, as the session may outlast the
+        job."""
         keeper = session.zero
         if keeper is None:
             yield
@@ -44,4 +46,4 @@ class OfZero:
             keeper.anew = keeper.instrument_zeroed = False
 
 
-UNSAID = OfZero()
+NO_STATEMENT = ZeroStatement()

@@ -1,4 +1,4 @@
-"""How to go on with what was interrupted: the command line that resumes a campaign, after a failure and in a list."""
+"""Commands that resume an interrupted campaign, as printed after a failure and in a list of campaigns."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from hil.records.journal import FINISHED, Campaign, check_resumable
 from hil.records.zero import FILE, ZeroError, read_zero, what_shows_it
 
 VERBS = ("calibrate", "verify", "close-loop", "lost-motion")
-"""That resume; each measures campaigns of a kind of its own name."""
+"""Verbs with `--resume`; each measures campaigns of its own name."""
 _RESUME = "--resume"
 _NOT_AGAIN = ("--new-zero", "--instrument-zeroed")
-"""Said of the axis as the first run found it; what that run made of it is kept."""
-_ONCE = "--record"  # a recording is a new file each time
+"""Options about the axis before the first run; they are not repeated."""
+_ONCE = "--record"
+"""Option with a new file for each run; it is not repeated."""
 
 
 @dataclass(frozen=True)
-class Left:
-    """A campaign that is not finished, and how many of its lines are confirmed.
+class Unfinished:
+    """An unfinished campaign. lines: number of its confirmed lines.
 
-    refused: why resuming it will be refused, "" where nothing is known against it; needs: what it needs beside the axis as it is.
+    refused: why resuming it will be refused, "" where no reason is known; needs: what resuming needs, such as a homing.
     """
 
     directory: Path
@@ -38,8 +39,8 @@ class Left:
     needs: str = ""
 
 
-def left_behind(args: argparse.Namespace) -> Left | None:
-    """What the verb of this command line, one of `VERBS`, would resume, or refuse to; None where there is nothing."""
+def find_unfinished(args: argparse.Namespace) -> Unfinished | None:
+    """The campaign that the verb of this command line, one of `VERBS`, would resume, or refuse to; None for none."""
     kind = REPLAY if getattr(args, "replay", None) else args.resumes
     try:
         axis = load_axis(args.axis)
@@ -49,8 +50,8 @@ def left_behind(args: argparse.Namespace) -> Left | None:
         return None
 
 
-def _left(directory: Path, axis: AxisConfig | None) -> Left:
-    """axis: whose zero the rows are to be in; None for rows of a recording, and where its file is not known. Raises OSError."""
+def _left(directory: Path, axis: AxisConfig | None) -> Unfinished:
+    """axis: whose zero the rows must have; None for rows of a recording, and where its file is unknown. Raises OSError."""
     lines = 0
     try:
         chained = check_resumable(directory)
@@ -58,20 +59,25 @@ def _left(directory: Path, axis: AxisConfig | None) -> Left:
         rows = read_zero(directory / FILE)
         known = None if axis is None else zero_keeper(axis).kept(rows)
     except (InputError, ZeroError) as error:
-        return Left(directory, lines, refused=" ".join(str(error).split()))
+        return Unfinished(directory, lines, refused=" ".join(str(error).split()))
     needs = None if axis is None or known is None else what_shows_it(known, absolute_encoder=axis.absolute_encoder)
-    return Left(directory, lines, needs=needs or "")
+    return Unfinished(directory, lines, needs=needs or "")
 
 
-def how_to_go_on(args: argparse.Namespace, argv: Sequence[str], before: Left | None, error: BaseException) -> list[str]:
-    """Sentences on how to go on with what this command line did not finish, the command last; none where it left nothing."""
-    now = left_behind(args)
+def resume_hints(
+    args: argparse.Namespace, argv: Sequence[str], before: Unfinished | None, error: BaseException
+) -> list[str]:
+    """Messages on how to resume what this command line did not finish, the command last; empty where it left nothing.
+
+    before: the unfinished campaign before the command line ran; error: that ended it.
+    """
+    now = find_unfinished(args)
     if now is None or isinstance(error, ZeroError):  # resuming finds the same zero: the error says what to do
         return []
     if now == before and not (args.resume and not isinstance(error, LocalError)):
         return []
     if now.refused:
-        return [] if now.refused in str(error) else [f"cannot be gone on with: {now.refused}"]
+        return [] if now.refused in str(error) else [f"cannot be resumed: {now.refused}"]
     words = _said_again(argv)
     command = shlex.join(["hil", *words, *([] if args.resume else [_RESUME])])
     return [*([now.needs] if now.needs else []), f"go on with: {command}"]
@@ -88,7 +94,7 @@ def _said_again(argv: Sequence[str]) -> list[str]:
 
 
 def state_of(campaign: FoundCampaign) -> str:
-    """Of a campaign in a list: "finished", "unfinished", or "" where its verb does not resume."""
+    """State of a campaign in a list: "finished", "unfinished", or "" where its verb does not resume."""
     if (campaign.directory / FINISHED).exists():
         return "finished"
     rows = any(one.records is not None for one in campaign.passes)
@@ -96,37 +102,39 @@ def state_of(campaign: FoundCampaign) -> str:
 
 
 @dataclass(frozen=True)
-class WayOn:
-    """Of an unfinished campaign. command: that goes on with it, None where a later one is resumed instead, its options are not all
-    known, or it will be refused; refused, needs: as of `Left`."""
+class ResumeCommand:
+    """How to resume an unfinished campaign. command: None where a later campaign is resumed instead, its options are not all known,
+    or it will be refused; refused, needs: as of `Unfinished`."""
 
     command: str | None = None
     refused: str = ""
     needs: str = ""
 
     def sentence(self) -> str:
-        """ "" where there is nothing to say."""
+        """As one sentence, "" where there is nothing to resume."""
         if self.refused:
-            return f"cannot be gone on with: {self.refused}"
+            return f"cannot be resumed: {self.refused}"
         needs = f" ({self.needs})" if self.needs else ""
         return f"go on with {self.command}{needs}" if self.command else ""
 
 
-def way_on(campaign: FoundCampaign) -> WayOn:
-    """By what a campaign was started for."""
+def resume_command(campaign: FoundCampaign) -> ResumeCommand:
+    """The command that resumes a campaign, from the purpose stored with it."""
     place = campaign.directory.parent
     found = Campaign.unfinished(place, campaign.kind) if campaign.kind in VERBS else None
     if found is None or found.directory.resolve() != campaign.directory.resolve():
-        return WayOn()
+        return ResumeCommand()
     path = _axis_file(place, campaign.axis)
     try:
         left = _left(campaign.directory, None if path is None else load_axis(path))
     except OSError as error:
-        return WayOn(refused=str(error))
+        return ResumeCommand(refused=str(error))
     options = _options(campaign.purpose)
     if left.refused or options is None:
-        return WayOn(refused=left.refused)
-    return WayOn(shlex.join(["hil", campaign.kind, str(path or "AXIS.toml"), *options, _RESUME]), needs=left.needs)
+        return ResumeCommand(refused=left.refused)
+    return ResumeCommand(
+        shlex.join(["hil", campaign.kind, str(path or "AXIS.toml"), *options, _RESUME]), needs=left.needs
+    )
 
 
 def _options(purpose: Mapping[str, Any]) -> list[str] | None:
@@ -141,7 +149,7 @@ def _options(purpose: Mapping[str, Any]) -> list[str] | None:
 
 
 def _axis_file(place: Path, axis: str) -> Path | None:
-    """The axis file that keeps its campaigns there, None where it does not stand where it usually does."""
+    """The axis file whose campaigns are in `place`, None where it is not in the usual folder."""
     for path in sorted(place.parent.glob("*.toml")):
         try:
             found = load_axis(path)

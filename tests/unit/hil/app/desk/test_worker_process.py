@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.app.desk.worker_process import Aside, Computed, ComputingError
+from hil.app.desk.worker_process import Computed, ComputingError, WorkerProcess
 from hil.app.error_log import ErrorLog
 
 ECHO = "import json, sys; json.dump({'made': [json.load(sys.stdin)['work'], sys.argv[1]]}, sys.stdout)"
@@ -20,11 +20,11 @@ def log(tmp_path: Path) -> ErrorLog:
     return ErrorLog(tmp_path / "errors.log")
 
 
-def aside(text: str, errors: ErrorLog | None = None) -> Aside:
-    return Aside(Path("X.toml"), errors or ErrorLog(Path("errors.log")), (sys.executable, "-c", text))
+def aside(text: str, errors: ErrorLog | None = None) -> WorkerProcess:
+    return WorkerProcess(Path("X.toml"), errors or ErrorLog(Path("errors.log")), (sys.executable, "-c", text))
 
 
-def ended(one: Aside) -> Computed:
+def ended(one: WorkerProcess) -> Computed:
     """Its end is waited for as the desk does when it closes, without ending it."""
     assert one._thread is not None
     one._thread.join(30.0)

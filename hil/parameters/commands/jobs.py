@@ -1,0 +1,349 @@
+"""The jobs of `hil params`: backup, diff and verify read; download, store and restore write; resume and rollback recover."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from drivers.errors import InputError
+from drivers.raw_parameters import WireTime
+from hil.app.terminal.output import Align, print_table, write_json
+from hil.axis.axis_file import DriveAxis
+from hil.parameters.commands.params import add_job, ask_person, load_axes, progress_bars, sets_of
+from hil.parameters.compare import Comparison, Side
+from hil.parameters.formats import FORMATS
+from hil.parameters.job import back_up_axes, compare_axes, recover_axes, set_before_last, set_of_last, write_axes
+from hil.parameters.predict import Prediction, predict, seconds_together
+from hil.parameters.preflight import Objection, match_set
+from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
+from hil.parameters.restart import load_defaults
+from hil.parameters.set_file import ParameterSet
+from hil.parameters.snapshot import Backup
+from hil.parameters.wiring import connected_parameters, unconnected_parameters
+
+
+def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add every job but `table`."""
+    _add_reading(jobs)
+    _add_writing(jobs)
+    _add_recovering(jobs)
+
+
+# -- backup, diff and verify -------------------------------------------------------------------------------------------
+_MOST_DIFFERENCES = 60
+
+
+def _add_reading(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    backup = add_job(jobs, "backup", "read every parameter that can be put back, into a file", _backup)
+    backup.add_argument(
+        "--out", metavar="FILE", action="append", default=[], help="for each axis (default: <name>.params.toml)"
+    )
+    backup.add_argument("--format", choices=FORMATS, help="default: by the file's name, else toml")
+    backup.add_argument("--all", action="store_true", dest="everything", help="also what is read only, to look at")
+    for name, what, run in (
+        ("diff", "what the drive holds differently from a set", _diff),
+        ("verify", "whether the drive holds a set", _verify),
+    ):
+        parser = add_job(jobs, name, what, run, sets="the set to compare with")
+        parser.add_argument(
+            "--any-version", action="store_true", help="also a set read with another revision or firmware"
+        )
+
+
+# -- backup ------------------------------------------------------------------------------------------------------------
+def _backup(args: argparse.Namespace) -> int:
+    """Exit status 0: every drive was read; 1: one was not."""
+    axes = load_axes(args)
+    paths = _outputs(args, axes)
+    with progress_bars() as progress:
+        backups = back_up_axes(axes, paths, args.format, everything=args.everything, progress=progress)
+    for axis, path, backup in zip(axes, paths, backups, strict=True):
+        if backup.contents is None:
+            print(f"{axis.name}: {backup.error}")
+            continue
+        print(f"{axis.name}: {len(backup.contents.entries)} parameters in {path}")
+        for address, why in (backup.unreadable or {}).items():
+            print(f"{axis.name}: {address} is left out: {why}")
+    if args.json:
+        write_json(args.json, {"drives": [_form(*each) for each in zip(paths, backups, strict=True)]})
+    return 0 if all(backup.contents is not None for backup in backups) else 1
+
+
+def _outputs(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[Path]:
+    if not args.out:
+        suffix = args.format or "toml"
+        return [axis.path.resolve().parent / f"{axis.name}.params.{suffix}" for axis in axes]
+    if len(args.out) != len(axes):
+        raise InputError(f"--out is given {len(args.out)} times, expected once for each of {len(axes)} axes")
+    return [Path(path) for path in args.out]
+
+
+def _form(path: Path, backup: Backup) -> dict[str, object]:
+    contents = backup.contents
+    return {
+        "drive": backup.drive.name,
+        "good": contents is not None,
+        "error": backup.error,
+        "file": str(path) if contents is not None else None,
+        "parameters": len(contents.entries) if contents is not None else 0,
+        "hash": contents.hash if contents is not None else None,
+        "unreadable": backup.unreadable or {},
+    }
+
+
+# -- diff and verify ---------------------------------------------------------------------------------------------------
+def _diff(args: argparse.Namespace) -> int:
+    """Exit status 0: compared, with or without differences; 1: a drive did not answer."""
+    comparisons = _compared(args)
+    for comparison in comparisons:
+        _print_comparison(comparison, costs=True)
+    _write_json(args, comparisons)
+    return 1 if any(comparison.error for comparison in comparisons) else 0
+
+
+def _verify(args: argparse.Namespace) -> int:
+    """Exit status 0: every drive holds its set; 1: one does not, or did not answer."""
+    comparisons = _compared(args)
+    for comparison in comparisons:
+        _print_comparison(comparison, costs=False)
+    _write_json(args, comparisons)
+    return 0 if all(comparison.same for comparison in comparisons) else 1
+
+
+def _compared(args: argparse.Namespace) -> list[Comparison]:
+    axes = load_axes(args)
+    sets = sets_of(args, axes)
+    with progress_bars() as progress:
+        return compare_axes(axes, sets, any_version=args.any_version, progress=progress)
+
+
+def _write_json(args: argparse.Namespace, comparisons: Sequence[Comparison]) -> None:
+    if args.json:
+        good = all(each.same for each in comparisons)
+        write_json(args.json, {"good": good, "drives": [each.as_json() for each in comparisons]})
+
+
+def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
+    name = comparison.drive.name
+    rows = [row for row in comparison.rows if row.side is not Side.SAME]
+    same = len(comparison.rows) - len(rows)
+    print(f"{name}: {same} of {len(comparison.contents.entries)} parameters as in the set, {len(rows)} not")
+    if rows:
+        cells = [
+            [row.address, row.name, shown(row.held), shown(row.wanted), row.unit, row.why or row.side.value]
+            for row in rows
+        ]
+        print_parameters("held", cells, _MOST_DIFFERENCES)
+    for objection in comparison.objections:
+        print(f"{name}: {objection}")
+    if comparison.error:
+        print(f"{name}: {comparison.error}")
+    elif costs:
+        print_costs(name, "a download", [comparison.cost], comparison.answer_s)
+
+
+# -- download, store and restore ---------------------------------------------------------------------------------------
+def _add_writing(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = add_job(jobs, "download", "write a set to the drive: all or nothing, read back", _download, sets="the set")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="look at the set and the drive's file only, and predict; nothing is sent"
+    )
+    store = add_job(
+        jobs, "store", "have the drive keep what it was last told", _store, sets="what it must hold for that"
+    )
+    restore = add_job(jobs, "restore", "as before the last download, or as a backup has it", _restore, sets="a backup")
+    restore.add_argument("--factory", action="store_true", help="the maker's defaults instead (1011h), and a restart")
+    for job in (parser, restore):
+        job.add_argument("--store", action="store_true", help="have the drive keep it, after all of it was proven")
+    for job in (parser, store, restore):
+        job.add_argument(
+            "--audit", action="store_true", help="after storing, start the drive anew and read all of it again"
+        )
+        job.add_argument("--any-version", action="store_true", help="also a set read with another revision or firmware")
+
+
+def _download(args: argparse.Namespace) -> int:
+    """Exit status 0: every drive holds its set; 1: they were refused, put back, or are unfinished."""
+    axes = load_axes(args)
+    sets = sets_of(args, axes)
+    if args.dry_run:
+        return _dry_run(args, axes, sets)
+    return _write_sets(args, axes, sets, store=args.store)
+
+
+def _write_sets(
+    args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet], *, store: bool
+) -> int:
+    if args.audit and not store:
+        raise InputError("--audit needs --store: values that are not stored are lost at a restart")
+    ask = ask_person if args.audit else None
+    with progress_bars() as progress:
+        reports = write_axes(axes, sets, store=store, ask=ask, any_version=args.any_version, progress=progress)
+    return print_reports(reports, args.json)
+
+
+def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet]) -> int:
+    predictions: list[Prediction] = []
+    objections: list[list[Objection]] = []
+    with unconnected_parameters(axes) as drives:
+        for drive, contents in zip(drives, sets, strict=True):
+            wanted, against = match_set(drive, contents)
+            predictions.append(predict(drive, wanted))
+            objections.append(against)
+            print(
+                f"{drive.name}: would look at {len(wanted)} parameters and write those that differ, then read them back"
+            )
+            for objection in against:
+                print(f"{drive.name}: would be refused: {objection}")
+    for prediction in predictions:
+        print_costs(prediction.drive, "looking", [prediction.look])
+        print_costs(prediction.drive, "writing all and reading back", [prediction.write])
+    if len(predictions) > 1:
+        print_costs("together", "all of it", [prediction.whole for prediction in predictions])
+    if args.store:
+        print("would have the drives keep it")
+    if args.json:
+        forms = [
+            {**prediction.as_json(), "objections": [vars(each) for each in against]}
+            for prediction, against in zip(predictions, objections, strict=True)
+        ]
+        write_json(args.json, {"good": not any(objections), "drives": forms})
+    return 1 if any(objections) else 0
+
+
+# -- store -------------------------------------------------------------------------------------------------------------
+def _store(args: argparse.Namespace) -> int:
+    """Exit status 0: every drive held its set and stored it; 1: one does not hold it, or did not store."""
+    axes = load_axes(args)
+    sets = sets_of(args, axes) if args.sets else [set_of_last(axis) for axis in axes]
+    with progress_bars() as progress:
+        compared = compare_axes(axes, sets, any_version=args.any_version, progress=progress)
+    differing = [each for each in compared if not each.same]
+    for each in differing:
+        why = each.error or "; ".join(str(objection) for objection in each.objections) or "it holds other values"
+        print(f"{each.drive.name}: not stored, as it does not hold {each.contents.name}: {why} (`hil params diff`)")
+    if differing:
+        if args.json:
+            write_json(args.json, {"good": False, "drives": [each.as_json() for each in compared]})
+        return 1
+    return _write_sets(args, axes, sets, store=True)
+
+
+# -- restore -----------------------------------------------------------------------------------------------------------
+def _restore(args: argparse.Namespace) -> int:
+    """Exit status 0: every drive holds the earlier values; 1: they were refused, put back, or are unfinished."""
+    axes = load_axes(args)
+    if args.factory:
+        return _factory(args, axes)
+    sets = sets_of(args, axes) if args.sets else [set_before_last(axis) for axis in axes]
+    return _write_sets(args, axes, sets, store=args.store)
+
+
+def _factory(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> int:
+    if args.sets or args.store or args.audit:
+        raise InputError("--factory goes with no other option: the drive loads its defaults itself, and stores them")
+    with connected_parameters(axes) as drives:
+        errors = load_defaults(drives, ask_person)
+    reports = [
+        JobReport(drive.name, Ending.UNFINISHED if error else Ending.WRITTEN, error=error)
+        for drive, error in zip(drives, errors, strict=True)
+    ]
+    for report in reports:
+        print(f"{report.drive}: {report.error or 'holds its factory defaults, and was started anew'}")
+    if args.json:
+        write_json(args.json, {"good": not any(errors), "drives": [report.as_json() for report in reports]})
+    return 1 if any(errors) else 0
+
+
+# -- resume and rollback -----------------------------------------------------------------------------------------------
+def _add_recovering(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    add_job(jobs, "resume", "finish a download that was cut off", partial(_recover, forward=True))
+    add_job(
+        jobs,
+        "rollback",
+        "have everything as it was before a download that was cut off",
+        partial(_recover, forward=False),
+    )
+
+
+def _recover(args: argparse.Namespace, *, forward: bool) -> int:
+    """Exit status 0: finished, or nothing to finish; 1: still unfinished."""
+    with progress_bars() as progress:
+        reports = recover_axes(load_axes(args), forward=forward, progress=progress)
+    if not reports:
+        print("nothing to do: no download was cut off")
+        if args.json:
+            write_json(args.json, {"good": True, "drives": []})
+        return 0
+    return print_reports(reports, args.json)
+
+
+# -- output ------------------------------------------------------------------------------------------------------------
+_MOST_ROWS = 40  # of parameters that nothing became of
+
+
+def print_reports(reports: Sequence[JobReport], json: str | None) -> int:
+    """Print the reports and write them to the JSON file; returns the exit status."""
+    for report in reports:
+        _print_report(report)
+    if json:
+        write_json(json, {"good": all(each.good for each in reports), "drives": [each.as_json() for each in reports]})
+    return 0 if all(each.good for each in reports) else 1
+
+
+def print_parameters(held: str, rows: Sequence[Sequence[str]], most: int) -> None:
+    """A table of parameters: value held, value of the set, outcome; at most `most` rows. held: head of that column."""
+    columns: list[str | tuple[str, Align]] = ["address", ("name", "left"), held, "set", ("unit", "left"), ("", "left")]
+    print_table(columns, rows[:most])
+    if len(rows) > most:
+        print(f"… and {len(rows) - most} more (--json FILE has all)")
+
+
+def _print_report(report: JobReport) -> None:
+    counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in Verdict}
+    told = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items() if count)
+    print(f"{report.drive}: {report.ending.value}" + (f" ({told}; {report.seconds:.3f} s)" if told else ""))
+    refused = report.ending is Ending.REFUSED  # then the reasons matter
+    changed = [row for row in report.rows if row.verdict is not Verdict.SAME and not refused]
+    if changed:
+        print_parameters("before", [_cells(row) for row in changed], _MOST_ROWS)
+    for objection in report.objections:
+        print(f"{report.drive}: {objection}")
+    for line in (report.error, *report.notes):
+        if line:
+            print(f"{report.drive}: {line}")
+    if report.stored:
+        print(f"{report.drive}: stored")
+    if report.audited is not None:
+        lost = f"{len(report.lost)} parameters differ after its restart: {', '.join(report.lost[:8])}"
+        print(f"{report.drive}: " + ("after its restart it still holds all of it" if report.audited else lost))
+    if report.journal:
+        print(f"{report.drive}: `hil params resume` or `hil params rollback` finishes it ({report.journal})")
+    _print_slow(report)
+
+
+def _cells(row: Row) -> list[str]:
+    return [row.address, row.name, shown(row.old), shown(row.new), row.unit, row.verdict.value]
+
+
+def _print_slow(report: JobReport) -> None:
+    for row in slow(report.rows)[:5]:
+        times = [f"{kind} {1e3 * time:.1f} ms" for kind, time in (("read", row.read_s), ("write", row.write_s)) if time]
+        print(f"{report.drive}: slow: {row.address} {row.name}, {', '.join(times)}")
+
+
+def print_costs(who: str, what: str, costs: Sequence[WireTime], answer_s: float = 0.0) -> None:
+    """Print frames, bits and duration of accesses. answer_s: the drive's own time for one answer, s."""
+    total = sum(costs, WireTime())
+    least, likely, most = seconds_together(costs, answer_s)
+    print(
+        f"{who}: {what} takes {total.frames} frames, {total.bits_likely} bits ({total.bits_least} without stuffing, at most"
+        f" {total.bits_most}): {1e3 * likely:.1f} ms ({1e3 * least:.1f} to {1e3 * most:.1f})"
+        + (
+            f" with {1e3 * answer_s:.2f} ms of the drive's own for each answer"
+            if answer_s
+            else " and what the drives take to answer"
+        )
+    )
