@@ -14,7 +14,7 @@ from support.sim_process import sim
 
 from drivers.clock import WallClock
 from hil.app.terminal.main import main
-from hil.machine.command import parse_ids
+from hil.machine.commands.scan import parse_ids
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import served
 from sim_backends.modbus_cia402 import Cia402Registers

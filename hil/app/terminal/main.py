@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     "demo": ("app.terminal.demo", "the whole loop on the built-in bench"),
-    "scan": ("machine.command", "who is on the bus"),
+    "scan": ("machine.commands.scan", "who is on the bus"),
     "doctor": ("doctor.command", "preflight: drive, limits, instrument, units, speed"),
     "calibrate": ("calibration.commands.calibrate", "measure, compute tables, store them sealed, prove them"),
     "verify": ("calibration.commands.verify", "measure with the correction in force at other targets"),
@@ -45,7 +45,7 @@ VERBS = {
     "diagnose": ("diagnosis.commands.diagnose", "trace what is left to an effect"),
     "fit": ("diagnosis.commands.fit", "a baseline model from records"),
     "apply": ("diagnosis.commands.apply", "the correction of a model for each row of records"),
-    "iso230": ("figures.command", "the figures of ISO 230-2"),
+    "iso230": ("figures.commands.iso230", "the figures of ISO 230-2"),
     "records": ("records.command", "campaigns on disk: list, inspect, merge, export, history"),
     "report": ("app.report.command", "one HTML file from records: plots, ISO 230-2 figures, data"),
     "export": ("correction.formats.commands.export", "the tables as a controller's file"),

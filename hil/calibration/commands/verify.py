@@ -23,7 +23,7 @@ from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.app.terminal.summary import print_stages
 from hil.axis.axis_file import load_axis
 from hil.calibration.job import run_verification, verification_plan
-from hil.figures.command import print_figures
+from hil.figures.commands.iso230 import print_figures
 from hil.figures.iso230 import iso230
 from hil.records.files import replace_file
 

@@ -94,7 +94,7 @@ def test_a_mistake_of_the_program_is_one_line_and_its_traceback_a_file(
     records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hil.figures.command.run", mistaken)
+    monkeypatch.setattr("hil.figures.commands.iso230.run", mistaken)
     log = tmp_path / "state" / "hil" / "errors.log"
     assert entry.main(["iso230", str(records)]) == 1
     assert capsys.readouterr().err == f"hil: LookupError: nobody foresaw this; the traceback is in {log}\n"
@@ -112,7 +112,7 @@ def test_a_file_that_cannot_be_written_hides_no_mistake(
 ) -> None:
     (tmp_path / "state").write_text("no directory")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hil.figures.command.run", mistaken)
+    monkeypatch.setattr("hil.figures.commands.iso230.run", mistaken)
     assert entry.main(["iso230", str(records)]) == 1
     assert "LookupError: nobody foresaw this; its traceback cannot be kept in" in capsys.readouterr().err
 
@@ -129,7 +129,7 @@ def test_a_thread_that_nobody_watches_tells_its_mistake_and_leaves_its_traceback
 
     hook = threading.excepthook
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hil.figures.command.run", run)
+    monkeypatch.setattr("hil.figures.commands.iso230.run", run)
     assert entry.main(["iso230", str(records)]) == 0
     log = tmp_path / "state" / "hil" / "errors.log"
     assert capsys.readouterr().err == f"hil: LookupError: nobody foresaw this; the traceback is in {log}\n"

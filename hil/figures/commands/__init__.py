@@ -1,0 +1,1 @@
+"""The verb of figures: `hil iso230`."""
