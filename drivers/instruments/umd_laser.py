@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from drivers.air import HELIUM_NEON_VACUUM_NM, refractive_index
 from drivers.clock import Clock
+from drivers.edlen import HELIUM_NEON_VACUUM_NM, refractive_index
 from drivers.errors import InputError, LinkLostError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 from drivers.instruments.lines import BadLine

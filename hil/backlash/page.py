@@ -12,7 +12,7 @@ from hil.app.panel.pieces import draw_where
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
 from hil.backlash import job as backlash
-from hil.backlash.screen import backlash_screen
+from hil.backlash.page_data import backlash_screen
 
 Refresh = Callable[[], None]
 

@@ -17,7 +17,7 @@ from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
-from hil.calibration.screen import SHOWN, STAGES, CalibrationScreen, MeasuredStage, calibration_screen
+from hil.calibration.page_data import SHOWN, STAGES, CalibrationScreen, MeasuredStage, calibration_screen
 
 Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]

@@ -17,8 +17,8 @@ from hil.app.panel.view import View
 from hil.app.report.job import Wanted
 from hil.axis.axis_file import AxisConfig
 from hil.diagnosis.loop.page import draw_loop
+from hil.diagnosis.page_data import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
 from hil.diagnosis.pages.sentences import parameter, sentence
-from hil.diagnosis.screen import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
 
 Refresh = Callable[[], None]
 Kept = Reading[DiagnosisScreen]

@@ -1,6 +1,6 @@
 """The refractive index of air from sensor columns, for the effects of an interferometer without compensation for it.
 
-The modified Edlén equation of `drivers.air`, at the vacuum wavelength of a helium-neon laser.
+The modified Edlén equation of `drivers.edlen`, at the vacuum wavelength of a helium-neon laser.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.air import refractivity
+from drivers.edlen import refractivity
 from hil.effects.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ STANDARD = {"air_temp_c": 20.0, "air_pressure_hpa": 1013.25, "air_humidity_perce
 
 def refractivity_ppm(temp_c: Floats, pressure_hpa: Floats, humidity_percent: Floats) -> Floats:
     """(n - 1)·10⁶ of air at °C, hPa and % relative humidity, shape of the inputs. Source: modified Edlén, see
-    `drivers.air`.
+    `drivers.edlen`.
     """
     return np.asarray(refractivity(temp_c, pressure_hpa, humidity_percent) * 1e6)
 

@@ -19,8 +19,8 @@ from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
 from hil.lost_motion.estimate import separately_determined
 from hil.lost_motion.job import MeasuredLostMotion
+from hil.lost_motion.page_data import lost_motion_screen, proof_points, resumable, rise_curves
 from hil.lost_motion.procedure import rms
-from hil.lost_motion.screen import lost_motion_screen, proof_points, resumable, rise_curves
 from hil.records.rows import UM_PER_MM
 
 Refresh = Callable[[], None]

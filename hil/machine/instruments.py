@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from drivers import air
+from drivers import ciddor
+from drivers import edlen as air
 from drivers.clock import Clock
 from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument
-from drivers.instruments import ciddor
 from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
 from drivers.instruments.gauge import Gauge
 from drivers.instruments.link import PatientLink

@@ -17,8 +17,8 @@ from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command
 from hil.figures.reading import RULE
 from hil.machine.events import Event, Listener, Point, silent
+from hil.machine.retry_point import retry_after_signal_loss
 from hil.machine.session import AxisSession, PositionReading
-from hil.machine.signal_loss import retry_after_signal_loss
 from hil.records.journal import Campaign, RowJournal
 from hil.records.rows import UM_PER_MM, Records
 

@@ -6,7 +6,7 @@ from collections import deque
 
 from drivers.clock import NS_PER_S
 from hil.axis.agreement import DATED_WITHIN_S
-from hil.machine.agreement import FASTER_SHARE
+from hil.machine.instrument_check import FASTER_SHARE
 
 OVER_S = 1.0
 """Longest time between two positions that are compared, s."""

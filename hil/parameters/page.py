@@ -14,7 +14,7 @@ from hil.app.panel.view import View
 from hil.parameters import job as parameters
 from hil.parameters.job import LARGEST_BYTES, keep_set, require_size, set_files
 from hil.parameters.journal import Download
-from hil.parameters.screen import ParameterRow, parameters_screen
+from hil.parameters.page_data import ParameterRow, parameters_screen
 from hil.parameters.set_file import ParameterSet
 
 Refresh = Callable[[], None]

@@ -15,12 +15,7 @@ from hil.app.panel.view import View
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import MODES
-from hil.probe.pages.at_probe import ProbePage
-from hil.probe.pages.correct import draw_corrections
-from hil.probe.pages.history import draw_history
-from hil.probe.pages.spindle_drawing import around_the_spindle
-from hil.probe.runout import RunOut
-from hil.probe.screen import (
+from hil.probe.page_data import (
     ProbeRecord,
     angle_deg,
     ball_positions,
@@ -32,6 +27,11 @@ from hil.probe.screen import (
     worst_closure_um,
     writable,
 )
+from hil.probe.pages.at_probe import ProbePage
+from hil.probe.pages.correct import draw_corrections
+from hil.probe.pages.history import draw_history
+from hil.probe.pages.spindle_drawing import around_the_spindle
+from hil.probe.runout import RunOut
 from hil.records.rows import UM_PER_MM
 
 Refresh = Callable[[], None]

@@ -21,12 +21,12 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import job as calibrate
 from hil.calibration.explore import Exploration
 from hil.calibration.job import CALIBRATE
-from hil.calibration.screen import calibration_screen
+from hil.calibration.page_data import calibration_screen
 from hil.diagnosis.loop.job import loop_job
 from hil.diagnosis.loop.jobs.plan import Looped, feeds_of, passes_at
 from hil.diagnosis.loop.jobs.stored import STAGES, StoredLoop, stored_loop
 from hil.diagnosis.loop.procedure import Turning
-from hil.diagnosis.screen import diagnosis_screen
+from hil.diagnosis.page_data import diagnosis_screen
 from hil.machine.events import Event, Point
 from hil.records.rows import read_csv
 

@@ -160,7 +160,7 @@ def test_a_set_that_is_brought(axis: DriveAxis, tmp_path: Path) -> None:
 
 
 def test_what_the_screen_says_of_each_outcome(axis: DriveAxis) -> None:
-    from hil.parameters.screen import parameters_screen  # noqa: PLC0415
+    from hil.parameters.page_data import parameters_screen  # noqa: PLC0415
 
     class Last:
         """A desk whose only job is this one."""

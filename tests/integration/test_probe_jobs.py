@@ -23,8 +23,7 @@ from hil.axis.axis_file import load_drive_axis
 from hil.correction.sealed import Cost, WrongPasswordError, new_key, save_private_key, save_public_key
 from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
-from hil.probe.runout import CorrectionCode
-from hil.probe.screen import (
+from hil.probe.page_data import (
     ProbeRecord,
     centred_at,
     contacts,
@@ -36,6 +35,7 @@ from hil.probe.screen import (
     store_at,
     writable,
 )
+from hil.probe.runout import CorrectionCode
 from hil.records.files import held
 from sim_backends.plant.touch_probe import Bore
 from sim_backends.probe_bench import ProbeBench

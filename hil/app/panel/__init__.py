@@ -7,7 +7,7 @@ How a page is added
    `place.drive`, `place.session`, `place.machine()`, `place.opened_store()`, `place.listener` for events, `place.tell` for messages,
    `place.ask` for questions to the operator (a line in `[ask]`; they are shown on every page).
    A plan that is `locked` needs the builder's role.
-2. Contents that are more than one figure of the desk go to `hil/<room>/screen.py`: a function of the desk that returns a frozen
+2. Contents that are more than one figure of the desk go to `hil/<room>/page_data.py`: a function of the desk that returns a frozen
    value (`backlash_screen`), tested without a browser.
 3. `hil/<room>/page.py` has `draw(view: View) -> None`. It puts elements on the screen and calls `view.every(refresh)`. It makes
    figures with `view.value(key, unit)`, buttons with `view.button(key, action)`, frames with `with view.card(key)`, names any other

@@ -11,7 +11,7 @@ from nicegui import ui
 from hil.app.panel.pieces import Latest
 from hil.app.panel.plots import COLOURS, chart_options
 from hil.app.panel.view import View
-from hil.lost_motion.screen import CircleCurves
+from hil.lost_motion.page_data import CircleCurves
 
 Points = Sequence[tuple[float, float]]
 Options = dict[str, Any]

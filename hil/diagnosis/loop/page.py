@@ -13,7 +13,7 @@ from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, feeds_of, passes_at
-from hil.diagnosis.screen import DiagnosisScreen
+from hil.diagnosis.page_data import DiagnosisScreen
 from hil.diagnosis.stored import measurement_of
 
 Refresh = Callable[[], None]

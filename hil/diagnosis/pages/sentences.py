@@ -11,7 +11,7 @@ import re
 from string import Formatter
 
 from hil.app.panel.texts import Texts
-from hil.diagnosis.screen import ShownFinding
+from hil.diagnosis.page_data import ShownFinding
 
 UNITS = {
     "_um_s2_per_mm2": "µm·s²/mm²",

@@ -13,7 +13,7 @@ from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
 from hil.lost_motion.circle import job as circle
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
-from hil.lost_motion.screen import circle_curves, driven_circle
+from hil.lost_motion.page_data import circle_curves, driven_circle
 
 Refresh = Callable[[], None]
 RADIUS_MM, FEED_MM_MIN, S_PER_MIN = 10.0, 100.0, 60.0

@@ -10,7 +10,7 @@ from hil.app.desk.desk import Desk
 from hil.app.jobs.job import Job
 from hil.app.panel.view import View
 from hil.probe.machine_file import ProbeMachineConfig
-from hil.probe.screen import last_at, lent, store_at
+from hil.probe.page_data import last_at, lent, store_at
 from hil.probe.store import RunOutStore
 
 

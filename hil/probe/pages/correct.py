@@ -8,10 +8,10 @@ from nicegui import ui
 
 from hil.app.panel.pieces import Reading
 from hil.probe import job as probe
+from hil.probe.page_data import ProbeRecord, centred_at, corrected_at
 from hil.probe.pages.at_probe import ProbePage
 from hil.probe.procedure import Correction
 from hil.probe.runout import CorrectionCode
-from hil.probe.screen import ProbeRecord, centred_at, corrected_at
 from hil.records.rows import UM_PER_MM
 
 Refresh = Callable[[], None]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
 from hil.app.panel.pieces import Latest, Reading, Table
 from hil.app.panel.view import View
-from hil.probe.screen import STORED, HistoryCurves, HistoryEntry, ProbeRecord, history_curves
+from hil.probe.page_data import STORED, HistoryCurves, HistoryEntry, ProbeRecord, history_curves
 
 WORDS = ("when", "mode", "verdict")
 FIGURES = ("x", "y", "radius", "closure")

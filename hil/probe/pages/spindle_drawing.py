@@ -8,7 +8,7 @@ from typing import Any
 from hil.app.panel.drawings import Options, angle_axis, inks
 from hil.app.panel.plots import COLOURS
 from hil.app.panel.view import View
-from hil.probe.screen import BallPositions
+from hil.probe.page_data import BallPositions
 
 REACH = 1.25
 """Radius of the plot, as a multiple of the outermost position."""

@@ -12,9 +12,9 @@ from hil.app.panel.texts import LANGUAGES, Texts
 from hil.diagnosis.follow_up import ALONE_MIN
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
+from hil.diagnosis.page_data import ShownFinding
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.result import Finding, RivalFound
-from hil.diagnosis.screen import ShownFinding
 from hil.diagnosis.verdict.suspected import suspected_note
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete

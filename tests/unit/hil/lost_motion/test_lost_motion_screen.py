@@ -12,7 +12,7 @@ from hil.lost_motion.circle.job import AFTER, BEFORE, Axes, DrivenCircle
 from hil.lost_motion.circle.procedure import CircleRun
 from hil.lost_motion.estimate import Estimate, estimate
 from hil.lost_motion.fit import MeasuredReversal
-from hil.lost_motion.screen import circle_curves, rise_curves
+from hil.lost_motion.page_data import circle_curves, rise_curves
 
 AMOUNT_UM = 30.0
 MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 2.0, 14)])

@@ -14,9 +14,9 @@ from support import probe_files
 from hil.app.jobs.plan import Move, Plan
 from hil.probe.job import centring_plan, codes, correction_plan, measuring_plan
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
+from hil.probe.page_data import HistoryEntry, ball_positions, history_curves, history_entries, std_um, worst_closure_um
 from hil.probe.procedure import RunOutMeasurement
 from hil.probe.runout import CorrectionCode, FourFeeds, RunOut, mean_feeds, run_out
-from hil.probe.screen import HistoryEntry, ball_positions, history_curves, history_entries, std_um, worst_closure_um
 from hil.probe.store import RunOutStore
 
 BALL_UM = 30.0 - 40.0j

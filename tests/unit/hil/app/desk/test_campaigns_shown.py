@@ -14,10 +14,10 @@ from hil.app.desk.campaigns import axis_history, measurements, reports
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion import InMotion
-from hil.calibration.screen import calibration_screen, latest
+from hil.calibration.page_data import calibration_screen, latest
 from hil.diagnosis.loop.jobs.plan import feeds_of, unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
-from hil.diagnosis.screen import diagnosis_screen
+from hil.diagnosis.page_data import diagnosis_screen
 from hil.diagnosis.stored import measurement_of, read_stored, sources
 from hil.records.rows import Records, to_csv
 

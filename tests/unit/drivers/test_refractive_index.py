@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivers.air import refractive_index, saturation_vapour_pressure_pa
+from drivers import ciddor
+from drivers.edlen import refractive_index, saturation_vapour_pressure_pa
 from drivers.errors import InputError
-from drivers.instruments import ciddor
 from sim_backends.plant import air as truth
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from drivers.air import HELIUM_NEON_VACUUM_NM, check_air
+from drivers.edlen import HELIUM_NEON_VACUUM_NM, check_air
 
 _R = 8.314510  # J/(mol K), as in the paper
 _DRY_KG = 28.9635e-3 + 12.011e-9 * (450.0 - 400.0)

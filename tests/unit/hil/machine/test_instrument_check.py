@@ -19,7 +19,7 @@ from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.set_points import SetPointSettings
 from hil.axis.agreement import AgreementLimits
-from hil.machine.agreement import Agreement
+from hil.machine.instrument_check import Agreement
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import geometric_axis
