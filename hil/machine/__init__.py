@@ -1,10 +1,10 @@
 """The session at a machine: axes that are moved, watched and stopped together, and the rows that are measured on them.
 
 supervisor     moves the axes, watches them, stops them     watched_axis     one look at a drive and its instrument
-agreement      instrument against motor                     overspeed        motor speed against commanded speed
+instrument_check  instrument against motor                  overspeed        motor speed against commanded speed
 position_check motor position against travel and rest       time_out         likely reason of a motion that times out
 session        drive, instrument and correction together    set_points       command for a target
 measure        a pass of steps                              dwell            averaging at a target
-signal_loss    resume after a lost beam                     signals          SIGINT, SIGTERM, SIGHUP
+retry_point    resume after a lost beam                      signals          SIGINT, SIGTERM, SIGHUP
 wiring         axis file -> session (one axis)              axes_wiring      the same for several axes
 """

@@ -19,7 +19,7 @@ from typing import Any
 from unittest.mock import patch
 
 from hostile.can_peer import HostileBus
-from hostile.judge import DATUM_MM, REACH_MM, ROW_MM, WALL_S, HangError, Rows, Truth, ended_after
+from hostile.judge import DATUM_MM, HOMING_MM, REACH_MM, ROW_MM, WALL_S, HangError, Rows, Truth, ended_after
 from hostile.peer import when_due
 from hostile.places import TRAVEL_MM, VERBS, Place
 
@@ -240,9 +240,9 @@ def _judged(case: Break, error: BaseException | None, truth: Truth, rows: Rows, 
         yield f"ends by {type(error).__name__}: {error}"
     elif error is not None and case.method in KEEPS_ZERO:
         yield f"does not go on: {' '.join(str(error).split())[:200]}"
-    off_mm = max(TRAVEL_MM[0] - truth.low_mm, truth.high_mm - TRAVEL_MM[1])
-    if off_mm > REACH_MM:
-        yield f"{off_mm:.2f} mm outside the limits"
+    below_mm, above_mm = TRAVEL_MM[0] - truth.low_mm, truth.high_mm - TRAVEL_MM[1]
+    if below_mm > HOMING_MM or above_mm > REACH_MM:
+        yield f"{max(below_mm, above_mm):.2f} mm outside the limits"
     if not rows.off_mm:
         return
     spread_mm = max(rows.off_mm) - min(rows.off_mm)
