@@ -94,6 +94,7 @@ def test_an_axis_is_examined_over_a_real_wire(wire: str, tmp_path: Path) -> None
         assert at.stands_disabled()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wire",
     [pytest.param("modbus tcp", marks=SLOW), "slcan", pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])],
@@ -149,6 +150,7 @@ SILENT = (signal.SIGSTOP, r"instrument umd: no reading (for|in) ")
 KILLED = (signal.SIGKILL, r"port /dev/pts/.* is gone")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wire", "number", "words"),
     [
@@ -206,6 +208,7 @@ def test_a_guarded_drive_stops_by_itself_when_its_master_is_killed(wire: str, tm
         assert at.machine.left["position_mm"] < 15.0, "it was on its way there"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("homing", "resumes"), [((), True), (("--homing", "37"), False)], ids=["switch", "37"])
 def test_resume_in_another_process_stays_in_the_zero(
     homing: tuple[str, ...],

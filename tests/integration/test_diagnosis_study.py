@@ -23,6 +23,7 @@ def test_nothing_is_found_on_a_clean_machine(seed: int) -> None:
     assert not outcome.unexplained
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", OUTSIDE[:3])
 def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
     outcome = run(Case("outside", 31, (effect,), (3.0,)))
