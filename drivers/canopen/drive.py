@@ -49,6 +49,10 @@ from drivers.undo import undo_all
 __all__ = ["CanOpenDrive", "CanOpenSettings", "HomingSettings", "Identity"]
 
 
+STRAYS_MM = 1.0
+"""How far outside its way an axis may be seen while it takes a set-point: more than moves overshoot, and than a load sags."""
+
+
 class CanOpenDrive(StoppableDrive):
     """One node as a drive. identity: of the device, known once open."""
 
@@ -80,6 +84,7 @@ class CanOpenDrive(StoppableDrive):
                 self.clock,
                 handshake_s=self.settings.handshake_timeout_s,
                 mode_s=self.settings.mode_timeout_s,
+                strays=round(STRAYS_MM * self.scaling.counts_per_load_mm),
             )
             self.homing = Homing(self.name, self.power, self.motion)
             self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)

@@ -18,7 +18,14 @@ from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveState
-from drivers.errors import CapabilityError, DriveFaultError, LimitError, ProtocolError, StateError
+from drivers.errors import (
+    CapabilityError,
+    DriveFaultError,
+    FollowingErrorError,
+    LimitError,
+    ProtocolError,
+    StateError,
+)
 from drivers.undo import undo_all
 
 POLL_S = 0.001
@@ -43,6 +50,15 @@ LOOK_S = 0.01
 
 
 @dataclass(frozen=True)
+class _Way:
+    """Positions that an axis may be seen at while a set-point is handed over, counts."""
+
+    low: int
+    high: int
+    target: int
+
+
+@dataclass(frozen=True)
 class _Queued:
     """A following set-point that the drive holds. limited: whether bit 11 was set before it began, by the move before it."""
 
@@ -51,10 +67,20 @@ class _Queued:
 
 
 class ProfileMotion:
-    """Motion orders to one open drive. handshake_s and mode_s: longest time for the acknowledgement, s."""
+    """Motion orders to one open drive. handshake_s and mode_s: longest time for the acknowledgement, s. strays: how far outside its
+    path an axis may be meanwhile, counts.
+    """
 
     def __init__(
-        self, sdo: SdoClient, power: PowerStage, sampler: Sampler, clock: Clock, *, handshake_s: float, mode_s: float
+        self,
+        sdo: SdoClient,
+        power: PowerStage,
+        sampler: Sampler,
+        clock: Clock,
+        *,
+        handshake_s: float,
+        mode_s: float,
+        strays: int,
     ) -> None:
         self._sdo = sdo
         self._power = power
@@ -62,12 +88,14 @@ class ProfileMotion:
         self._clock = clock
         self._handshake_s = handshake_s
         self._mode_s = mode_s
+        self._strays = strays
         self._written: dict[Entry, int] = {}
         self._found: dict[Entry, int] = {}  # values of the drive before they were written
         self.supported_modes = sdo.read(objects.SUPPORTED_MODES)
         self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
         self.halted = False
         self._queued: _Queued | None = None
+        self._going: tuple[int, ...] = ()  # targets of the move in progress and of the one that follows it
 
     def supports(self, mode: Mode) -> bool:
         """Whether 6502h lists the mode."""
@@ -89,6 +117,7 @@ class ProfileMotion:
         if mode not in (Mode.PROFILE_POSITION, Mode.HOMING):
             self.stay()
         self._remember(objects.MODE)
+        self._going = ()
         self._sdo.write(objects.MODE, mode)
         deadline = self._clock.deadline(self._mode_s)
         while (shown := self._sdo.read(objects.MODE_DISPLAY)) != mode:
@@ -99,6 +128,7 @@ class ProfileMotion:
 
     def stay(self) -> None:
         """Write set-points that move nothing: target position := actual position, target velocity and torque := 0."""
+        self._going = ()
         self.set(objects.TARGET_POSITION, self._sdo.read(objects.POSITION_ACTUAL), always=True)
         if self.supports(Mode.PROFILE_VELOCITY) or self.supports(Mode.CYCLIC_VELOCITY):
             self.set(objects.TARGET_VELOCITY, 0, always=True)
@@ -135,8 +165,9 @@ class ProfileMotion:
 
         It replaces the move in progress, or follows it where `after_the_present` (the drive holds one such set-point). Raises
         StateError when it holds one already, before anything is written, LimitError when the drive limits the target, ProtocolError
-        for a handshake that is not acknowledged, DriveFaultError.
+        for a handshake that is not acknowledged, FollowingErrorError for an axis that moves elsewhere meanwhile, DriveFaultError.
         """
+        way = self._way(target, velocity, acceleration)
         if (
             after_the_present
             and self.mode is Mode.PROFILE_POSITION
@@ -152,14 +183,27 @@ class ProfileMotion:
         limited_before = self._sampler.statusword & Status.INTERNAL_LIMIT
         self._queued = None
         flags = Control(0) if after_the_present else Control.CHANGE_IMMEDIATELY
-        self._hand_over(flags, wait_until_free=not after_the_present)
+        self._hand_over(flags, way, wait_until_free=not after_the_present)
+        self._going = (*self._going[-1:], target) if after_the_present else (target,)
         if self._sampler.statusword & Status.INTERNAL_LIMIT and not limited_before:
             self._refuse_limited(target)
         if after_the_present:
             self._queued = _Queued(target, bool(limited_before))
         elif distance > self._position_window():
             # a drive may show the arrival of the move before for a cycle or two
-            self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05)
+            self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
+
+    def _way(self, target: int, velocity: int, acceleration: int) -> _Way | None:
+        """From where the axis is to the target, by way of those that the drive holds, and what it needs to brake; None for an axis in
+        another mode, whose motion until the set-point is taken has no end that is known."""
+        if self.mode is not Mode.PROFILE_POSITION:
+            return None
+        here = self._sampler.position_counts
+        places = (here, target, *self._going)
+        fastest = max(velocity, self._written.get(objects.PROFILE_VELOCITY, 0))
+        speed = abs(self._sampler.values.get(objects.VELOCITY_ACTUAL, fastest))
+        beyond = self._strays + speed * speed // (2 * acceleration)
+        return _Way(min(places) - beyond, max(places) + beyond, target)
 
     def look(self, status: int) -> None:
         """Evaluate a sample: a following set-point that the drive has begun. Raises LimitError once, with the axis halted, where the
@@ -190,7 +234,7 @@ class ProfileMotion:
             window = self._written[objects.POSITION_WINDOW] = self._sdo.read_or(objects.POSITION_WINDOW, 0)
         return window
 
-    def _hand_over(self, flags: Control, *, wait_until_free: bool) -> None:
+    def _hand_over(self, flags: Control, way: _Way | None, *, wait_until_free: bool) -> None:
         """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken.
 
         Raises ProtocolError where a step is not acknowledged in time."""
@@ -198,18 +242,19 @@ class ProfileMotion:
         if self._power.controlword != RUN:
             self._power.write(RUN)
             self.halted = False
-        if wait_until_free and not self._await_status(_not_acknowledged, timeout_s):
+        if wait_until_free and not self._await_status(_not_acknowledged, timeout_s, way):
             raise ProtocolError(f"{name}: set-point acknowledge (bit 12) stays set, no set-point can be given")
         self._power.write(RUN | Control.NEW_SETPOINT | flags)
-        taken = self._await_status(_acknowledged, timeout_s)
+        taken = self._await_status(_acknowledged, timeout_s, way)
         self._power.write(RUN)
         if not taken:
             raise ProtocolError(f"{name}: the set-point was not acknowledged within {timeout_s:g} s")
         if wait_until_free:
-            self._await_status(_not_acknowledged, timeout_s)
+            self._await_status(_not_acknowledged, timeout_s, way)
 
-    def _await_status(self, condition: Callable[[int], bool], timeout_s: float) -> bool:
-        """Sample the statusword; False when the condition did not hold in time. Raises DriveFaultError when a fault comes."""
+    def _await_status(self, condition: Callable[[int], bool], timeout_s: float, way: _Way | None = None) -> bool:
+        """Sample statusword and position; False when the condition did not hold in time. Raises DriveFaultError when a fault comes,
+        FollowingErrorError when the axis leaves its path."""
         deadline = self._clock.deadline(timeout_s)
         while True:
             self._sampler.refresh()
@@ -219,6 +264,11 @@ class ProfileMotion:
                 code = self._power.error_code()
                 text = error_text(code) if code else "no error code"
                 raise DriveFaultError(f"{self._sdo.name} went into {state.value}: {text}", code)
+            if way is not None and not way.low <= self._sampler.position_counts <= way.high:
+                raise FollowingErrorError(
+                    f"{self._sdo.name}: it was given the target {way.target} and moves elsewhere, to {self._sampler.position_counts}:"
+                    " another master moves it, or it does not obey"
+                )
             if condition(status):
                 return True
             if deadline.expired:

@@ -162,8 +162,8 @@ class WayOut:
     """Time limit for shutting down one drive: `WAY_OUT_S` from its first stop on, however many steps are tried.
 
     The limit is in force from the first request that is not answered, and only inside `with`: a drive that answers is not limited.
-    After the limit a request fails at once, without a frame. It ends when the drive answers a request outside, or the last one
-    inside and no error was raised.
+    After the limit a request fails at once, without a frame. It ends when the drive answers a request outside, or all of them inside
+    and no error was raised. Where only the last one was answered, as by chance, the time goes on with the next step.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -171,16 +171,18 @@ class WayOut:
         self._depth = 0
         self._began_ns: int | None = None
         self._until_ns: int | None = None
+        self._spent_ns = 0  # by the steps before
         self._answered = True  # whether the last request was answered
 
     def begin(self) -> None:
         """Start the time, unless it runs already. For any thread and a signal handler."""
         if self._began_ns is None:
-            self._began_ns = self._clock.now_ns()
+            self._began_ns = self._clock.now_ns() - self._spent_ns
 
     def end(self) -> None:
         """Remove the limit: the drive is expected to answer."""
         self._began_ns = self._until_ns = None
+        self._spent_ns = 0
 
     def __enter__(self) -> Self:
         self.begin()
@@ -190,7 +192,11 @@ class WayOut:
     def __exit__(self, exc_type: type[BaseException] | None, *_: object) -> None:
         self._depth -= 1
         if not self._depth and self._answered and exc_type is None:
-            self.end()
+            if self._until_ns is None or self._began_ns is None:
+                self.end()
+            else:
+                self._spent_ns = self._clock.now_ns() - self._began_ns
+                self._began_ns = self._until_ns = None
 
     def account(self, answered: bool) -> None:
         """Account for a request that was answered, or not in its time."""
@@ -554,3 +560,36 @@ def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float 
             continue
         results.append(value if isinstance(value, int) else ProtocolError(f"{client.name}: {entry} is no integer"))
     return results
+
+
+def write_together(requests: Sequence[tuple[SdoClient, Entry, int]]) -> list[BridgeError | None]:
+    """Write one integer object to each of several nodes, all requests on the wire before an answer is awaited.
+
+    The error of each request stands in its place, as of `SdoClient.write`; None where the value was taken.
+    """
+    errors: list[BridgeError | None] = [None] * len(requests)
+    writes: list[tuple[int, Running[None], bytes]] = []
+    try:
+        for number, (client, entry, value) in enumerate(requests):
+            data, talk = entry.pack(value), Conversation(entry.index, entry.subindex)
+            running = Running(client, talk, download(talk, data))
+            try:
+                client.begin(running)
+            except BridgeError as error:
+                errors[number] = error
+            else:
+                writes.append((number, running, data))
+        while waiting := [running for _, running, _ in writes if not running.finished]:
+            wait_for_any(waiting[0].client.link, waiting)
+    finally:
+        for client, *_ in requests:
+            client.end()
+    for number, running, data in writes:
+        try:
+            try:
+                running.outcome()
+            except NoAnswerError as lost:
+                running.client.resolve(running.talk, data, lost, True, requests[number][1].same)
+        except BridgeError as error:
+            errors[number] = error
+    return errors

@@ -400,9 +400,9 @@ class StoppableDrive(ServoDrive):
     def _stopped_if_it_fails(self) -> Iterator[None]:
         """Around orders that start or change a motion: no error is raised while the axis moves.
 
-        An order that is not confirmed: the axis is halted (else quick-stopped) and its power taken off, see `disable`. A refusal
-        before anything was ordered leaves the axis as it is; in a fault the drive stops by itself. On an interrupt a stop is sent, and
-        the caller handles the rest.
+        An order that is not confirmed: the axis is quick-stopped and its power taken off, see `disable`. A refusal before anything
+        was ordered leaves the axis as it is; in a fault the drive stops by itself. On an interrupt a stop is sent, and the caller
+        handles the rest.
         """
         try:
             yield
@@ -426,6 +426,9 @@ class StoppableDrive(ServoDrive):
             return False
 
     def _bring_down(self, error: BridgeError) -> None:
+        """Quick stop, then `disable`. A quick stop that would let an axis fall is left to `disable`, which halts it first."""
+        if not (self.falls_without_power and self._stop_lets_go):
+            self.send_stop()
         try:
             self.disable()
         except HeldUnderPowerError as held:

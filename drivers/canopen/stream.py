@@ -20,6 +20,7 @@ import can
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Mode, decode_state
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
+from drivers.canopen.sdo import write_together
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream_axis import (
     RUNNING,
@@ -191,10 +192,7 @@ class CyclicStream:
                 stack.enter_context(drive.sdo.way_out)
             undo_all(
                 [
-                    *(
-                        (f"drive {drive.name}: 1006h not put back", partial(_unwatch_sync, axis))
-                        for drive, axis in taken
-                    ),
+                    ("", partial(_unwatch_sync, [axis for _, axis in taken])),
                     ("stream: SYNC not stopped", self._stop_sync),
                     *(("", partial(self._give_back, drive, axis)) for drive, axis in taken),
                     ("", partial(self.link.sync.release, self)),
@@ -398,10 +396,23 @@ def _stop(drive: StoppableDrive) -> None:
         raise
 
 
-def _unwatch_sync(axis: Axis) -> None:
-    if axis.sync_period_before is not None:
-        axis.node.sdo.write(objects.SYNC_PERIOD, axis.sync_period_before)
+def _unwatch_sync(axes: Sequence[Axis]) -> None:
+    """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h)."""
+    watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
+    for axis, _ in watching:
         axis.sync_period_before = None
+    errors = write_together([(axis.node.sdo, objects.SYNC_PERIOD, before) for axis, before in watching])
+    undo_all(
+        [
+            (f"drive {axis.node.name}: 1006h not put back", partial(_fail, error))
+            for (axis, _), error in zip(watching, errors, strict=True)
+            if error is not None
+        ]
+    )
+
+
+def _fail(error: BridgeError) -> None:
+    raise error
 
 
 def _interpolation(period_s: float) -> tuple[int, int]:

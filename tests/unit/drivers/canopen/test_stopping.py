@@ -18,13 +18,14 @@ from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.motion import LOOK_S
 from drivers.canopen.power import PowerTimes
-from drivers.canopen.sdo import AT_LEAST_S, WAY_OUT_S, SdoClient
+from drivers.canopen.sdo import AT_LEAST_S, WAY_OUT_S, SdoClient, WayOut
 from drivers.canopen.stopping import HALT_TAKEN_S
 from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import (
     BridgeError,
+    FollowingErrorError,
     HeldUnderPowerError,
     LinkLostError,
     MotionTimeoutError,
@@ -39,6 +40,7 @@ from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.clock import SimClock
 
 NODE = 5
 LIMITS = DriveLimits(-300.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
@@ -530,6 +532,68 @@ def test_an_order_that_is_not_confirmed_leaves_no_moving_axis(
     rig.assert_without_power_at_rest()
 
 
+HALT = "605#2B4060000F010000"
+
+
+@pytest.mark.parametrize(("falls", "first"), [(False, STOP_RPDO), (True, HALT)])
+def test_an_axis_whose_order_is_not_confirmed_is_quick_stopped_before_anything_else(
+    make: MakeRig, falls: bool, first: str
+) -> None:
+    """But for one that gravity can move and whose quick stop (605Ah is 2) ends without power."""
+    rig = make(CanFault(K.ACKNOWLEDGE_STUCK, at_s=FAULT_AT_S))
+    drive = rig.moving(100.0)
+    drive.falls_without_power = falls
+    with pytest.raises(ProtocolError, match="acknowledge"):
+        drive.start_move(-100.0, 100.0)
+    assert next(text for _, text in rig.frames if text in (STOP_RPDO, HALT)) == first
+    rig.assert_without_power_at_rest()
+
+
+def test_an_axis_that_moves_elsewhere_while_it_takes_a_set_point_is_stopped_at_once(make: MakeRig) -> None:
+    """As another master moves it: 1 mm, and what it brakes from there, instead of the 100 mm of the time for the acknowledge."""
+    rig = make(CanFault(K.SETPOINT_NOT_TAKEN, at_s=FAULT_AT_S))
+    drive = rig.drive
+    drive.open()
+    drive.enable()
+    rig.clock.sleep_until_ns(round(FAULT_AT_S * 1e9))
+    here_mm = rig.place_mm
+    rig.servo.move_absolute(-1_000_000, 2_000_000, 20_000_000)
+    with pytest.raises(FollowingErrorError, match="was given the target 500000 and moves elsewhere"):
+        drive.start_move(50.0, 100.0)
+    assert abs(rig.place_mm - here_mm) < 5.0
+    rig.assert_without_power_at_rest()
+
+
+def test_a_set_point_that_replaces_a_move_has_the_way_of_that_one_too(make: MakeRig) -> None:
+    """The drive goes on to the old target until it takes the new one, and brakes."""
+    rig = make()
+    drive = rig.moving(200.0)
+    drive.queue_move(250.0, 200.0)
+    with pytest.raises(ProtocolError, match="no set-point can be given"):
+        drive.start_move(20.0, 200.0)
+    rig.assert_without_power_at_rest()
+
+
+def test_a_way_out_whose_last_request_was_answered_by_chance_is_not_begun_anew() -> None:
+    clock = SimClock()
+    way_out = WayOut(clock)
+    with way_out:
+        clock.sleep_s(2.0)
+        way_out.account(answered=False)
+        clock.sleep_s(1.0)
+        way_out.account(answered=True)
+    clock.sleep_s(7.0)
+    with way_out:
+        assert way_out.limit_ns is None, "a drive that answers is not limited"
+        way_out.account(answered=False)
+        assert way_out.limit_ns == clock.now_ns() + round((WAY_OUT_S - 3.0) * 1e9)
+        way_out.account(answered=True)
+    way_out.account(answered=True)  # outside
+    with way_out:
+        way_out.account(answered=False)
+        assert way_out.limit_ns == clock.now_ns() + round(WAY_OUT_S * 1e9)
+
+
 def test_a_set_point_that_is_refused_while_the_drive_holds_one_leaves_the_axis_alone(make: MakeRig) -> None:
     rig = make()
     drive = rig.moving(50.0)
@@ -732,6 +796,20 @@ def test_leaving_a_stream_of_two_axes_that_are_dead_is_part_of_the_way_out(kind:
         except BridgeError:
             _leave(*pair.drives)
         assert pair.clock.now_ns() <= (FAULT_AT_S + 0.1 + WAY_OUT_S + AT_LEAST_S + 2 * LOOKS_S) * 1e9
+
+
+def test_a_slow_drive_does_not_leave_its_neighbour_waiting_for_sync_at_the_end_of_a_stream() -> None:
+    """Both watch for SYNC, which ends with the stream; an SDO answer takes 40 ms, ten periods."""
+    pair = Pair(CanFault(K.SDO_LATE, at_s=FAULT_AT_S, size=0.04))
+    with pair.link:
+        with CyclicStream(pair.drives, StreamSettings(0.004)) as stream:
+            while pair.clock.now_ns() < (FAULT_AT_S + 0.1) * 1e9:
+                stream.cycle([0.0, 0.0])
+        pair.clock.sleep_s(0.5)
+        assert [drive.sample().state for drive in pair.drives] == [DriveState.ENABLED] * 2
+        for drive in pair.drives:
+            drive.disable()
+            drive.close()
 
 
 @pytest.mark.parametrize(
