@@ -19,13 +19,28 @@ class Overspeed:
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque()
+        self._from: tuple[int, float] | None = None
 
     def forget(self) -> None:
         """Drop the positions seen: call at the begin and end of a motion, and when the drive's zero changes."""
         self._seen.clear()
+        self._from = None
 
-    def look(self, time_ns: int, position_mm: float, speed_mm_s: float) -> str | None:
-        """Take a motor position, mm. speed_mm_s: commanded. Returns what is wrong as a sentence, None when nothing is."""
+    def stood(self, now_ns: int, position_mm: float) -> None:
+        """Note where the motor stands before a motion is commanded."""
+        self._from = now_ns, position_mm
+
+    def look(self, time_ns: int, position_mm: float, speed_mm_s: float, *, now_ns: int) -> str | None:
+        """Take a motor position, mm. speed_mm_s: commanded. now_ns: after the position was received. Returns what is wrong as a
+        sentence, None when nothing is.
+
+        From the rest before the command to the receipt of a position more time passes than the motor had for its travel, however late
+        the host is: no uncertainty of the moments is allowed for.
+        """
+        if self._from is not None:
+            seconds, travel_mm = (now_ns - self._from[0]) / NS_PER_S, abs(position_mm - self._from[1])
+            if travel_mm > speed_mm_s * (1.0 + FASTER_SHARE) * seconds + FLOOR_MM:
+                return _too_fast(travel_mm, seconds, speed_mm_s)
         seen = self._seen
         while seen and time_ns - seen[0][0] > OVER_S * NS_PER_S:
             seen.popleft()
@@ -33,9 +48,13 @@ class Overspeed:
         for before_ns, before_mm in (seen[0], seen[-1]) if seen else ():
             seconds, travel_mm = (time_ns - before_ns) / NS_PER_S, abs(position_mm - before_mm)
             if travel_mm > speed_mm_s * (1.0 + FASTER_SHARE) * (seconds + DATED_WITHIN_S) + FLOOR_MM:
-                wrong = (
-                    f"runs too fast: {travel_mm:.3f} mm in {seconds:.3f} s, commanded {speed_mm_s:g} mm/s, allowed are"
-                    f" {100 * FASTER_SHARE:g} % more"
-                )
+                wrong = _too_fast(travel_mm, seconds, speed_mm_s)
         seen.append((time_ns, position_mm))
         return wrong
+
+
+def _too_fast(travel_mm: float, seconds: float, speed_mm_s: float) -> str:
+    return (
+        f"runs too fast: {travel_mm:.3f} mm in {seconds:.3f} s, commanded {speed_mm_s:g} mm/s, allowed are"
+        f" {100 * FASTER_SHARE:g} % more"
+    )

@@ -339,19 +339,26 @@ class Supervisor:
         """
         axis = axis or self.axes[0]
         drive = axis.drive
+        found = drive.sample()
         if timeout_s is None:
-            travel_mm = abs(target_mm - drive.sample().position_load_mm)
+            travel_mm = abs(target_mm - found.position_load_mm)
             expected_s = travel_mm / speed_mm_s + speed_mm_s / drive.limits.max_acceleration_mm_s2
             timeout_s = LONGER_S + LONGER * expected_s
-        with self._ordered(axis, Motion(what, target_mm, speed_mm_s), partial(drive.start_move, target_mm, speed_mm_s)):
+        motion = Motion(what, target_mm, speed_mm_s)
+        with self._ordered(axis, motion, partial(drive.start_move, target_mm, speed_mm_s), found):
             with self.stopping_on_error():
                 started()
             return self.watch_until(condition, timeout_s, what, axis=axis, slice_s=slice_s, look=look)
 
     @contextmanager
-    def _ordered(self, axis: WatchedAxis, motion: Motion, order: Callable[[], None]) -> Iterator[None]:
-        """Command a motion; the block waits for its end. After any error but a refusal the motion may be under way and is stopped."""
-        with axis.moving(motion):
+    def _ordered(
+        self, axis: WatchedAxis, motion: Motion, order: Callable[[], None], found: DriveSample | None = None
+    ) -> Iterator[None]:
+        """Command a motion; the block waits for its end. After any error but a refusal the motion may be under way and is stopped.
+
+        found: a sample from just before.
+        """
+        with axis.moving(motion, found):
             try:
                 order()
             except (LimitError, LocalError):

@@ -95,8 +95,8 @@ class WatchedAxis:
 
     # -- motions and streams ---------------------------------------------------------------------------------------------
     @contextmanager
-    def moving(self, motion: Motion) -> Iterator[None]:
-        """Around a motion, from before it is commanded until it is over or was stopped.
+    def moving(self, motion: Motion, found: DriveSample | None = None) -> Iterator[None]:
+        """Around a motion, from before it is commanded until it is over or was stopped. found: a sample from just before.
 
         A homing changes the drive's zero, so travel and speed are not compared during it, nor across it.
         """
@@ -104,6 +104,8 @@ class WatchedAxis:
         self._overspeed.forget()
         self._path.clear()
         self._lately.clear()
+        if found is not None and found.target_reached and found.state is DriveState.ENABLED:
+            self._overspeed.stood(self.drive.clock.now_ns(), found.position_load_mm)
         self.motion = motion
         try:
             yield
@@ -286,7 +288,7 @@ class WatchedAxis:
         self._path.append((sample.time_ns, sample.position_load_mm))
         if motion is None or motion.target_mm is None or sample.state is not DriveState.ENABLED:
             return
-        wrong = self._overspeed.look(sample.time_ns, sample.position_load_mm, motion.speed_mm_s)
+        wrong = self._overspeed.look(sample.time_ns, sample.position_load_mm, motion.speed_mm_s, now_ns=self.looked_ns)
         if wrong is not None:
             raise OverspeedError(f"drive {self.drive.name} {wrong}")
 

@@ -20,7 +20,9 @@ from drivers.instruments.umd_laser import UmdLaser
 from drivers.set_points import SetPointSettings
 from hil.axis.agreement import AgreementLimits
 from hil.machine.instrument_check import Agreement
+from hil.machine.overspeed import Overspeed
 from hil.machine.session import AxisSession
+from hil.machine.time_out import Motion
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import geometric_axis
 from sim_backends.virtual_drive import VirtualDrive
@@ -240,6 +242,47 @@ def test_a_motor_that_is_faster_than_it_was_told_is_stopped(faster: float, reach
     assert machine.motor_mm < reach_mm * 5.0
     assert machine.told("quick stop")
     assert machine.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_a_short_move_that_is_over_between_two_looks_is_judged_by_its_mean_speed() -> None:
+    """From the rest before the order, with nothing allowed for moments that are not known: 20 mm at 270 instead of 100 mm/s."""
+    overspeed = Overspeed()
+    overspeed.stood(0, 10.0)
+    looks = [(5_000_000, 10.0), (75_000_000, 30.0)]
+    wrong = [overspeed.look(time_ns, place_mm, 100.0, now_ns=time_ns + 5_000_000) for time_ns, place_mm in looks]
+    assert wrong[0] is None
+    assert wrong[1] == "runs too fast: 20.000 mm in 0.080 s, commanded 100 mm/s, allowed are 20 % more"
+
+
+def test_a_host_that_was_held_up_finds_no_overspeed() -> None:
+    """What it hears was asked for before it was held up, or after: the motor had no more time than it says."""
+    overspeed = Overspeed()
+    overspeed.stood(0, 10.0)
+    assert overspeed.look(1_000_000, 30.0, 100.0, now_ns=210_000_000) is None
+    assert overspeed.look(212_000_000, 31.0, 100.0, now_ns=213_000_000) is None
+
+
+@pytest.mark.parametrize(("arrived", "judged"), [(True, True), (False, False)])
+def test_the_mean_speed_counts_from_a_rest_only(arrived: bool, judged: bool) -> None:
+    """A motor that a move under way carries along is further after the order than its new speed explains."""
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        axis = session.axis
+        found = replace(axis.drive.sample(), target_reached=arrived)
+        with axis.moving(Motion("the move", 50.0, 1.0), found):
+            machine.motor_mm += 0.13
+            with pytest.raises(OverspeedError) if judged else nullcontext():
+                axis.look()
+
+
+def test_a_short_move_that_is_too_fast_is_stopped_at_the_first_look() -> None:
+    machine = ToyMachine()
+    with pytest.raises(OverspeedError, match=r"commanded 50 mm/s"), toy_session(machine) as session:
+        session.prepare()
+        session.move_to(50.0)
+        machine.trouble = Trouble(faster=3.0)
+        session.move_to(55.0, 50.0)
 
 
 def test_an_overshoot_of_a_tenth_is_none() -> None:
