@@ -11,8 +11,10 @@ from collections.abc import Callable
 from hostile.can_peer import EMCY, HEARTBEAT, RPDO1, RPDOS, SDO_ANSWER, SDO_REQUEST, SYNC, TPDOS, CanPeer
 from hostile.peer import Kinds
 
+from drivers.canopen.cia402 import Mode
 from drivers.errors import (
     AbortError,
+    CapabilityError,
     DriveFaultError,
     HeldUnderPowerError,
     LinkLostError,
@@ -24,9 +26,11 @@ from drivers.errors import (
     StateError,
 )
 from hil.app.desk.stop import StoppedByOperator
+from hil.backlash.neutral_settings import NotRestoredError
 from sim_backends.canopen_profile import Defect
 
-WIRE = (NoAnswerError, LinkLostError, ProtocolError)
+# settings that nobody takes back from us are named with the file that `--restore` puts back
+WIRE = (NoAnswerError, LinkLostError, ProtocolError, NotRestoredError)
 REFUSED = (AbortError, ProtocolError)
 STATE = (DriveFaultError, StateError, LinkLostError, ProtocolError)
 MOTION = (SafetyError, ProtocolError, DriveFaultError, StateError)
@@ -137,12 +141,13 @@ def _(peer: CanPeer) -> None:
     )
 
 
-@kinds("SDO refuses everything", *REFUSED, StateError)
+# CapabilityError: an object that is refused whatever is asked of it is one that the drive does not show; the refusal is named
+@kinds("SDO refuses everything", *REFUSED, StateError, CapabilityError, NotRestoredError)
 def _(peer: CanPeer) -> None:
     peer.serve_sdo(lambda data: [b"\x80" + _mux(data) + (0x08000022).to_bytes(4, "little")])
 
 
-@kinds("SDO refuses every write", *REFUSED, StateError)
+@kinds("SDO refuses every write", *REFUSED, StateError, NotRestoredError)
 def _(peer: CanPeer) -> None:
     refusal = (0x08000022).to_bytes(4, "little")
     peer.serve_sdo(lambda data: [b"\x80" + _mux(data) + refusal] if data[0] >> 5 == 1 else None)
@@ -201,7 +206,8 @@ def _(peer: CanPeer) -> None:
     peer.every(0.001, lambda: peer.own(HEARTBEAT, b"\0"))
 
 
-@kinds("another node has the same id", *WIRE, *STATE, *MOTION, passes=True)
+# AbortError: the second answer to a segment is taken for that to the next one, and the drive refuses what then comes out of turn
+@kinds("another node has the same id", *WIRE, *STATE, *MOTION, AbortError, passes=True)
 def _(peer: CanPeer) -> None:
     cobs = {function: function + peer.node_id for function in (SDO_ANSWER, TPDOS[0])}
     other = b"\x50\x02" + bytes(6)  # switch on disabled, at 0
@@ -367,7 +373,13 @@ def _(peer: CanPeer) -> None:
 
 @kinds("the set-point is never acknowledged", ProtocolError, MotionTimeoutError)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.SETPOINT_NOT_TAKEN)
+    peer.slave.profile.defects.add(Defect.SETPOINT_NOT_TAKEN)
+
+    def given(request: bytes) -> None:  # a stream hands over none, and a run may have none left to hand over
+        if request[0] >> 5 == 1 and request[1:3] == b"\x40\x60" and request[4] & 0x10:
+            peer.strike()
+
+    peer.requests(given, SDO_REQUEST)
 
 
 @kinds("the acknowledge bit stays", ProtocolError, MotionTimeoutError, StateError, passes=True)
@@ -382,7 +394,13 @@ def _(peer: CanPeer) -> None:
 
 @kinds("target reached is never shown", *MOTION)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.NEVER_ARRIVES)
+    peer.slave.profile.defects.add(Defect.NEVER_ARRIVES)
+
+    def look() -> None:  # no arrival is waited for in a stream
+        if peer.slave.dictionary.number(0x6060) != Mode.CYCLIC_POSITION:
+            peer.strike()
+
+    peer.every(0.002, look)
 
 
 @kinds("the mode display is stuck", *MOTION, passes=True)

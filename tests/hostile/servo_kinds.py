@@ -17,6 +17,7 @@ from drivers.errors import (
 from hil.app.desk.stop import StoppedByOperator
 from sim_backends.faults import Fault, FaultKind
 
+COUNTS_PER_MM = 100_000.0
 MOTION = (SafetyError, ProtocolError, DriveFaultError, StateError)
 SERVO_KINDS = kinds = Kinds()
 
@@ -55,10 +56,44 @@ def _(peer: Peer) -> None:
     peer.instead("cyclic_position", run)
 
 
+AHEAD, AHEAD_MM, AHEAD_S = 1.2, 0.1, 0.06
+"""What overspeed is: being ahead, by a fifth and so many mm, of where the told speed leads, and for longer than is between two looks.
+A move that is too short to come to its speed is over sooner with three times its ramp, and no faster than it may be."""
+
+
 @kinds("it moves three times as fast", *MOTION)
 def _(peer: Peer) -> None:
-    move = peer.servo.move_absolute
-    peer.instead("move_absolute", lambda target, v, a: move(target, 3 * v, 3 * a))
+    servo, move, quick_stop = peer.servo, peer.servo.move_absolute, peer.servo.quick_stop
+    told: list[tuple[int, int, int]] = []  # the last order: when, from where, at which speed
+    long: list[bool] = []  # it was ahead for long enough to be seen
+
+    def order(target: int, v: int, a: int) -> None:
+        told[:] = [(peer.clock.now_ns(), servo.position_actual_counts, v)]
+        move(target, 3 * v, 3 * a)
+
+    raise_fault = servo.raise_fault
+
+    def fault(code: int) -> None:  # its motor does not follow three times the ramp
+        peer.strike()
+        told.clear()
+        raise_fault(code)
+
+    def stop(*arguments: Any) -> None:
+        told.clear()  # it was noticed, or is over for another reason
+        quick_stop(*arguments)
+
+    def look(now_ns: int, _dt_s: float) -> None:
+        for began_ns, from_counts, v in told:
+            led_mm = AHEAD * v * (now_ns - began_ns) * 1e-9 / COUNTS_PER_MM + AHEAD_MM
+            if abs(servo.position_actual_counts - from_counts) / COUNTS_PER_MM > led_mm:
+                peer.strike()
+                if not long and peer.struck_ns is not None and now_ns - peer.struck_ns > AHEAD_S * 1e9:
+                    long.append(True)
+            elif not long:
+                peer.struck_ns = None
+
+    servo.move_absolute, servo.quick_stop, servo.raise_fault = order, stop, fault  # type: ignore[method-assign]
+    peer.clock.attach(look, bearable=lambda _now_ns: 2_000_000)
 
 
 @kinds("a fault in mid-move", DriveFaultError)
