@@ -31,10 +31,11 @@ from hil.machine.time_out import Motion
 
 STALE_AFTER_S = 0.5
 """Greatest age of a sample or reading that is used, s, unless the axis file gives another."""
-STALLED_S = 5.0
-"""Time at standstill, s, after which a commanded motion counts as stalled: brakes open and homings reverse in one or two seconds."""
+STALLED_S = 3.0
+"""Time at standstill, s, after which a commanded motion counts as stalled: brakes open and homings reverse in one or two seconds, and
+with the 6 s in which a Modbus drive is shut down it is less than the 10 s from a fault to the end."""
 STANDS_WITHIN_MM = 0.001
-"""Range of positions within which an axis counts as standing, mm: 1 µm in 5 s is slower than any move of a machine tool."""
+"""Range of positions within which an axis counts as standing, mm: 1 µm in `STALLED_S` is slower than any move of a machine tool."""
 TO_AND_FRO = 5.0
 """Ratio of path length to range of positions from which an axis counts as oscillating. A homing reverses twice, at a switch or a
 pulse, and reaches three; an axis that hunts, or that another master moves, goes beyond."""
