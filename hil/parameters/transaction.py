@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 
 from drivers.clock import Clock
 from drivers.errors import (
@@ -214,18 +215,19 @@ def in_order(
     for first, second in crossing:
         if first in known and second in known:
             before[second].add(first)
-    waiting = sorted(addresses, key=rank)  # stable
+    place = {address: number for number, address in enumerate(sorted(addresses, key=rank))}
+    sorter = TopologicalSorter(before)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        circle = " and ".join(sorted(set(error.args[1])))
+        raise InputError(f"{circle} are to be written after each other, expected an order without a circle") from None
+    free: list[str] = []
     ordered: list[str] = []
-    placed: set[str] = set()
-    while waiting:
-        free = next((address for address in waiting if before[address] <= placed), None)
-        if free is None:
-            raise InputError(
-                f"{' and '.join(waiting)} are to be written after each other, expected an order without a circle"
-            )
-        waiting.remove(free)
-        ordered.append(free)
-        placed.add(free)
+    while sorter.is_active():
+        free = sorted([*free, *sorter.get_ready()], key=place.__getitem__)
+        ordered.append(free.pop(0))
+        sorter.done(ordered[-1])
     return ordered
 
 
