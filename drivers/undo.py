@@ -10,12 +10,15 @@ Step = tuple[str, Callable[[], None]]
 """(description for the error's line, "" where the error names it itself; the call that puts it back)."""
 
 
-def undo_all(steps: Sequence[Step], *, during: BaseException | None = None) -> None:
+def undo_all(
+    steps: Sequence[Step], *, during: BaseException | None = None, interrupted: Callable[[], None] = lambda: None
+) -> None:
     """Try every step in the order given: first the one that is most dangerous if it is left out. Failures are reported in that order.
 
     One failure is raised as it is, several as an `UndoError` of one line. during: the error that caused the undoing. It is the one to
     raise, so failures are added to it as notes and nothing else is raised. An interrupt (KeyboardInterrupt) or an error that is no
-    BridgeError ends its own step only: the steps after it are tried, then the first such exception is raised.
+    BridgeError ends its own step only: the steps after it are tried, then the first such exception is raised. interrupted: called at
+    once on each such exception, before the next step: the steps may take seconds, and a stop is not to wait for them.
     """
     failures: list[tuple[str, BridgeError]] = []
     interrupt: BaseException | None = None
@@ -26,6 +29,7 @@ def undo_all(steps: Sequence[Step], *, during: BaseException | None = None) -> N
             failures.append((f"{what}: {error}" if what else str(error), error))
         except BaseException as error:  # noqa: BLE001  it is raised once the other steps have been tried
             interrupt = interrupt or error
+            interrupted()
     told = interrupt or during
     if told is not None:
         for line, _ in failures:

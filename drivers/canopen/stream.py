@@ -112,6 +112,8 @@ class CyclicStream:
                 self._prepare(drive, axis)
             self._start()
         except BaseException as error:  # nothing was moved: the axes are restored, and stay in their state
+            if not isinstance(error, BridgeError):
+                self._send_stops()
             self._end(error)
             raise
         return self
@@ -178,10 +180,14 @@ class CyclicStream:
 
     def _stop_all(self, error: BaseException) -> None:
         """Send the stop to every axis at once; then wait for each confirmation, and disable an axis that does not confirm it."""
-        self._running, self._stopped = False, True
+        self._running = False
+        self._send_stops()
+        undo_all([("", partial(_stop, drive)) for drive in self._drives], during=error)
+
+    def _send_stops(self) -> None:
+        self._stopped = True
         for drive in self._drives:
             drive.send_stop()
-        undo_all([("", partial(_stop, drive)) for drive in self._drives], during=error)
 
     def _end(self, error: BaseException | None) -> None:
         """The drives stop supervising SYNC, SYNC stops, every axis is given back; every step is tried, see `undo_all`."""
@@ -198,6 +204,7 @@ class CyclicStream:
                     ("", partial(self.link.sync.release, self)),
                 ],
                 during=error,
+                interrupted=self._send_stops,
             )
 
     def _stop_sync(self) -> None:

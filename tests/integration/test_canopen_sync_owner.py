@@ -15,6 +15,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.objects import Entry
+from drivers.canopen.sdo import Running
 from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings, SyncSource
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
 from drivers.drive import DriveLimits, DriveState
@@ -294,16 +295,21 @@ class KernelTask:
         self.stopped = True
 
 
+def _raising(drive: CanOpenDrive, entry: Entry, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on each transfer of this object with the drive ends so, alone or among others."""
+    real = drive.sdo.begin
+
+    def begin(running: Running[object]) -> None:
+        if running.talk.index == entry.index:
+            raise error
+        real(running)
+
+    monkeypatch.setattr(drive.sdo, "begin", begin)
+
+
 def _failing(drive: CanOpenDrive, entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on the drive does not answer a write of this object."""
-    real = drive.sdo.write
-
-    def write(written: Entry, value: float) -> None:
-        if written == entry:
-            raise NoAnswerError(f"drive {drive.name}: SDO {entry.index:04X}h not answered")
-        real(written, value)
-
-    monkeypatch.setattr(drive.sdo, "write", write)
+    """From now on the drive does not answer transfers of this object."""
+    _raising(drive, entry, NoAnswerError(f"drive {drive.name}: SDO {entry.index:04X}h not answered"), monkeypatch)
 
 
 def test_leaving_a_stream_is_done_to_the_end_whatever_fails(
@@ -361,6 +367,33 @@ def test_an_axis_whose_pdos_cannot_be_put_back_is_disabled(
     assert y.sample().state is DriveState.ENABLED
 
 
+def _stops_before(
+    pair: tuple[CanOpenDrive, CanOpenDrive], name: str, monkeypatch: pytest.MonkeyPatch
+) -> list[CanOpenDrive]:
+    """Gets the drives as they are told to stop, until the named method of one of them is called."""
+    told: list[CanOpenDrive] = []
+    over: list[bool] = []
+
+    def noting(drive: CanOpenDrive) -> None:
+        send, ended = drive.send_stop, getattr(drive, name)
+
+        def send_stop() -> None:
+            if not over:
+                told.append(drive)
+            send()
+
+        def end() -> None:
+            over.append(True)
+            ended()
+
+        monkeypatch.setattr(drive, "send_stop", send_stop)
+        monkeypatch.setattr(drive, name, end)
+
+    for drive in pair:
+        noting(drive)
+    return told
+
+
 def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
     pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -368,19 +401,27 @@ def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
     stream = CyclicStream([x, y], StreamSettings(0.01))
     stream.__enter__()
     stream.cycle([0.0, 0.0])
-    real = x.sdo.write
-
-    def interrupted(entry: Entry, value: float) -> None:
-        if entry == objects.SYNC_PERIOD:
-            raise KeyboardInterrupt
-        real(entry, value)
-
-    monkeypatch.setattr(x.sdo, "write", interrupted)
+    _raising(x, objects.SYNC_PERIOD, KeyboardInterrupt(), monkeypatch)
+    told = _stops_before(pair, "end_streaming", monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         stream.__exit__(None, None, None)
+    assert told == [x, y], "told to stop before anything else is put back"
     assert not x.is_streaming
     assert not y.is_streaming
     assert not x.link.sync.streaming
+
+
+def test_an_interrupt_while_a_stream_is_entered_tells_the_drives_to_stop_before_they_are_put_back(
+    pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x, y = pair
+    _raising(y, objects.INTERPOLATION_PERIOD, KeyboardInterrupt(), monkeypatch)
+    told = _stops_before(pair, "end_streaming", monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        CyclicStream([x, y], StreamSettings(0.01)).__enter__()
+    assert told == [x, y]
+    assert not x.is_streaming
+    assert not y.is_streaming
 
 
 def test_a_stream_that_cannot_be_entered_leaves_every_axis_as_it_was(
@@ -419,7 +460,7 @@ def test_what_fails_while_an_error_leads_out_of_a_stream_is_told_with_it(
 
     with pytest.raises(StateError, match="was told to stop") as caught:
         run()
-    assert [note for note in caught.value.__notes__ if note.startswith("drive Y: 1006h not put back")]
+    assert [note for note in caught.value.__notes__ if note.startswith("drive Y: SDO 1006h not answered")]
     bus.clock.sleep_s(0.5)
     for node_id in (X, Y):
         assert bus.bench.slaves[node_id].profile.state is not DriveState.ENABLED
