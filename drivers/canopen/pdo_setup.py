@@ -6,7 +6,7 @@ The order of writes is that of CiA-301 (disable, clear, map, set, enable), and e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -23,7 +23,7 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
-from drivers.errors import AbortError, InputError, ProtocolError
+from drivers.errors import AbortError, BridgeError, InputError, ProtocolError
 from drivers.undo import undo_all
 
 SURVEYED = 4  # of each direction: the predefined connection set
@@ -108,8 +108,14 @@ class PdoSetup:
         dictionaries = None if dictionary is None else {self._node_id: dictionary}
         return lint({self._node_id: [*self.wanted, *staying]}, dictionaries=dictionaries, cycle=cycle)
 
-    def apply(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
-        """Survey, lint, then write and verify; returns the warnings.
+    def apply(
+        self,
+        dictionary: Dictionary | None = None,
+        cycle: Cycle | None = None,
+        *,
+        interrupted: Callable[[], None] = lambda: None,
+    ) -> list[Finding]:
+        """Survey, lint, then write and verify; returns the warnings. interrupted: called on an interrupt, before anything is restored.
 
         Raises InputError before anything is written when the linter finds an error; AbortError or ProtocolError, with everything
         restored, when the drive does not accept a PDO.
@@ -128,6 +134,8 @@ class PdoSetup:
                     self._changed.append(before)
                     configure(self._sdo, spec)
         except BaseException as error:
+            if not isinstance(error, BridgeError):
+                interrupted()
             undo_all([("", self.restore)], during=error)
             raise
         return findings

@@ -156,7 +156,7 @@ class CyclicStream:
             drive.motion.set(objects.INTERPOLATION_EXPONENT, exponent)
         drive.begin_streaming(axis)
         axis.taken = True
-        axis.setup.apply()
+        axis.setup.apply(interrupted=self._send_stops)
         drive.set_mode(self.settings.mode)
         axis.position_counts = drive.sdo.read(objects.POSITION_ACTUAL)
         if self.settings.mode is Mode.CYCLIC_POSITION:

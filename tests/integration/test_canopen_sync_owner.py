@@ -15,6 +15,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.objects import Entry
+from drivers.canopen.pdo_setup import PdoSetup
 from drivers.canopen.sdo import Running
 from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings, SyncSource
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
@@ -295,12 +296,12 @@ class KernelTask:
         self.stopped = True
 
 
-def _raising(drive: CanOpenDrive, entry: Entry, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+def _raising(drive: CanOpenDrive, index: int, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on each transfer of this object with the drive ends so, alone or among others."""
     real = drive.sdo.begin
 
     def begin(running: Running[object]) -> None:
-        if running.talk.index == entry.index:
+        if running.talk.index == index:
             raise error
         real(running)
 
@@ -309,7 +310,7 @@ def _raising(drive: CanOpenDrive, entry: Entry, error: BaseException, monkeypatc
 
 def _failing(drive: CanOpenDrive, entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on the drive does not answer transfers of this object."""
-    _raising(drive, entry, NoAnswerError(f"drive {drive.name}: SDO {entry.index:04X}h not answered"), monkeypatch)
+    _raising(drive, entry.index, NoAnswerError(f"drive {drive.name}: SDO {entry.index:04X}h not answered"), monkeypatch)
 
 
 def test_leaving_a_stream_is_done_to_the_end_whatever_fails(
@@ -401,7 +402,7 @@ def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
     stream = CyclicStream([x, y], StreamSettings(0.01))
     stream.__enter__()
     stream.cycle([0.0, 0.0])
-    _raising(x, objects.SYNC_PERIOD, KeyboardInterrupt(), monkeypatch)
+    _raising(x, objects.SYNC_PERIOD.index, KeyboardInterrupt(), monkeypatch)
     told = _stops_before(pair, "end_streaming", monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         stream.__exit__(None, None, None)
@@ -411,15 +412,20 @@ def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
     assert not x.link.sync.streaming
 
 
+@pytest.mark.parametrize("index", [objects.INTERPOLATION_PERIOD.index, 0x1A00], ids=["period", "PDO"])
 def test_an_interrupt_while_a_stream_is_entered_tells_the_drives_to_stop_before_they_are_put_back(
-    pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+    index: int, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     x, y = pair
-    _raising(y, objects.INTERPOLATION_PERIOD, KeyboardInterrupt(), monkeypatch)
+    _raising(y, index, KeyboardInterrupt(), monkeypatch)
     told = _stops_before(pair, "end_streaming", monkeypatch)
+    restored: list[int] = []
+    real = PdoSetup.restore
+    monkeypatch.setattr(PdoSetup, "restore", lambda setup: (restored.append(len(told)), real(setup)))
     with pytest.raises(KeyboardInterrupt):
         CyclicStream([x, y], StreamSettings(0.01)).__enter__()
-    assert told == [x, y]
+    assert told[:2] == [x, y]
+    assert min(restored) == 2
     assert not x.is_streaming
     assert not y.is_streaming
 
