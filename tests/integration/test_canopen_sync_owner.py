@@ -10,12 +10,11 @@ from typing import Any
 import can
 import pytest
 
-from drivers.canopen import objects
+from drivers.canopen import objects, pdo_setup
 from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.objects import Entry
-from drivers.canopen.pdo_setup import PdoSetup
 from drivers.canopen.sdo import Running
 from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings, SyncSource
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
@@ -412,16 +411,23 @@ def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
     assert not x.link.sync.streaming
 
 
-@pytest.mark.parametrize("index", [objects.INTERPOLATION_PERIOD.index, 0x1A00], ids=["period", "PDO"])
+def _interrupted(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("while_writing", ["period", "PDO"])
 def test_an_interrupt_while_a_stream_is_entered_tells_the_drives_to_stop_before_they_are_put_back(
-    index: int, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+    while_writing: str, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     x, y = pair
-    _raising(y, index, KeyboardInterrupt(), monkeypatch)
+    if while_writing == "period":
+        _raising(y, objects.INTERPOLATION_PERIOD.index, KeyboardInterrupt(), monkeypatch)
+    else:
+        monkeypatch.setattr(pdo_setup, "configure", _interrupted)
     told = _stops_before(pair, "end_streaming", monkeypatch)
     restored: list[int] = []
-    real = PdoSetup.restore
-    monkeypatch.setattr(PdoSetup, "restore", lambda setup: (restored.append(len(told)), real(setup)))
+    real = pdo_setup.PdoSetup.restore
+    monkeypatch.setattr(pdo_setup.PdoSetup, "restore", lambda setup: (restored.append(len(told)), real(setup)))
     with pytest.raises(KeyboardInterrupt):
         CyclicStream([x, y], StreamSettings(0.01)).__enter__()
     assert told[:2] == [x, y]
