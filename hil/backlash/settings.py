@@ -73,9 +73,7 @@ class NamedSetting:
 
 @dataclass(frozen=True)
 class TableSetting:
-    """A file for a drive without such a parameter: the amount in µm that the bridge's own compensation adds at a
-    reversal.
-    """
+    """A file for a drive without such a parameter: the amount in µm. The bridge's compensation does not read it."""
 
     path: Path
     name: str = "the bridge's own table"

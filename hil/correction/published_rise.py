@@ -1,4 +1,4 @@
-"""The published form of the correction after a reversal: two tanh terms, as in systems.md section C.
+"""The published form of the correction after a reversal: two tanh terms (priority JP 2013-016617, technical solutions 3 to 6).
 
 It is the reference for `running_lost_motion`. P counts from the side on which the stroke starts, so it restarts at each reversal and
 steps between strokes that were not full: it cannot be used to run a machine.
