@@ -15,6 +15,7 @@ from hil.axis.axis_file import load_axis
 from hil.calibration.calibrate import calibrate
 from hil.calibration.in_motion import FeedPass, InMotion, ramped_path
 from hil.correction.compensation import Compensation
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import turn_in_motion
 from hil.effects import ALL
 from hil.machine.sample_times import SampleTimes
@@ -92,8 +93,11 @@ def test_the_loop_measures_a_latency_that_nobody_stated_and_does_not_correct_the
     with connected(axis, late) as machine:
         machine.session.prepare()
         campaign = Campaign(tmp_path / "motion", {}, resume=False)
-        calibration = calibrate(machine.session, campaign, axis.correction, lambda tables: None)
-        machine.session.compensation = Compensation(calibration.tables)
+        places = np.array(axis.measurement.targets_mm)
+        nothing = DirectionalTable(
+            places, np.zeros(len(places)), np.zeros(len(places))
+        )  # of an axis without errors at rest
+        machine.session.compensation = Compensation(TableSet(TableMode.BIDIRECTIONAL, nothing))
         how = replace(HOW, feeds_mm_s=(30.0, 110.0), runs=2, period_s=0.008, latency_s=None)
         few = [effect for effect in ALL if effect.id in ("velocity_lag", "backlash")]
         turn = turn_in_motion(machine.session, campaign, how, lambda compensation: None, effects=few)

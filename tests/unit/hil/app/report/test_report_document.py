@@ -169,7 +169,7 @@ def test_the_same_data_give_the_same_bytes_in_another_process() -> None:
         "d = m.data(diagnosis=m.FOUND, diagnosed=m.NamedCampaign('after', m.campaign_rows(2, 0.1)))\n"
         "print(hashlib.sha256(m.render_html(d).encode()).hexdigest())"
     )
-    environment = {**os.environ, "PYTHONPATH": str(here.parents[5])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(here.parents[5]), str(here.parents[4])))}
     digests = {
         subprocess.run(
             [sys.executable, "-c", code], env={**environment, "PYTHONHASHSEED": seed}, capture_output=True, check=True
