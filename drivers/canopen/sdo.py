@@ -31,7 +31,7 @@ from drivers.canopen.sdo_transfer import (
     longest_s,
     upload,
 )
-from drivers.clock import NS_PER_S, Clock
+from drivers.clock import NS_PER_S
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -166,8 +166,8 @@ class WayOut:
     and no error was raised. Where only the last one was answered, as by chance, the time goes on with the next step.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, now_ns: Callable[[], int]) -> None:
+        self._now_ns = now_ns
         self._depth = 0
         self._began_ns: int | None = None
         self._until_ns: int | None = None
@@ -177,7 +177,7 @@ class WayOut:
     def begin(self) -> None:
         """Start the time, unless it runs already. For any thread and a signal handler."""
         if self._began_ns is None:
-            self._began_ns = self._clock.now_ns() - self._spent_ns
+            self._began_ns = self._now_ns() - self._spent_ns
 
     def end(self) -> None:
         """Remove the limit: the drive is expected to answer."""
@@ -195,7 +195,7 @@ class WayOut:
             if self._until_ns is None or self._began_ns is None:
                 self.end()
             else:
-                self._spent_ns = self._clock.now_ns() - self._began_ns
+                self._spent_ns = self._now_ns() - self._began_ns
                 self._began_ns = self._until_ns = None
 
     def account(self, answered: bool) -> None:
@@ -206,7 +206,7 @@ class WayOut:
                 self.end()
         elif self._depth and self._until_ns is None and self._began_ns is not None:
             whole_ns, least_ns = round(WAY_OUT_S * NS_PER_S), round(AT_LEAST_S * NS_PER_S)
-            self._until_ns = max(self._began_ns + whole_ns, self._clock.now_ns() + least_ns)
+            self._until_ns = max(self._began_ns + whole_ns, self._now_ns() + least_ns)
 
     @property
     def limit_ns(self) -> int | None:
@@ -216,7 +216,7 @@ class WayOut:
     @property
     def over(self) -> bool:
         limit_ns = self.limit_ns
-        return limit_ns is not None and self._clock.now_ns() >= limit_ns
+        return limit_ns is not None and self._now_ns() >= limit_ns
 
 
 class SdoClient:
@@ -233,7 +233,7 @@ class SdoClient:
         self.timeout_s = timeout_s
         self.quiet_s = quiet_s
         self.counters = SdoCounters()
-        self.way_out = WayOut(link.clock)
+        self.way_out = WayOut(lambda: link.clock.now_ns())  # noqa: PLW0108  (a link need have no clock until then)
         self._running: Running[Any] | None = None
         self._abandoned: Conversation | None = None  # until the channel has been quiet after it
         self._late_ns: list[int] = []  # times of frames that may belong to it

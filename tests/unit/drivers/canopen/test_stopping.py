@@ -576,7 +576,7 @@ def test_a_set_point_that_replaces_a_move_has_the_way_of_that_one_too(make: Make
 
 def test_a_way_out_whose_last_request_was_answered_by_chance_is_not_begun_anew() -> None:
     clock = SimClock()
-    way_out = WayOut(clock)
+    way_out = WayOut(clock.now_ns)
     with way_out:
         clock.sleep_s(2.0)
         way_out.account(answered=False)
