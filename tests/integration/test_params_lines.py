@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
+from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set, shows_late
 
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.raw_parameters import address_of
@@ -57,26 +57,6 @@ def goals() -> dict[str, bytes]:
     }
 
 
-def shows_late(rig: ParameterRig, delay_s: float) -> None:
-    """The drive shows what it was written only `delay_s` after the first look at it."""
-    (slave,) = rig.bench.slaves.values()
-    dictionary, clock = slave.dictionary, rig.bench.clock
-    since: dict[tuple[int, int], int] = {}
-    for key in KEYS:
-        held = dictionary.raw(key)
-
-        def shown(key: tuple[int, int] = key, held: bytes = held) -> int:
-            now = dictionary.raw(key)
-            if now != held:
-                since.setdefault(key, clock.now_ns())
-            late = now != held and clock.now_ns() - since[key] < delay_s * 1e9
-            codec = dictionary.item(*key).codec
-            assert codec is not None
-            return int(codec.unpack(held if late else now)[0])
-
-        dictionary.on_read(*key, shown)
-
-
 def proves(drive: RawParameters) -> Steps[None]:
     job = DriveJob(drive, settle_s=2 * SLOW_S)
     present = yield from job.show(list(goals()))
@@ -96,7 +76,7 @@ def test_a_slow_drive_holds_up_no_drive_of_another_bus(
     def times() -> list[float]:
         clock = SimClock()
         rigs = [make(clock=clock) for _ in range(3)]
-        shows_late(rigs[0], SLOW_S)
+        shows_late(rigs[0], KEYS, 5, SLOW_S)
         start_ns = clock.now_ns()
         took_s = [0.0] * len(rigs)
 
@@ -136,7 +116,7 @@ def test_a_whole_download_over_two_buses(make: Make) -> None:
 
 def test_drives_with_clocks_of_their_own(make: Make) -> None:
     slow, fast = make(), make()
-    shows_late(slow, 0.3)
+    shows_late(slow, KEYS, 5, 0.3)
     targets = [Target(rig.drives[0], NEW, rig.journals[0]) for rig in (slow, fast)]
     reports: list[JobReport] = download(targets)
     assert [report.ending for report in reports] == [Ending.WRITTEN] * 2

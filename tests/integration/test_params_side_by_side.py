@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
+from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set, shows_late
 
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.raw_parameters import START_S, address_of
@@ -50,25 +50,6 @@ def make(parsed: EdsFile, tmp_path: Path) -> Iterator[Make]:
         rig.stack.close()
 
 
-def shows_late(rig: ParameterRig, node: int, delay_s: float) -> None:
-    """This drive takes a value at once and shows it `delay_s` after the first look: until then it shows what it held."""
-    dictionary, clock = rig.bench.slaves[node].dictionary, rig.bench.clock
-    since: dict[tuple[int, int], int] = {}
-    for key in KEYS:
-        held = dictionary.raw(key)
-
-        def shown(key: tuple[int, int] = key, held: bytes = held) -> int:
-            now = dictionary.raw(key)
-            if now != held:
-                since.setdefault(key, clock.now_ns())
-            late = now != held and clock.now_ns() - since[key] < delay_s * 1e9
-            codec = dictionary.item(*key).codec
-            assert codec is not None
-            return int(codec.unpack(held if late else now)[0])
-
-        dictionary.on_read(*key, shown)
-
-
 def finished(rig: ParameterRig, steps: Callable[[RawParameters], Steps[None]]) -> Times:
     clock, start_ns = rig.bench.clock, rig.bench.clock.now_ns()
     times: Times = {}
@@ -106,7 +87,7 @@ def test_a_drive_that_shows_its_values_late_holds_up_no_other(
 ) -> None:
     alone = finished(make(nodes=[node for node in NODES if node != SLOW]), steps)
     rig = make()
-    shows_late(rig, SLOW, SLOW_S)
+    shows_late(rig, KEYS, SLOW, SLOW_S)
     together = finished(rig, steps)
     assert together.pop(f"X{SLOW}") > SLOW_S
     assert together.keys() == alone.keys()

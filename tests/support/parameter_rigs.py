@@ -107,3 +107,22 @@ class ParameterRig:
     def values(self, keys: Sequence[tuple[int, int]], node: int = 0) -> list[int]:
         """The values in the drive."""
         return [list(self.bench.slaves.values())[node].dictionary.number(*key) for key in keys]
+
+
+def shows_late(rig: ParameterRig, keys: Sequence[tuple[int, int]], node: int, delay_s: float) -> None:
+    """This drive takes a value at once and shows it `delay_s` after the first look: until then it shows what it held."""
+    dictionary, clock = rig.bench.slaves[node].dictionary, rig.bench.clock
+    since: dict[tuple[int, int], int] = {}
+    for key in keys:
+        held = dictionary.raw(key)
+
+        def shown(key: tuple[int, int] = key, held: bytes = held) -> int:
+            now = dictionary.raw(key)
+            if now != held:
+                since.setdefault(key, clock.now_ns())
+            late = now != held and clock.now_ns() - since[key] < delay_s * 1e9
+            codec = dictionary.item(*key).codec
+            assert codec is not None
+            return int(codec.unpack(held if late else now)[0])
+
+        dictionary.on_read(*key, shown)
