@@ -16,8 +16,9 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Self
 
-from drivers.errors import InputError
+from drivers.errors import InputError, StateError
 
 
 @contextmanager
@@ -178,3 +179,42 @@ def _default_mode(mode: int | None) -> int:
     umask = os.umask(0o077)
     os.umask(umask)
     return 0o666 & ~umask
+
+
+class AppendedFile:
+    """A file that only grows, open for appending by one process at a time.
+
+    Raises InputError where it cannot be opened or another process has it open.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise InputError(f"cannot be opened: {error.strerror}", path=path) from error
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, BlockingIOError):
+                raise InputError("is being written by another process", path=path) from error
+            raise
+
+    @property
+    def _fd(self) -> int:
+        if self._handle is None:
+            raise StateError(f"{self.path} is closed")
+        return self._handle
+
+    def close(self) -> None:
+        """Close the file; harmless when it is closed already."""
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()

@@ -10,20 +10,18 @@ checksum goes to `SHA256SUMS`, for `sha256sum --check` and `hil records inspect`
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from drivers.errors import InputError, StateError
-from hil.records.files import append_durably, read_bytes, read_text, replace_file, sync_directory
+from drivers.errors import InputError
+from hil.records.files import AppendedFile, append_durably, read_bytes, read_text, replace_file, sync_directory
 from hil.records.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
 from hil.records.rows import Records, format_row, parse_csv
 
@@ -42,7 +40,7 @@ MARKER = "campaign.json"
 """Name of the file with a campaign's purpose."""
 
 
-class RowJournal:
+class RowJournal(AppendedFile):
     """One growing record file, open for appending by one process at a time."""
 
     def __init__(self, path: Path, names: Sequence[str], comment: str = "", chain: RowChain | None = None) -> None:
@@ -52,27 +50,16 @@ class RowJournal:
         Raises InputError when the file was begun with another header or comment, holds an invalid row, cannot be
         written, or is open in another process.
         """
-        self.path = path
         self.names = tuple(names)
         self._chain = chain
         self._header = ("".join(f"# {line}\n" for line in comment.splitlines()) + ",".join(self.names) + "\n").encode()
         self._rows = 0
+        super().__init__(path)
         try:
-            self._handle: int | None = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        except OSError as error:
-            raise InputError(f"cannot be opened: {error.strerror}", path=path) from error
-        try:
-            self._lock()
             self._recover()
         except BaseException:
             self.close()
             raise
-
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise InputError("is being written by another process", path=self.path) from error
 
     def _recover(self) -> None:
         """Counts the rows; an incomplete last line was left by a crash, never confirmed, and is cut off."""
@@ -101,12 +88,6 @@ class RowJournal:
         raise InputError(
             f"was measured for something else: {lines[0][:100]!r}, expected {first!r}", path=self.path, line=1
         )
-
-    @property
-    def _fd(self) -> int:
-        if self._handle is None:
-            raise StateError(f"{self.path} is closed")
-        return self._handle
 
     def __len__(self) -> int:
         """Rows confirmed on disk."""
@@ -155,18 +136,6 @@ class RowJournal:
         except BaseException:
             self.close()
             raise
-
-    def close(self) -> None:
-        """Close the file; harmless when it is closed already."""
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,15 @@ its file and line.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
-from drivers.errors import InputError, StateError
-from hil.records.files import append_durably, held, read_bytes, replace_file, sync_directory
+from drivers.errors import InputError
+from hil.records.files import AppendedFile, append_durably, held, read_bytes, replace_file, sync_directory
 
 CHAIN = "rows.chain"
 _FORMAT = b"hil-rows/1\n"
@@ -151,7 +149,7 @@ def adopt(directory: Path, origin: bytes) -> None:
         replace_file(directory / CHAIN, text)
 
 
-class RowChain:
+class RowChain(AppendedFile):
     """A campaign's chain, open for appending by one process at a time.
 
     Opening compares all of it with the record files, and cuts off the unconfirmed lines that a crash left in it and in
@@ -160,28 +158,17 @@ class RowChain:
 
     def __init__(self, directory: Path, origin: bytes) -> None:
         self._directory = directory
-        self._path = directory / CHAIN
+        super().__init__(directory / CHAIN)
         try:
-            self._handle: int | None = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        except OSError as error:
-            raise InputError(f"cannot be opened: {error.strerror}", path=self._path) from error
-        try:
-            self._lock()
             self._recover(origin)
         except BaseException:
             self.close()
             raise
 
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise InputError("is being written by another process", path=self._path) from error
-
     def _recover(self, origin: bytes) -> None:
         found = check_chain(self._directory, origin)
         if found is None:
-            raise InputError("is gone", path=self._path)
+            raise InputError("is gone", path=self.path)
         self._digest, self._lines = found.digest, dict(found.lines)
         try:
             os.ftruncate(self._fd, found.size)
@@ -192,13 +179,7 @@ class RowChain:
             if found.latest:
                 os.truncate(self._directory / found.latest, len(self.confirmed(found.latest)))
         except OSError as error:
-            raise InputError(f"cannot be written: {error.strerror}", path=self._path) from error
-
-    @property
-    def _fd(self) -> int:
-        if self._handle is None:
-            raise StateError(f"{self._path} is closed")
-        return self._handle
+            raise InputError(f"cannot be written: {error.strerror}", path=self.path) from error
 
     def confirmed(self, name: str) -> bytes:
         """The chained lines of a record file."""
@@ -215,15 +196,3 @@ class RowChain:
         append_durably(self._fd, text)
         self._digest = digest
         self._lines[name] = self._lines.get(name, 0) + len(lines)
-
-    def close(self) -> None:
-        """Close the file; harmless when it is closed already."""
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
