@@ -9,16 +9,24 @@ encoder sees them (`scaling` converts); where the table is, only an instrument m
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Self
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.correction_table import CorrectionTable
-from drivers.errors import CapabilityError, DriveFaultError, LimitError, MotionTimeoutError, StateError
+from drivers.errors import (
+    CapabilityError,
+    DriveFaultError,
+    InputError,
+    LimitError,
+    MotionTimeoutError,
+    StateError,
+)
 from drivers.parameters import DriveParameters
-from drivers.scaling import AxisScaling, ReportedScaling
+from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 from drivers.shared_time import SharedTime
 from drivers.toml_types import Number, Positive
@@ -121,6 +129,16 @@ class DriveZero:
     identity: Mapping[str, int | str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class HomingSpeeds:
+    """Speeds of a drive's next homing, mm/s: towards the switch, and to the edge or the index; None where it is not known. turn_mm:
+    travel of one turn of the motor."""
+
+    switch_mm_s: float | None = None
+    zero_mm_s: float | None = None
+    turn_mm: float = 0.0
+
+
 class ServoDrive(ABC):
     """One axis's drive. notes: findings of `open` for an engineer, one sentence each.
 
@@ -186,6 +204,28 @@ class ServoDrive(ABC):
     def sample(self) -> DriveSample:
         """A fresh sample, requested now."""
 
+    # -- what is not known of the drive ----------------------------------------------------------------------------------
+    def preflight(self) -> tuple[tuple[str, bool, str], ...]:
+        """Checks of its own that need no motion: name, whether it is good, and the finding in one sentence. Writes nothing.
+
+        A backend whose drive is described by a file that may be wrong overrides this.
+        """
+        return ()
+
+    def unproven(self) -> frozenset[str]:
+        """What of the drive's description has to be proven before it is used, by what proves it: reading, enabling, move, stop,
+        homing. A backend that is described by a file overrides this."""
+        return frozenset()
+
+    @contextmanager
+    def proving(self) -> Iterator[None]:
+        """Inside, the axis may be enabled and moved in spite of `unproven`, for what proves it."""
+        yield
+
+    def proven(self, what: frozenset[str]) -> None:
+        """Remember what was proven, for this drive and its present description."""
+        del what
+
     def complaints(self) -> tuple[str, ...]:
         """Messages of the drive beside its samples: a warning, its last emergency. No request is sent.
 
@@ -200,9 +240,32 @@ class ServoDrive(ABC):
         """
         return ()
 
+    def unit_parameters(self) -> Mapping[str, int | float]:
+        """The parameters that decide what one count is, by address and as read now: encoder, gear, feed, factor, polarity.
+
+        Those that the drive does not have are left out. Raises as reading a parameter does. A backend that reads them overrides this.
+        """
+        return {}
+
+    def read_number(self, name: str) -> tuple[str, int | float]:
+        """A parameter that is a number: its address in parameter sets, and its present value. Raises as reading a parameter does,
+        InputError for one that is no number."""
+        value = self.parameters.read(name)
+        if not isinstance(value, int | float):
+            raise InputError(f"parameter {name} is {value!r}, expected a number")
+        return name, value
+
+    def motion_scaling(self) -> MotionScaling | None:
+        """Units of velocity and acceleration on the wire, and what says so; None for a backend whose map states them."""
+        return None
+
     def zero(self) -> DriveZero:
         """The origin of the positions, read now. Raises as reading a parameter does. A backend that can read it overrides this."""
         return DriveZero()
+
+    def homing_speeds(self) -> HomingSpeeds:
+        """Speeds of the next homing, read now. Raises as reading a parameter does. A backend that can read them overrides this."""
+        return HomingSpeeds()
 
     def says_homed(self) -> bool | None:
         """Whether the drive still has a zero from an earlier homing; None where it does not report that. Moves nothing.

@@ -140,4 +140,12 @@ class HeldUnderPowerError(SafetyError):
 
 
 class MeasurementLostError(SafetyError):
-    """The instrument's signal is gone: beam lost, or no fresh reading."""
+    """The instrument's signal is gone: beam lost, no fresh reading, or readings that disagree with the motor.
+
+    followed_ns: time of the last reading that was seen to follow the motor, where they disagree: what was read since may be wrong.
+    None where every reading before the loss is good.
+    """
+
+    def __init__(self, message: str, *, followed_ns: int | None = None) -> None:
+        super().__init__(message)
+        self.followed_ns = followed_ns

@@ -7,13 +7,13 @@ CSV, one row for each look (one per reading in it) and one for each order, in ti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Self, TextIO
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.correction_table import CorrectionTable
-from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero, HomingSpeeds, ServoDrive
 from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 
@@ -129,9 +129,20 @@ class RecordedDrive(ServoDrive):
         self._recorder.sampled(sample)
         return sample
 
+    def homing_speeds(self) -> HomingSpeeds:
+        return self._drive.homing_speeds()
+
     def zero(self) -> DriveZero:
         """The drive's own zero; reading it is not recorded."""
         return self._drive.zero()
+
+    def unit_parameters(self) -> Mapping[str, int | float]:
+        """The drive's own units; reading them is not recorded."""
+        return self._drive.unit_parameters()
+
+    def read_number(self, name: str) -> tuple[str, int | float]:
+        """A parameter of the drive; reading it is not recorded."""
+        return self._drive.read_number(name)
 
     def says_homed(self) -> bool | None:
         return self._drive.says_homed()

@@ -181,6 +181,14 @@ class PacedGroup(SetPointGroup):
     def missed_cycles(self) -> int:
         return max(stream.missed_cycles for stream in self._streams)
 
+    @property
+    def reached_ns(self) -> int:
+        return self._streams[0].reached_ns
+
+    @property
+    def found(self) -> list[tuple[int, float]]:
+        return [stream.found for stream in self._streams]
+
     def __enter__(self) -> Self:
         try:
             for stream in self._streams:

@@ -50,13 +50,15 @@ def no_observer(_count: int) -> None:
 class RawParameter:
     """One parameter. address: its place ("2210h:01", or a register's name); type: as the drive's own file names it.
 
-    refusal: why it is never written as a parameter (read only, moves the axis, …), None for one that the user may write.
+    refusal: why it is never written as a parameter (read only, moves the axis, …), None for one that the user may write; kind: what
+    it is instead, in the plural of a list ("commands").
     """
 
     address: str
     info: ParameterInfo
     type: str
     refusal: str | None = None
+    kind: str = "objects that are not written"
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,16 @@ class RawParameters(ABC):
     def find(self, address: str) -> RawParameter | None:
         """The parameter at an address, None where the drive has none."""
         return self.entries.get(address)
+
+    def doubts_of_file(self, found: DriveIdentity) -> Sequence[str]:
+        """Why the maker's file is not that of the drive found: another vendor, another product. Empty where there is no such file."""
+        del found
+        return ()
+
+    @property
+    def file_notes(self) -> Sequence[str]:
+        """How the maker's file deviates from its standard, a line for each kind."""
+        return ()
 
     @abstractmethod
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from drivers.errors import InputError
+from drivers.errors import InputError, StateError
 
 
 @dataclass(frozen=True)
@@ -79,3 +79,43 @@ class SetPointGroup(SetPoints):
 
         Raises as `SetPointStream.cycle`, with all axes quick-stopped.
         """
+
+    @property
+    @abstractmethod
+    def reached_ns(self) -> int:
+        """As `SetPointStream.reached_ns`, of the first axis."""
+
+    @property
+    @abstractmethod
+    def found(self) -> list[tuple[int, float]]:
+        """As `SetPointStream.found`, of each axis."""
+
+
+class FirstOfGroup(SetPointStream):
+    """A running group as the stream of its first axis, for readers of that axis. The group's owner gives the set-points."""
+
+    def __init__(self, group: SetPointGroup) -> None:
+        self._group = group
+
+    def __enter__(self) -> Self:
+        raise StateError("a group of axes is entered by its owner")
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Nothing: the group's owner leaves it."""
+
+    def cycle(self, position_load_mm: float) -> float:
+        raise StateError(f"set-point of {position_load_mm:g} mm to one axis of a group, expected one for each")
+
+    @property
+    def missed_cycles(self) -> int:
+        return self._group.missed_cycles
+
+    @property
+    def reached_ns(self) -> int:
+        return self._group.reached_ns
+
+    @property
+    def found(self) -> tuple[int, float]:
+        return self._group.found[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 
 from drivers.errors import BridgeError, UndoError
 
@@ -39,7 +40,8 @@ def undo_all(
     elif len(failures) == 1:
         raise failures[0][1]
     elif failures:
-        raise UndoError("; ".join(line for line, _ in failures), tuple(error for _, error in failures))
+        parts = [error.errors if isinstance(error, UndoError) else (error,) for _, error in failures]
+        raise UndoError("; ".join(line for line, _ in failures), tuple(chain.from_iterable(parts)))
 
 
 def one_line(error: BaseException) -> str:

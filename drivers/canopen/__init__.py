@@ -1,4 +1,4 @@
-"""CANopen drives: CiA-301 communication and CiA-402 on python-can, with object dictionaries read by the canopen package.
+"""CANopen drives: CiA-301 communication and CiA-402 on python-can, with the object dictionaries of makers' files.
 
 From the wire up:
 
@@ -15,9 +15,11 @@ From the wire up:
     touch_probe   positions latched by the drive         parameters  access by dictionary (named_parameters, raw_parameters)
     units         the units that a drive reports         drive       all of that as a ServoDrive
     dcf           device configurations, also concise    lss         nodes without an id
+    not_parameters  targets, commands, volatile objects  whole_pdo   one PDO as a single parameter
     sdo_cost      what transfers cost on the bus
 
-The canopen package's SDO client and CiA-402 node are not used. Their faults (tests/integration/test_canopen_library_faults.py) cannot
+The canopen package's reader of EDS files is not used: it refuses many, and takes values for what they are not. Its SDO client and
+CiA-402 node are not used either. Their faults (tests/integration/test_canopen_library_faults.py) cannot
 be corrected from outside: an SDO reply is taken without its index, a mode change sends a controlword that was not commanded. They also
 need a receiver thread, which loses exceptions and makes simulated time impossible.
 """

@@ -181,6 +181,14 @@ class CanLink:
             raise LinkLostError(f"heartbeat cannot be sent: {error}") from error
         self._heartbeats[node_id] = (period_s, self.send_periodically(message, period_s))
 
+    def request_periodically(self, cob_id: int, period_s: float) -> Any:
+        """Ask for the data of an identifier by remote frames, at once and every `period_s` seconds until `stop()` of the task.
+
+        Raises LinkLostError."""
+        message = can.Message(arbitration_id=cob_id, is_remote_frame=True, is_extended_id=False, dlc=1)
+        self.send_message(message)
+        return self.send_periodically(message, period_s)
+
     def send_periodically(self, message: can.Message, period_s: float) -> Any:
         """Send it every `period_s` seconds until `stop()` of the returned task; on SocketCAN the kernel does it, elsewhere a thread.
 
@@ -250,6 +258,8 @@ class CanLink:
                     self._checked_ns = at_ns
                     self.clock.check_interrupt()
                 left_s = timeout_s - max(waited_s, (at_ns - start_ns) / NS_PER_S)
+            if not done():
+                self.poll()  # if this process was kept waiting, frames that came in time are in the receive buffer
             return done()
 
     def _receive(self, timeout_s: float) -> bool:

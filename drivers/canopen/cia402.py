@@ -49,6 +49,7 @@ class Control(IntFlag):
     CHANGE_IMMEDIATELY = 0x0020  # profile position
     RELATIVE = 0x0040  # profile position
     HOMING_START = 0x0010  # homing, while 1
+    INTERPOLATE = 0x0010  # interpolated position, while 1
     FAULT_RESET = 0x0080  # on its rising edge
     HALT = 0x0100
 
@@ -60,6 +61,7 @@ class Mode(IntEnum):
     PROFILE_POSITION = 1
     PROFILE_VELOCITY = 3
     HOMING = 6
+    INTERPOLATED_POSITION = 7
     CYCLIC_POSITION = 8
     CYCLIC_VELOCITY = 9
     CYCLIC_TORQUE = 10

@@ -7,7 +7,7 @@ one block of bytes, little endian: u32 number of entries; of each u16 index, u8 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from drivers.canopen.eds import Key, decode_eds, load_eds
@@ -17,9 +17,17 @@ from drivers.errors import InputError
 _COUNT, _HEAD = struct.Struct("<I"), struct.Struct("<HBI")  # of the concise form
 
 
-def render_dcf(eds: Path, values: Sequence[tuple[Key, bytes]], node_id: int | None, bitrate: int | None = None) -> str:
+def render_dcf(
+    eds: Path,
+    values: Sequence[tuple[Key, bytes]],
+    node_id: int | None,
+    bitrate: int | None = None,
+    *,
+    model: Mapping[str, int | str] | None = None,
+) -> str:
     """The text of a DCF: every section of the EDS as it was read, with ParameterValue where a value (as on the wire) is given.
 
+    model: vendor_id and product_code of the device whose values these are; they stand in its head and in 1018h, whatever the EDS says.
     Raises InputError for an object that the EDS does not have, or a value that is not of its type.
     """
     entries = load_eds(eds, node_id).entries
@@ -35,6 +43,14 @@ def render_dcf(eds: Path, values: Sequence[tuple[Key, bytes]], node_id: int | No
         section["ParameterValue"] = (
             str(int(value)) if isinstance(value, bool) else value.hex() if isinstance(value, bytes) else str(value)
         )
+    for number, (name, written) in enumerate(
+        (("vendor_id", "VendorNumber"), ("product_code", "ProductNumber")), start=1
+    ):
+        told = None if model is None else model.get(name)
+        if isinstance(told, int):
+            sections.setdefault("DeviceInfo", {})[written] = f"0x{told:X}"
+            if (0x1018, number) in entries:
+                sections[f"1018sub{number}"]["ParameterValue"] = f"0x{told:X}"
     commissioning = sections.setdefault("DeviceComissioning", {})  # the standard's spelling
     if node_id is not None:
         commissioning["NodeID"] = str(node_id)

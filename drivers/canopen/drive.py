@@ -15,12 +15,15 @@ from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Mode, Status, decode_state
 from drivers.canopen.connection import Connection
 from drivers.canopen.correction_table import CanOpenCorrectionTable
+from drivers.canopen.eds_text import summary
 from drivers.canopen.homing import Homing
 from drivers.canopen.identity import Identity, error_history, read_identity, stores_on_command
 from drivers.canopen.motion import FAULTS, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import NmtCommand
+from drivers.canopen.objects import Entry
 from drivers.canopen.parameters import LOAD, ON_COMMAND, SAVE
+from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler, exists, sampled_pdos
@@ -28,8 +31,8 @@ from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
-from drivers.canopen.units import read_units, readings
-from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.canopen.units import object_of, read_motion_units, read_units, readings, unit_objects
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero, HomingSpeeds, ServoDrive
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -38,11 +41,12 @@ from drivers.errors import (
     HeldUnderPowerError,
     MotionTimeoutError,
     NoAnswerError,
+    ProtocolError,
     StateError,
     TransportError,
     UndoError,
 )
-from drivers.scaling import ReportedScaling
+from drivers.scaling import MotionScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 from drivers.undo import undo_all
 
@@ -67,7 +71,7 @@ class CanOpenDrive(StoppableDrive):
         Raises StateError when it is open already, ProtocolError for a node that is no CiA-402 drive, TransportError, AbortError."""
         if self._open:
             raise StateError(f"drive {self.name} is already open")
-        self.node.open(self.settings.sdo_timeout_s)
+        self.node.open(self.settings.sdo_timeout_s, self.settings.axis)
         self.sdo, self.monitor = self.node.sdo, self.node.monitor
         self.power = PowerStage(self.sdo, self.clock, self.settings.power)
         self.sampler = Sampler(self.node, self.settings.sample_timeout_s)
@@ -76,6 +80,14 @@ class CanOpenDrive(StoppableDrive):
         try:
             self.link.listen()
             self.identity = read_identity(self.sdo)
+            settings = self.settings
+            self.units = read_motion_units(
+                self.sdo,
+                self.scaling,
+                velocity=settings.velocity_unit,
+                acceleration=settings.acceleration_unit,
+                vendor=self.identity.vendor_id,
+            )
             self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
             self.motion = ProfileMotion(
                 self.sdo,
@@ -85,13 +97,23 @@ class CanOpenDrive(StoppableDrive):
                 handshake_s=self.settings.handshake_timeout_s,
                 mode_s=self.settings.mode_timeout_s,
                 strays=round(STRAYS_MM * self.scaling.counts_per_load_mm),
+                units=self.units,
+                modes=settings.modes,
+                highest=self._highest,
             )
             self.homing = Homing(self.name, self.power, self.motion)
             self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
             self._stores = stores_on_command(self.sdo)
             self._note_ramps()
+            if self.node.eds is not None:
+                self.notes += self.node.eds.doubts(self.identity.vendor_id, self.identity.product_code)
+                self.notes += [f"the maker's file (eds): {note}" for note in summary(self.node.eds.notes)]
+            self.motion.note_limits(self.limits.max_velocity_mm_s, self.limits.max_acceleration_mm_s2)
             self._set_up()
             self.notes += self.connection.notes
+            self.notes += self.motion.notes
+            self._note_modes()
+            self.motion.notes = self.notes  # what is found while it moves is added
             self._open = True
             self.sample()
         except BaseException as error:
@@ -102,14 +124,50 @@ class CanOpenDrive(StoppableDrive):
 
     def _set_up(self) -> None:
         """Set up PDOs and heartbeats, and SYNC as its owner needs."""
-        self.sampler.subscribe()
 
-        def settle() -> None:
-            self.sampler.mapped()
+        def settle(sampled: Sequence[PdoSpec]) -> None:
+            self.sampler.mapped(sampled)
+            self.sampler.subscribe()
             with suppress(AbortError):  # a drive whose TPDOs cannot be switched off answers every SYNC
                 self.sampler.settle()
 
-        self.connection.set_up((*self.sampler.specs, self.rpdo), settle)
+        self.connection.set_up(self.sampler.specs, self.rpdo if self.settings.axis == 1 else None, settle)
+        try:
+            self.sampler.prove()
+        except ProtocolError as error:
+            self.sampler.unsubscribe()
+            self.sampler.mapped(())
+            self.connection.distrust(error)
+
+    def _highest(self, entry: Entry) -> float | None:
+        """The largest value of an object by its maker's file; None without a file, or a limit in it."""
+        if self.node.eds is None:
+            return None
+        found = self.node.eds.entries.get((self.sdo.index_of(entry), entry.subindex))
+        return None if found is None else found.high
+
+    def _note_modes(self) -> None:
+        """What stands in for a mode that the drive lacks."""
+        motion, mode = self.motion, self.motion.streaming_mode
+        if mode is None:
+            return
+        named = mode.name.lower().replace("_", " ")
+        if not motion.supports(Mode.PROFILE_POSITION):
+            self.notes.append(
+                f"drive {self.name} has no profile position: it is moved by set-points ({named}), one with every second sample, and"
+                " holds the last one when none comes"
+            )
+        if self.connection.no_stream:
+            self.notes.append(f"drive {self.name}: set-points are not streamed: {self.connection.no_stream}")
+        elif mode is Mode.INTERPOLATED_POSITION:
+            self.notes.append(
+                f"drive {self.name} has no cyclic synchronous position: streams use interpolated position (60C1h)"
+            )
+
+    def _require_units(self) -> None:
+        """Raise CapabilityError before motion where the drive's units of it are not known."""
+        if self.units.ambiguous:
+            raise CapabilityError(f"drive {self.name} cannot be moved: {self.units.ambiguous}")
 
     @property
     def pdo_findings(self) -> list[Finding]:
@@ -169,13 +227,15 @@ class CanOpenDrive(StoppableDrive):
         self._require_open()
         found = {Capability.PARAMETERS}
         for mode, capability in (
-            (Mode.PROFILE_POSITION, Capability.PROFILE_POSITION),
             (Mode.PROFILE_VELOCITY, Capability.PROFILE_VELOCITY),
             (Mode.HOMING, Capability.HOMING),
-            (Mode.CYCLIC_POSITION, Capability.STREAMING),
         ):
             if self.motion.supports(mode):
                 found.add(capability)
+        if self.motion.supports(Mode.PROFILE_POSITION) or self.motion.streaming_mode is not None:
+            found.add(Capability.PROFILE_POSITION)
+        if self.motion.streaming_mode is not None and not self.connection.no_stream:
+            found.add(Capability.STREAMING)
         if objects.TORQUE_ACTUAL in self.sampler.specs[0].entries:
             found.add(Capability.TORQUE_ACTUAL)
         if self._has_probe:
@@ -189,6 +249,24 @@ class CanOpenDrive(StoppableDrive):
         self._require_open()
         return readings(read_units(self.sdo))
 
+    def unit_parameters(self) -> dict[str, int]:
+        """608Fh, 6091h, 6092h, 6093h, 607Eh and 60A8h."""
+        self._require_open()
+        return unit_objects(self.sdo)
+
+    def read_number(self, name: str) -> tuple[str, int | float]:
+        """An object such as "2201h" or "2201h:01", whole and not negative, or a parameter by its name."""
+        key = object_of(name)
+        if key is None:
+            return super().read_number(name)
+        self._require_open()
+        return f"{key[0]:04X}h:{key[1]:02X}", int.from_bytes(self.sdo.read_bytes(*key), "little")
+
+    def motion_scaling(self) -> MotionScaling:
+        """Units by the axis file, 60A9h and 60AAh, 608Bh to 608Eh, 6094h to 6097h, the maker's manual or the standard."""
+        self._require_open()
+        return self.units
+
     # -- zero, warnings, errors ------------------------------------------------------------------------------------------
     def zero(self) -> DriveZero:
         """Zero by 6098h and 607Ch as the next homing will use them, and 1018h."""
@@ -197,11 +275,27 @@ class CanOpenDrive(StoppableDrive):
         method, home_mm = asked.method, asked.home_position_mm
         if self.motion.supports(Mode.HOMING):
             method = sdo.read(objects.HOMING_METHOD) if method is None else method
-            home_mm = self.scaling.load_mm(sdo.read_or(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
+            home_mm = self.scaling.load_mm(self.motion.shown(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
         facts: dict[str, int | str] = {}
         if identity is not None:
             facts = {"vendor": identity.vendor_id, "product": identity.product_code, "serial": identity.serial}
         return DriveZero(method, home_mm, facts)
+
+    def homing_speeds(self) -> HomingSpeeds:
+        """Of the axis file, else of 6099h in the drive's unit of velocity."""
+        self._require_open()
+        asked, scaling = self.settings.homing, self.scaling
+
+        def speed(stated: float | None, entry: objects.Entry) -> float | None:
+            if stated is not None or self.units.ambiguous:
+                return stated
+            return self.units.mm_s(self.motion.shown(entry, 0)) or None
+
+        return HomingSpeeds(
+            speed(asked.speed_switch_mm_s, objects.HOMING_SPEED_SWITCH),
+            speed(asked.speed_zero_mm_s, objects.HOMING_SPEED_ZERO),
+            scaling.encoder_counts_per_motor_rev * scaling.resolution_load_mm,
+        )
 
     def says_homed(self) -> bool | None:
         """6041h bit 12 in homing mode, which a disabled drive is put into; a drive may have forgotten it with the change of mode."""
@@ -209,8 +303,9 @@ class CanOpenDrive(StoppableDrive):
         if self.homing.homed is not None or not self.motion.supports(Mode.HOMING):
             return self.homing.homed
         if decode_state(self.sdo.read(objects.STATUSWORD)) is DriveState.SWITCH_ON_DISABLED:
-            self.set_mode(Mode.HOMING)
-            self.homing.believe(self.sdo.read(objects.STATUSWORD))
+            self.set_mode(Mode.HOMING, until_enabled=True)
+            if not self.motion.mode_unseen:
+                self.homing.believe(self.sdo.read(objects.STATUSWORD))
         return self.homing.homed
 
     def complaints(self) -> tuple[str, ...]:
@@ -276,7 +371,7 @@ class CanOpenDrive(StoppableDrive):
     def require_disabled(self, verb: str) -> None:
         """Raise StateError unless the axis is disabled."""
         state = self.sample().state
-        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
+        if state not in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
             raise StateError(f"drive {self.name} cannot {verb}: it is {state.value}, disable it first")
 
     def store_parameters(self, *, timeout_s: float = 10.0) -> None:
@@ -321,7 +416,8 @@ class CanOpenDrive(StoppableDrive):
     def _enable(self) -> None:
         self.power.stopped = self.power.disobeyed = self._braking_awaited = False
         self.sdo.way_out.end()
-        self.set_mode(Mode.PROFILE_POSITION)
+        self._require_units()
+        self.set_mode(self.motion.resting_mode, until_enabled=True)
         if self.power.state() is DriveState.QUICK_STOP and self._quick_stop_holds():
             with self._stopped_if_it_fails():
                 if not self._comes_to_rest(self.settings.power.stop_s):
@@ -330,6 +426,7 @@ class CanOpenDrive(StoppableDrive):
             return
         try:
             self.power.enable(self.motion.stay)
+            self.motion.see_mode()
         except BaseException as error:
             # a brake that opens later would complete an enabling that was given up
             self._send(Command.DISABLE_VOLTAGE.word)
@@ -360,21 +457,25 @@ class CanOpenDrive(StoppableDrive):
         self.destination_load_mm = position_load_mm
 
     def _move(self, position_load_mm: float, velocity_mm_s: float, *, after_the_present: bool) -> None:
-        scaling = self.scaling
+        self._require_units()
+        velocity = self.units.velocity_units(velocity_mm_s)
+        self.motion.check_velocity(velocity)
         with self._stopped_if_it_fails():
             self.motion.move(
-                scaling.motor_counts(position_load_mm),
-                scaling.motor_counts_per_s(velocity_mm_s),
-                scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2),
+                self.scaling.motor_counts(position_load_mm),
+                velocity,
+                self.units.acceleration_units(self.limits.max_acceleration_mm_s2),
                 after_the_present=after_the_present,
             )
 
     def _start_velocity(self, velocity_mm_s: float) -> None:
+        self._require_units()
+        units = self.units.velocity_units(velocity_mm_s) if velocity_mm_s else 0
+        self.motion.check_velocity(units)
         self.homing.under_way = False
-        counts = self.scaling.motor_counts_per_s(velocity_mm_s) if velocity_mm_s else 0
         sign = self.scaling.direction * (1 if velocity_mm_s > 0 else -1)
         with self._stopped_if_it_fails():
-            self.motion.run_at(sign * counts, self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2))
+            self.motion.run_at(sign * units, self.units.acceleration_units(self.limits.max_acceleration_mm_s2))
 
     def halt(self) -> None:
         """Stop with the ramp of 605Dh and hold; `resume` continues the interrupted order."""
@@ -388,8 +489,9 @@ class CanOpenDrive(StoppableDrive):
 
     # -- homing ----------------------------------------------------------------------------------------------------------
     def _start_homing(self) -> None:
+        self._require_units()
         with self._stopped_if_it_fails():
-            self.homing.start(self.settings.homing, self.scaling)
+            self.homing.start(self.settings.homing, self.units)
 
     def home(self, timeout_s: float, *, attempts: int = 1) -> DriveSample:
         """Home and wait for it, at most `timeout_s` seconds per attempt; a homing that fails is repeated, `attempts` times in all.

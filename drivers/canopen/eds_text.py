@@ -1,12 +1,13 @@
 """Correction of the text of an EDS or DCF file: vendors' deviations from the standard (CiA-306).
 
 Works on sections, keys and numbers as text: letter case, duplicates, stray lines, missing keys, orphans and compact arrays are
-corrected here, and each deviation leaves a note. `eds` interprets the text.
+corrected here, and each deviation leaves a note. `eds` interprets the values.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from drivers.canopen.objects import DataType
@@ -21,8 +22,55 @@ CANONICAL = {
         "VendorNumber", "ProductName", "ProductNumber", "RevisionNumber", "OrderCode", "Factor", "Unit", "Description",
     )
 }  # fmt: skip
+TYPE_NAMES = {"BOOLEAN": 0x01, "REAL32": 0x08, "REAL64": 0x11, "VISIBLE_STRING": 0x09, "OCTET_STRING": 0x0A} | {
+    f"{name}{8 * kind.size}": kind.code
+    for kind in DataType
+    if kind.is_number and not kind.is_real and kind is not DataType.BOOLEAN
+    for name in (("INTEGER" if kind.is_signed else "UNSIGNED"),)
+}
 ARRAY, RECORD = 0x08, 0x09
 MAX_COMPACT = 254
+VALUES = ("DefaultValue", "ParameterValue")
+LONGEST_SHOWN = 40
+"""Longest text of a file that a note repeats, characters."""
+PLACES_SHOWN = 3
+"""Number of places that the summary names of each kind of deviation."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """One place where a file deviates from the standard. kind: what was made of it, in the same words for all of its kind; key: the
+    key concerned, "" for the whole section or line."""
+
+    place: str
+    key: str
+    shown: str
+    kind: str
+
+    def __str__(self) -> str:
+        return f"{self.where} {self.kind}"
+
+    @property
+    def where(self) -> str:
+        """Place, key and the text that stands there."""
+        return " ".join(part for part in (self.place, self.key, self.shown) if part)
+
+
+def summary(notes: Iterable[Deviation]) -> tuple[str, ...]:
+    """One line for each kind of deviation, with its number and the first places."""
+    kinds: dict[str, list[Deviation]] = {}
+    for note in notes:
+        kinds.setdefault(note.kind, []).append(note)
+    lines = []
+    for kind, found in kinds.items():
+        more = f" and {len(found) - PLACES_SHOWN} more" if len(found) > PLACES_SHOWN else ""
+        lines.append(", ".join(note.where for note in found[:PLACES_SHOWN]) + f"{more}: {kind}")
+    return tuple(lines)
+
+
+def quoted(text: str) -> str:
+    """A text of the file as a note repeats it."""
+    return repr(text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…")
 
 
 @dataclass
@@ -30,11 +78,11 @@ class EdsText:
     """The file as sections of keys, in canonical spelling and order, with notes on the corrections."""
 
     sections: dict[str, dict[str, str]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[Deviation] = field(default_factory=list)
 
-    def render(self) -> str:
-        """A text that strict readers accept; limits are left out, as not all readers get them right."""
-        return _render(self)
+    def note(self, place: str, kind: str, key: str = "", shown: str | None = None) -> None:
+        """Add a note; shown: the file's text there."""
+        self.notes.append(Deviation(place, key, "" if shown is None else quoted(shown), kind))
 
 
 def parse(text: str) -> EdsText:
@@ -53,7 +101,7 @@ def object_number(section: str) -> tuple[int, int | None] | None:
 
 
 def _parse(text: str) -> EdsText:
-    """Sections and keys of an INI-like text, nothing refused."""
+    """Sections and keys of an INI-like text, nothing refused. Values keep what stands behind a semicolon: it may belong to a text."""
     parsed = EdsText()
     section: dict[str, str] | None = None
     where = ""
@@ -62,19 +110,19 @@ def _parse(text: str) -> EdsText:
         if not line or line[0] in ";#":
             continue
         if line.startswith("["):
-            where = _section_name(line.strip("[] \t"))
+            where = _section_name(line.split(";", 1)[0].strip("[] \t"))
             if where in parsed.sections:
-                parsed.notes.append(f"line {number}: section [{where}] again, taken together")
+                parsed.note(f"[{where}]", "stands there again, taken together")
             section = parsed.sections.setdefault(where, {})
             continue
         key, equals, value = line.partition("=")
         if not equals or section is None:
-            parsed.notes.append(f"line {number}: {line[:40]!r} is neither section nor key, skipped")
+            parsed.note(f"line {number}", "is neither section nor key, skipped", shown=line)
             continue
         key = CANONICAL.get(key.strip().lower(), key.strip())
-        value = value.split(";", 1)[0].strip()
+        value = value.strip() if key in VALUES else value.split(";", 1)[0].strip()
         if key in section and section[key] != value:
-            parsed.notes.append(f"line {number}: [{where}] {key} again, the last one counts")
+            parsed.note(f"[{where}]", "stands there again, the last one counts", key)
         section[key] = value
     return parsed
 
@@ -84,13 +132,17 @@ def _section_name(name: str) -> str:
     if match is None:
         known = {"devicecomissioning": "DeviceComissioning", "devicecommissioning": "DeviceComissioning"}
         known |= {"deviceinfo": "DeviceInfo", "fileinfo": "FileInfo", "comments": "Comments"}
+        compact = re.match(r"^([0-9a-f]{4})(name|value)$", name, re.IGNORECASE)
+        if compact is not None:
+            return f"{compact[1].upper()}{compact[2].capitalize()}"
         return known.get(name.lower(), name)
     index, subindex = match.groups()
     return index.upper() if subindex is None else f"{index.upper()}sub{int(subindex, 16):X}"
 
 
 def _complete(parsed: EdsText) -> None:
-    """Give every object section what the interpreter needs, expand compact arrays, drop orphans."""
+    """Give every object section what the interpreter needs, expand compact arrays, add the objects of orphans."""
+    with_members = {match.group(1) for match in map(OBJECT.match, parsed.sections) if match and match.group(2)}
     for name in list(parsed.sections):
         match = OBJECT.match(name)
         if match is None:
@@ -98,18 +150,18 @@ def _complete(parsed: EdsText) -> None:
         keys = parsed.sections[name]
         if match.group(2) is not None and match.group(1) not in parsed.sections:
             parsed.sections[match.group(1)] = {"ParameterName": match.group(1), "ObjectType": "0x9"}
-            parsed.notes.append(f"[{name}] has no [{match.group(1)}], one was assumed")
+            parsed.note(f"[{name}]", "has no object, one was assumed")
         keys.setdefault("ParameterName", name)
-        has_members = any(other.startswith(f"{name}sub") for other in parsed.sections)
         kind = whole_number(keys.get("ObjectType"))
-        if kind not in (ARRAY, RECORD) and match.group(2) is None and has_members:
+        if kind not in (ARRAY, RECORD) and match.group(2) is None and name in with_members:
             keys["ObjectType"] = "0x9"
-            parsed.notes.append(f"[{name}] has sub-indices but is no record, taken as one")
+            parsed.note(f"[{name}]", "has sub-indices but is no record, taken as one")
         elif "ObjectType" in keys and kind is None:
-            parsed.notes.append(f"[{name}] ObjectType {keys['ObjectType']!r} is no number, taken as variable")
+            if keys["ObjectType"]:
+                parsed.note(f"[{name}]", "is no number, taken as a variable", "ObjectType", keys["ObjectType"])
             keys["ObjectType"] = "0x7"
         _expand(name, keys, parsed)
-        if whole_number(keys.get("ObjectType", "7")) not in (ARRAY, RECORD):
+        if whole_number(keys.get("ObjectType", "7")) not in (ARRAY, RECORD) or match.group(2) is not None:
             _complete_variable(name, keys, parsed)
     # a member has to come after its object
     ordered = sorted(parsed.sections, key=lambda name: (OBJECT.match(name) is not None, _order(name)))
@@ -124,9 +176,16 @@ def _order(name: str) -> tuple[int, int]:
 
 
 def _expand(name: str, keys: dict[str, str], parsed: EdsText) -> None:
-    """CompactSubObj=n: n members like the array itself (CiA-306, 4.5.2.4)."""
-    count = whole_number(keys.pop("CompactSubObj", None))
-    if not count or count > MAX_COMPACT:
+    """CompactSubObj=n: n members like the array itself (CiA-306, 4.5.2.4); values in [iiiiValue] are those of the device."""
+    text = keys.pop("CompactSubObj", None)
+    count = whole_number(text)
+    if not count:
+        return
+    if count == MAX_COMPACT + 1:
+        parsed.note(f"[{name}]", f"is one too many, {MAX_COMPACT} were assumed", "CompactSubObj", text)
+        count = MAX_COMPACT
+    if not 0 < count <= MAX_COMPACT:
+        parsed.note(f"[{name}]", "is no number of members, left out", "CompactSubObj", text)
         return
     names = parsed.sections.pop(f"{name}Name", {})
     values = parsed.sections.pop(f"{name}Value", {})
@@ -138,60 +197,45 @@ def _expand(name: str, keys: dict[str, str], parsed: EdsText) -> None:
     for member in range(1, count + 1):
         section = {**shared, "ParameterName": names.get(str(member), f"{keys['ParameterName']}{member}")}
         if str(member) in values:
-            section["DefaultValue"] = values[str(member)]
+            section["ParameterValue"] = values[str(member)]
         parsed.sections.setdefault(f"{name}sub{member:X}", section)
         _complete_variable(f"{name}sub{member:X}", parsed.sections[f"{name}sub{member:X}"], parsed)
+    if whole_number(keys.get("ObjectType")) not in (ARRAY, RECORD):
+        keys["ObjectType"] = "0x8"
 
 
 def _complete_variable(name: str, keys: dict[str, str], parsed: EdsText) -> None:
-    if whole_number(keys.get("DataType")) is None:
-        parsed.notes.append(f"[{name}] has no data type, taken as a domain")
-        keys["DataType"] = "0x000F"
+    kind = keys.get("DataType", "")
+    if whole_number(kind) is None:
+        named = TYPE_NAMES.get(kind.upper())
+        keys["DataType"] = f"0x{DataType.DOMAIN.code if named is None else named:04X}"
+        if named is None:
+            parsed.note(f"[{name}]", "has no data type, taken as a domain", shown=kind or None)
+        else:
+            parsed.note(f"[{name}]", "is a name, its code is meant", "DataType", kind)
+    elif whole_number(kind) not in TYPES:
+        parsed.note(f"[{name}]", "is no basic type, taken as a domain", "DataType", kind)
     access = keys.get("AccessType", "").lower()
     if access not in ("ro", "wo", "rw", "rwr", "rww", "const"):
-        parsed.notes.append(f"[{name}] has access type {access!r}, taken as read only")
-        keys["AccessType"] = "ro"
+        parsed.note(f"[{name}]", "is no access type, taken as read only", "AccessType", access)
+        keys["AccessType"] = access = "ro"
+    keys["AccessType"] = access
     for key in ("PDOMapping", "ObjectType", "SubNumber"):
         if key in keys:
             keys[key] = str(whole_number(keys[key]) or 0)
-    data_type = TYPES.get(whole_number(keys["DataType"]) or 0)
-    for key in ("DefaultValue", "ParameterValue"):
-        value = keys.get(key)
-        if value is None or data_type is None or not data_type.is_number:
-            continue
-        if not value:
-            del keys[key]
-        elif "$NODEID" not in value.upper() and not data_type.format.endswith(("f", "d")):
-            number = whole_number(value)
-            if number is None:
-                parsed.notes.append(f"[{name}] {key} {value!r} is no number, left out")
-                del keys[key]
-            else:
-                keys[key] = str(number)
 
 
-def _render(parsed: EdsText) -> str:
-    lines = []
-    for name, keys in parsed.sections.items():
-        if name in ("Comments", "DummyUsage") or (
-            name not in ("FileInfo", "DeviceComissioning") and not OBJECT.match(name)
-        ):
-            continue
-        lines.append(f"[{name}]")
-        lines += [f"{key}={value}" for key, value in keys.items() if key not in ("LowLimit", "HighLimit")]
-    return "\n".join(["[DeviceInfo]", *lines]) + "\n"
+NUMBER = re.compile(r"^([+-]?)(?:0x([0-9a-f]+)(?:u?l{0,2})|([0-9a-f]+)h|([0-9]+)(?:u?l{0,2}))$")
 
 
 def whole_number(text: str | None) -> int | None:
-    """A whole number in any of the spellings met: decimal with leading zeros, 0x…, …h, with blanks. None for anything else."""
-    if text is None:
+    """A whole number in any of the spellings met: decimal with leading zeros, 0x…, …h, with blanks, with a suffix of C. None for
+    anything else, and beyond 4096 bits."""
+    if text is None or len(text) > 1024:
         return None
-    text = text.replace(" ", "").replace("_", "").lower()
-    try:
-        if text.startswith(("0x", "-0x")):
-            return int(text, 16)
-        if text.endswith("h"):
-            return int(text[:-1], 16)
-        return int(text, 10)
-    except ValueError:
+    match = NUMBER.match(text.replace(" ", "").replace("_", "").lower())
+    if match is None:
         return None
+    sign, prefixed, suffixed, decimal = match.groups()
+    number = int(decimal) if decimal else int(prefixed or suffixed, 16)
+    return -number if sign == "-" else number

@@ -7,6 +7,10 @@ of the controlword rises), and then shows bits 13, 12 and 10 low: in progress (I
 and 13). A statusword that is some milliseconds old may still show the homing before. So bit 12 counts once all three were seen low
 after bit 4 rose. Methods that do not move (35, 37) may be over before the first sample: without that, bit 12 counts once an axis that
 does not move has shown it for `ATTAINED_S` without a break. Bit 13, homing error, is evaluated by the same rule, at rest.
+
+Some drives depart from that: one never shows bit 10 (bit 12 then counts once the axis rests for `ATTAINED_S`), one shows a homing as
+attained that was to search a switch and was not seen moving (it has failed), one answers a method that it does not take (it is read
+back).
 """
 
 from __future__ import annotations
@@ -15,17 +19,19 @@ from collections.abc import Callable
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Control, HomingStatus, Mode, decode_homing
-from drivers.canopen.motion import RUN, ProfileMotion
+from drivers.canopen.motion import LEFT_OUT, RUN, ProfileMotion
 from drivers.canopen.objects import Entry
 from drivers.canopen.power import PowerStage
 from drivers.canopen.settings import HomingSettings
 from drivers.clock import NS_PER_S
-from drivers.errors import DriveFaultError
-from drivers.scaling import AxisScaling
+from drivers.errors import AbortError, CapabilityError, DriveFaultError
+from drivers.scaling import MotionScaling
 
 ATTAINED_S = 0.25
 """Time for which an axis at rest must show the end if no homing was seen in progress, s: far more than a drive takes to begin a homing
 and to show it (a control cycle, one to ten ms), and than an axis takes to be seen moving."""
+TAKES_THE_PLACE = (35, 37)
+"""Methods of 6098h that do not move. 1 to 34 search a switch or the index and move in any case; negative ones are the maker's."""
 SAME_PLACE = 2
 """Tolerance of the position of an axis at rest, counts: it may stand between two counts of its encoder."""
 
@@ -33,34 +39,48 @@ SAME_PLACE = 2
 class Homing:
     """Homing of one open drive. homed: since it was opened, or as the drive reports, None while that is unknown.
 
-    under_way: begun, and its end not seen yet.
+    under_way: begun, and its end not seen yet. without_bit_10: it has ended and bit 10 was not shown.
     """
 
     def __init__(self, drive_name: str, power: PowerStage, motion: ProfileMotion) -> None:
         self.homed: bool | None = None
-        self.under_way = False
+        self.under_way = self.without_bit_10 = False
+        self._method: int | None = None
         self._name = drive_name
         self._power = power
         self._motion = motion
         self._was_low = False  # seen in progress since bit 4 rose
+        self._from_counts: int | None = None  # where it began
+        self._moved = False  # seen moving since
         self._shown: tuple[int, int] | None = None  # an end shown without a break: since when (ns), position in counts
 
-    def start(self, homing: HomingSettings, scaling: AxisScaling) -> None:
+    def start(self, homing: HomingSettings, units: MotionScaling) -> None:
         """Write the settings, change the mode, begin. Raises AbortError, CapabilityError, ProtocolError, NoAnswerError."""
         settings: list[tuple[Entry, int | None]] = [
             (objects.HOMING_METHOD, homing.method),
-            (objects.HOMING_SPEED_SWITCH, _counts(homing.speed_switch_mm_s, scaling.motor_counts_per_s)),
-            (objects.HOMING_SPEED_ZERO, _counts(homing.speed_zero_mm_s, scaling.motor_counts_per_s)),
-            (objects.HOME_OFFSET, _counts(homing.home_position_mm, scaling.motor_counts)),
+            (objects.HOMING_SPEED_SWITCH, _counts(homing.speed_switch_mm_s, units.velocity_units)),
+            (objects.HOMING_SPEED_ZERO, _counts(homing.speed_zero_mm_s, units.velocity_units)),
+            (objects.HOME_OFFSET, _counts(homing.home_position_mm, units.scaling.motor_counts)),
         ]
         for entry, value in settings:
-            if value is not None:
+            if value is None:
+                continue
+            try:
                 self._motion.set(entry, value)
+            except AbortError as error:  # one speed may serve the whole homing
+                if entry is not objects.HOMING_SPEED_ZERO or error.code not in LEFT_OUT:
+                    raise
+        self._method = self._motion.shown(objects.HOMING_METHOD, 0)
+        if homing.method is not None and self._method != homing.method:
+            raise CapabilityError(
+                f"drive {self._name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
+            )
         self._motion.set_mode(Mode.HOMING)
-        self.homed, self.under_way = False, False
+        self.homed, self.under_way, self.without_bit_10 = False, False, False
         self._was_low, self._shown = False, None
+        self._from_counts, self._moved = None, False
         self._power.write(RUN)
-        self._power.write(RUN | Control.HOMING_START)
+        self._power.write_edge(RUN | Control.HOMING_START)
         self.under_way = True
 
     def believe(self, status: int) -> None:
@@ -80,8 +100,18 @@ class Homing:
         if not self.under_way:
             return
         homing = decode_homing(status)
+        if self._from_counts is None:
+            self._from_counts = position_counts
+        travelled = homing is not HomingStatus.COMPLETED and abs(position_counts - self._from_counts) > SAME_PLACE
+        if travelled or not slow:
+            self._moved = True
         if homing is HomingStatus.IN_PROGRESS:
             self._was_low, self._shown = True, None
+            return
+        if homing is HomingStatus.ATTAINED_NOT_REACHED:  # bit 10 follows in a moment, or never
+            if self._stays(time_ns, position_counts, slow):
+                self._end_attained()
+                self.without_bit_10 = True
             return
         ended = homing is HomingStatus.COMPLETED or (homing is not None and homing.failed and slow)
         if not ended:
@@ -90,13 +120,24 @@ class Homing:
         if not (self._was_low or self._stays(time_ns, position_counts, slow)):
             return
         if homing is HomingStatus.COMPLETED:
-            self.homed, self.under_way = True, False
+            self._end_attained()
         elif homing is not None:
             self.under_way = False
             self._power.write(RUN)
             raise DriveFaultError(
                 f"drive {self._name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
             )
+
+    def _end_attained(self) -> None:
+        """Raises DriveFaultError for a homing that is shown as attained, and was not seen moving where its method has to."""
+        self.under_way = False
+        if not self._moved and self._method is not None and 0 < self._method < TAKES_THE_PLACE[0]:
+            self._power.write(RUN)
+            raise DriveFaultError(
+                f"drive {self._name}: homing failed: method {self._method} searches a switch or the index, and it is shown as attained"
+                " where the axis stood, without motion"
+            )
+        self.homed = True
 
     def _stays(self, time_ns: int, position_counts: int, slow: bool) -> bool:
         """Where no homing was seen in progress: whether its end has been shown for long enough by an axis that does not move."""

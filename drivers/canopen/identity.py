@@ -11,6 +11,8 @@ from drivers.canopen.sdo import SdoClient
 from drivers.errors import AbortError, ProtocolError
 
 PROFILE = 402
+NO_PROFILE = 0
+"""1000h of a device that names no profile, or lacks the object: the statusword 6041h tells a drive then."""
 _MOST_ERRORS = 254
 
 
@@ -29,18 +31,30 @@ class Identity:
 
 def read_identity(sdo: SdoClient) -> Identity:
     """Identity of a servo drive. Raises ProtocolError for a node of another device profile (1000h), and as `SdoClient.read`."""
-    profile = sdo.read(objects.DEVICE_TYPE) & 0xFFFF
-    if profile != PROFILE:
+    profile = _number(sdo, objects.DEVICE_TYPE) & 0xFFFF
+    if profile not in (PROFILE, NO_PROFILE):
         raise ProtocolError(f"{sdo.name}: node {sdo.node_id} has device profile {profile}, not {PROFILE}")
+    try:
+        sdo.read(objects.STATUSWORD)
+    except AbortError as error:
+        raise ProtocolError(f"{sdo.name}: node {sdo.node_id} is no drive of profile {PROFILE}: {error}") from error
     return Identity(
-        sdo.read_or(objects.VENDOR_ID, 0),
-        sdo.read_or(objects.PRODUCT_CODE, 0),
-        sdo.read_or(objects.REVISION, 0),
-        sdo.read_or(objects.SERIAL_NUMBER, 0),
+        _number(sdo, objects.VENDOR_ID),
+        _number(sdo, objects.PRODUCT_CODE),
+        _number(sdo, objects.REVISION),
+        _number(sdo, objects.SERIAL_NUMBER),
         _text(sdo, objects.DEVICE_NAME),
         _text(sdo, objects.HARDWARE_VERSION),
         _text(sdo, objects.SOFTWARE_VERSION),
     )
+
+
+def _number(sdo: SdoClient, entry: Entry) -> int:
+    """0 for one that the drive lacks or does not show: all but the status and the position may be missing."""
+    try:
+        return sdo.read(entry)
+    except AbortError:
+        return 0
 
 
 def _text(sdo: SdoClient, entry: Entry) -> str:

@@ -5,7 +5,8 @@ Holds the mode-specific bits of controlword and statusword, and their objects. L
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,9 +17,11 @@ from drivers.canopen.objects import Entry
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.streamed_move import FEED_S, StreamedMove
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveState
 from drivers.errors import (
+    AbortError,
     CapabilityError,
     DriveFaultError,
     FollowingErrorError,
@@ -26,6 +29,8 @@ from drivers.errors import (
     ProtocolError,
     StateError,
 )
+from drivers.scaling import MotionScaling
+from drivers.standstill import STILL_MM, Standstill
 from drivers.undo import undo_all
 
 POLL_S = 0.001
@@ -41,12 +46,39 @@ def mode_of(shown: int) -> Mode:
         return Mode.NONE
 
 
-TARGETS = (objects.TARGET_POSITION, objects.TARGET_VELOCITY, objects.TARGET_TORQUE)
+TARGETS = (
+    objects.TARGET_POSITION,
+    objects.TARGET_VELOCITY,
+    objects.TARGET_TORQUE,
+    objects.INTERPOLATION_TARGET,
+)
 """Set-points; they are never put back."""
 
 
+SAME_SHARE = 1e-3
+"""Share by which a drive's own limit may lie below the axis file's without a note: rounding to its units."""
+TRY_S = 0.05
+"""Time in which a drive at rest shows a mode that it takes, s: five slow control cycles."""
+ARRIVED_COUNTS = 2
+"""Smallest window of an arrival that the drive does not show itself, counts: an axis at rest may stand between two."""
+FREE_S = 0.05
+"""Time in which a drive takes bit 12 back once bit 4 has fallen, s: five slow control cycles. The next set-point waits longer."""
 LOOK_S = 0.01
 """Interval of samples of an axis that is coming to rest, s."""
+
+
+HOLDING = (0, Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION)
+"""Modes of 6061h in which an axis whose target is its position is enabled safely."""
+OUT_OF_RANGE = (0x06090030, 0x06090031)
+LEFT_OUT = (0x06010002, 0x06020000, 0x06090011)
+"""Read-only, no such object, no such subindex."""
+TRIED_MODES = (
+    Mode.PROFILE_POSITION,
+    Mode.PROFILE_VELOCITY,
+    Mode.HOMING,
+    Mode.INTERPOLATED_POSITION,
+    Mode.CYCLIC_POSITION,
+)
 
 
 @dataclass(frozen=True)
@@ -68,7 +100,10 @@ class _Queued:
 
 class ProfileMotion:
     """Motion orders to one open drive. handshake_s and mode_s: longest time for the acknowledgement, s. strays: how far outside its
-    path an axis may be meanwhile, counts.
+    path an axis may be meanwhile, counts. units: of its velocities and accelerations. modes: of 6060h, where the axis file names
+    them. highest: largest value that the maker's file allows for an object, None without one.
+
+    notes: what is used instead of what the drive lacks, one sentence each.
     """
 
     def __init__(
@@ -81,6 +116,9 @@ class ProfileMotion:
         handshake_s: float,
         mode_s: float,
         strays: int,
+        units: MotionScaling,
+        modes: Sequence[int] = (),
+        highest: Callable[[Entry], float | None] = lambda _entry: None,
     ) -> None:
         self._sdo = sdo
         self._power = power
@@ -91,19 +129,79 @@ class ProfileMotion:
         self._strays = strays
         self._written: dict[Entry, int] = {}
         self._found: dict[Entry, int] = {}  # values of the drive before they were written
-        self.supported_modes = sdo.read(objects.SUPPORTED_MODES)
+        self._units = units
+        self._highest = highest
+        self._left_out: set[Entry] = set()
+        self._noted: set[tuple[Entry, int]] = set()
+        self._limits: dict[Entry, int] = {}  # of the drive's own, as far as it states them
+        self.notes: list[str] = []
         self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
+        self.supported_modes = self._modes(modes)
         self.halted = False
+        self.mode_unseen = False  # 6061h did not follow 6060h yet
+        self._unshown: int | None = None  # target of a move whose begin did not clear bit 10
+        self._streamed: StreamedMove | None = None  # of a drive without profile position
         self._queued: _Queued | None = None
         self._going: tuple[int, ...] = ()  # targets of the move in progress and of the one that follows it
+
+    def shown(self, entry: Entry, absent: int) -> int:
+        """An object as the drive shows it now; `absent` where it shows none."""
+        try:
+            return self._sdo.read(entry)
+        except AbortError:
+            return absent
 
     def supports(self, mode: Mode) -> bool:
         """Whether 6502h lists the mode."""
         return bool(self.supported_modes & mode.supported_bit)
 
     # -- modes -----------------------------------------------------------------------------------------------------------
-    def set_mode(self, mode: Mode) -> None:
+    def _modes(self, named: Sequence[int]) -> int:
+        """6502h, else the modes that the axis file names, else those that the drive takes at standstill; as bits of 6502h."""
+        try:
+            told = self._sdo.read(objects.SUPPORTED_MODES)
+        except AbortError:
+            told = 0
+        if told:
+            return told
+        if named:
+            return sum(1 << (mode - 1) for mode in set(named) if mode > 0)
+        found = self._tried_modes()
+        names = ", ".join(mode.name.lower().replace("_", " ") for mode in found) or "none"
+        how = "by trial at standstill" if found else "and it took none at standstill"
+        self.notes.append(f"{self._sdo.name} does not say its modes (6502h); {how}: {names}")
+        return sum(mode.supported_bit for mode in found)
+
+    def _tried_modes(self) -> list[Mode]:
+        """Modes that 6061h shows once they are written to 6060h. An axis under power is not tried with: it has the present mode."""
+        if not 0 <= self.shown(objects.MODE, self.mode) <= max(Mode):
+            return []  # a maker's own mode could perhaps not be put back
+        state = decode_state(self._sdo.read(objects.STATUSWORD))
+        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.NOT_READY):
+            return [self.mode] if self.mode is not Mode.NONE else []
+        found: list[Mode] = []
+        try:
+            for mode in TRIED_MODES:
+                try:
+                    self._remember(objects.MODE)
+                    self._sdo.write(objects.MODE, mode)
+                except AbortError:
+                    continue
+                if self._shown_mode(mode, TRY_S) == mode:
+                    found.append(mode)
+        finally:
+            undo_all([("", self.put_back)])
+        return found
+
+    def _shown_mode(self, mode: Mode, within_s: float) -> int:
+        deadline = self._clock.deadline(within_s)
+        while (shown := self._sdo.read(objects.MODE_DISPLAY)) != mode and not deadline.expired:
+            self._clock.sleep_s(POLL_S)
+        return shown
+
+    def set_mode(self, mode: Mode, *, until_enabled: bool = False) -> None:
         """Change the mode of operation and see it confirmed (6061h); the controlword is not written, so the axis stays held.
+        until_enabled: a drive without power may show it later, see `see_mode`.
 
         Set-points of the new mode are first made to mean "stay". Raises CapabilityError for a mode that 6502h does not list,
         ProtocolError when the drive does not follow.
@@ -119,17 +217,65 @@ class ProfileMotion:
         self._remember(objects.MODE)
         self._going = ()
         self._sdo.write(objects.MODE, mode)
-        deadline = self._clock.deadline(self._mode_s)
-        while (shown := self._sdo.read(objects.MODE_DISPLAY)) != mode:
-            if deadline.expired:
-                raise ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
-            self._clock.sleep_s(POLL_S)
+        shown = self._shown_mode(mode, self._mode_s)
+        self.mode_unseen = shown != mode
+        if self.mode_unseen and not (until_enabled and shown in HOLDING and self._is_off()):
+            self.mode_unseen = False
+            raise self._not_followed(mode, shown)
         self.mode = mode
+
+    def see_mode(self) -> None:
+        """Make sure of a mode that was not shown while the drive was off: some show it once they are enabled.
+
+        Raises ProtocolError."""
+        if self.mode_unseen:
+            shown = self._shown_mode(self.mode, self._mode_s)
+            if shown != self.mode:
+                raise self._not_followed(self.mode, shown)
+            self.mode_unseen = False
+
+    def _is_off(self) -> bool:
+        state = decode_state(self._sdo.read(objects.STATUSWORD))
+        return state in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY)
+
+    def _not_followed(self, mode: Mode, shown: int) -> ProtocolError:
+        return ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
+
+    @property
+    def streaming_mode(self) -> Mode | None:
+        """The mode of set-point streams: cyclic synchronous position, else interpolated position; None without either."""
+        for mode in (Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION):
+            if self.supports(mode):
+                return mode
+        return None
+
+    @property
+    def resting_mode(self) -> Mode:
+        """The mode in which an axis is enabled and held: profile position, else one by set-points, else profile velocity.
+
+        Raises CapabilityError for a drive without any of them."""
+        for mode in (
+            Mode.PROFILE_POSITION,
+            Mode.CYCLIC_POSITION,
+            Mode.INTERPOLATED_POSITION,
+            Mode.PROFILE_VELOCITY,
+        ):
+            if self.supports(mode):
+                return mode
+        raise CapabilityError(
+            f"{self._sdo.name} has no mode that moves an axis here (6502h is {self.supported_modes:X}h)"
+        )
 
     def stay(self) -> None:
         """Write set-points that move nothing: target position := actual position, target velocity and torque := 0."""
         self._going = ()
-        self.set(objects.TARGET_POSITION, self._sdo.read(objects.POSITION_ACTUAL), always=True)
+        self._streamed = self._unshown = None
+        here = self._sdo.read(objects.POSITION_ACTUAL)
+        if self.supports(Mode.PROFILE_POSITION) or self.supports(Mode.CYCLIC_POSITION):
+            self.set(objects.TARGET_POSITION, here, always=True)
+        if self.supports(Mode.INTERPOLATED_POSITION):
+            with suppress(AbortError):  # some take it in that mode only
+                self.set(objects.INTERPOLATION_TARGET, here, always=True)
         if self.supports(Mode.PROFILE_VELOCITY) or self.supports(Mode.CYCLIC_VELOCITY):
             self.set(objects.TARGET_VELOCITY, 0, always=True)
         if self.supports(Mode.CYCLIC_TORQUE):
@@ -139,13 +285,25 @@ class ProfileMotion:
         """Write an object unless it is known to hold the value already. Raises as `SdoClient.write`."""
         if always or self._written.get(entry) != value:
             self._written.pop(entry, None)
+            known = entry in self._found
             self._remember(entry)
-            self._sdo.write(entry, value)
+            try:
+                self._sdo.write(entry, value)
+            except AbortError:
+                if not known:  # refused, so there is nothing to put back
+                    self._found.pop(entry, None)
+                raise
             self._written[entry] = value
 
     def _remember(self, entry: Entry) -> None:
-        if entry not in self._found and entry not in TARGETS:
+        if entry in self._found or entry in TARGETS:
+            return
+        try:
             self._found[entry] = self._sdo.read(entry)
+        except AbortError:
+            if entry is not objects.MODE:
+                raise
+            self._found[entry] = self._sdo.read(objects.MODE_DISPLAY)  # 6060h may be write-only
 
     def put_back(self) -> None:
         """Restore mode, speeds and ramps on a disabled axis. Targets are not restored: they would be motion orders."""
@@ -161,12 +319,17 @@ class ProfileMotion:
 
     # -- profile position ------------------------------------------------------------------------------------------------
     def move(self, target: int, velocity: int, acceleration: int, *, after_the_present: bool = False) -> None:
-        """Give an absolute set-point, counts and counts/s(²); returns once the drive has acknowledged it.
+        """Give an absolute set-point, counts and the drive's units of velocity and acceleration; returns once it is acknowledged.
 
         It replaces the move in progress, or follows it where `after_the_present` (the drive holds one such set-point). Raises
         StateError when it holds one already, before anything is written, LimitError when the drive limits the target, ProtocolError
         for a handshake that is not acknowledged, FollowingErrorError for an axis that moves elsewhere meanwhile, DriveFaultError.
         """
+        if not self.supports(Mode.PROFILE_POSITION) and self.streaming_mode is not None:
+            if after_the_present:
+                raise CapabilityError(f"{self._sdo.name} has no profile position: it takes no following set-point")
+            self._move_by_set_points(target, velocity, acceleration)
+            return
         way = self._way(target, velocity, acceleration)
         if (
             after_the_present
@@ -176,10 +339,9 @@ class ProfileMotion:
             raise StateError(f"{self._sdo.name}: it holds a following set-point already")
         self.set_mode(Mode.PROFILE_POSITION)
         self.set(objects.PROFILE_VELOCITY, velocity)
-        self.set(objects.PROFILE_ACCELERATION, acceleration)
-        self.set(objects.PROFILE_DECELERATION, acceleration)
+        self._set_ramps(acceleration)
         self.set(objects.TARGET_POSITION, target, always=True)
-        distance = abs(target - self._sampler.position_counts)
+        distance, self._unshown = abs(target - self._sampler.position_counts), None
         limited_before = self._sampler.statusword & Status.INTERNAL_LIMIT
         self._queued = None
         flags = Control(0) if after_the_present else Control.CHANGE_IMMEDIATELY
@@ -190,8 +352,156 @@ class ProfileMotion:
         if after_the_present:
             self._queued = _Queued(target, bool(limited_before))
         elif distance > self._position_window():
-            # a drive may show the arrival of the move before for a cycle or two
-            self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
+            # a drive may show the arrival of the move before for a cycle or two; one that shows it all the time is not believed
+            fell = self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
+            self._unshown = None if fell else target
+
+    # -- limits of the drive -----------------------------------------------------------------------------------------------
+    def _limit(self, entry: Entry) -> int:
+        """A limit that the drive states, in its units; 0 where it states none."""
+        if entry not in self._limits:
+            try:
+                self._limits[entry] = max(0, self._sdo.read(entry))
+            except AbortError:
+                self._limits[entry] = 0
+        return self._limits[entry]
+
+    def note_limits(self, velocity_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Read the drive's own limits and ramps, and note where they are below the axis file's (mm/s, mm/s²). Nothing is written."""
+        largest = self._limit(objects.MAX_PROFILE_VELOCITY)
+        if largest and self._units.mm_s(largest) < velocity_mm_s * (1 - SAME_SHARE):
+            self.notes.append(
+                f"{self._sdo.name} allows {self._units.mm_s(largest):.4g} mm/s (607Fh), the axis file {velocity_mm_s:g} mm/s:"
+                " faster moves are refused"
+            )
+        for entry, limit in (
+            (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION),
+            (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION),
+        ):
+            try:
+                self._sdo.read(entry)
+            except AbortError as error:
+                if error.code in LEFT_OUT:
+                    self._leave_out(entry)
+                    continue
+            self._allowed_ramp(entry, limit, self._units.acceleration_units(acceleration_mm_s2))
+
+    def _leave_out(self, entry: Entry) -> None:
+        self._left_out.add(entry)
+        which = "6083h serves both ramps" if entry is objects.PROFILE_DECELERATION else "its own ramp holds"
+        self.notes.append(f"{self._sdo.name} does not take {entry}: {which}")
+
+    def _allowed_ramp(self, entry: Entry, largest: Entry, acceleration: int) -> int:
+        """The ramp that the drive allows, in its units; noted once where that is less."""
+        value = acceleration
+        for limit in (self._limit(largest), self._limits.get(entry, 0), self._highest(entry)):
+            if limit:
+                value = min(value, int(limit))
+        if value < acceleration and (entry, value) not in self._noted:
+            self._noted.add((entry, value))
+            self.notes.append(
+                f"{self._sdo.name} allows {self._units.mm_s2(value):.4g} mm/s² ({entry}) instead of the axis file's"
+                f" {self._units.mm_s2(acceleration):.4g} mm/s²: moves use what it allows"
+            )
+        return value
+
+    def check_velocity(self, velocity: int) -> None:
+        """Raise LimitError for a velocity that the drive would limit in silence (607Fh) or refuse (its maker's file)."""
+        written = objects.PROFILE_VELOCITY if self.mode is not Mode.PROFILE_VELOCITY else objects.TARGET_VELOCITY
+        limits = [
+            (float(self._limit(objects.MAX_PROFILE_VELOCITY)), "607Fh"),
+            (self._highest(written), "its maker's file"),
+        ]
+        for limit, source in limits:
+            if limit and velocity > limit:
+                raise LimitError(
+                    f"{self._sdo.name}: {self._units.mm_s(velocity):.4g} mm/s is more than its drive allows,"
+                    f" {self._units.mm_s(limit):.4g} mm/s ({source})"
+                )
+
+    def _set_ramps(self, acceleration: int) -> None:
+        """6083h and 6084h, as far as the drive has them and lets them: a lower limit of its own is respected, and noted."""
+        self._set_ramp(objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION, acceleration)
+        self._set_ramp(objects.PROFILE_DECELERATION, objects.MAX_DECELERATION, acceleration)
+
+    def _set_ramp(self, entry: Entry, largest: Entry, acceleration: int) -> None:
+        """A ramp as far as the drive takes it: one that it calls out of range is halved until it is taken."""
+        if entry in self._left_out:
+            return
+        lowered = False
+        value = self._limits.get(entry) or self._allowed_ramp(entry, largest, acceleration)
+        value = min(value, acceleration)
+        while True:
+            try:
+                self.set(entry, value)
+                break
+            except AbortError as error:
+                if error.code in LEFT_OUT:
+                    self._leave_out(entry)
+                    return
+                if error.code not in OUT_OF_RANGE or value <= 1:
+                    raise
+                value, lowered = max(1, value // 2), True
+        if lowered:
+            self._limits[entry] = value
+            self._allowed_ramp(entry, largest, acceleration)
+
+    # -- moves by set-points, without profile position -----------------------------------------------------------------------
+    def _move_by_set_points(self, target: int, velocity: int, acceleration: int) -> None:
+        changed = self.mode is not self.resting_mode
+        self.set_mode(self.resting_mode)
+        now_ns = self._clock.now_ns()
+        if self._streamed is None:
+            with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
+                self.set(objects.INTERPOLATION_PERIOD, round(1000 * FEED_S))
+                self.set(objects.INTERPOLATION_EXPONENT, -3)
+            self._streamed = StreamedMove(self._sampler.position_counts, now_ns, self._interpolated_s())
+        counts = self._units
+        self._streamed.go(
+            target, velocity * float(counts.velocity.counts), acceleration * float(counts.acceleration.counts)
+        )
+        if changed or self._power.controlword != self._run_word:
+            self._power.write(RUN)  # in homing mode bit 4 had another meaning
+            self._power.write(self._run_word)
+            self.halted = False
+
+    def _interpolated_s(self) -> float:
+        """60C2h, s, at most `FEED_S`."""
+        value, exponent = self.shown(objects.INTERPOLATION_PERIOD, 0), self.shown(objects.INTERPOLATION_EXPONENT, -3)
+        return min(FEED_S, value * 10.0**exponent) if value > 0 and exponent < 0 else FEED_S
+
+    @property
+    def _run_word(self) -> int:
+        return RUN | Control.INTERPOLATE if self.mode is Mode.INTERPOLATED_POSITION else RUN
+
+    def arrived(self) -> bool | None:
+        """Of a move by set-points, or one whose begin did not clear bit 10: whether the axis is at its target; None where the drive
+        itself says it (bit 10)."""
+        if self._unshown is not None and self.mode is Mode.PROFILE_POSITION:
+            near = max(self._position_window(), ARRIVED_COUNTS, STILL_MM * self._units.scaling.counts_per_load_mm)
+            speed = self._units.mm_s(self._sampler.values.get(objects.VELOCITY_ACTUAL, 0))
+            return abs(self._sampler.position_counts - self._unshown) <= near and Standstill.is_slow(speed)
+        streamed = self._streamed
+        if streamed is None:
+            return None
+        window = max(self._position_window(), ARRIVED_COUNTS)
+        return streamed.fed and abs(self._sampler.position_counts - streamed.target) <= window
+
+    def _feed(self, status: int) -> None:
+        """The next set-point of a move without profile position. A stop or a halt ends it."""
+        streamed = self._streamed
+        if streamed is None:
+            return
+        if self._power.stopped or decode_state(status) is not DriveState.ENABLED:
+            self._streamed = None
+            return
+        if self.halted:
+            streamed.rest(self._clock.now_ns())
+            return
+        place = streamed.step(self._clock.now_ns())
+        if place is not None:
+            entry = objects.INTERPOLATION_TARGET if self.mode is Mode.INTERPOLATED_POSITION else objects.TARGET_POSITION
+            self.set(entry, place, always=True)
 
     def _way(self, target: int, velocity: int, acceleration: int) -> _Way | None:
         """From where the axis is to the target, by way of those that the drive holds, and what it needs to brake; None for an axis in
@@ -202,12 +512,14 @@ class ProfileMotion:
         places = (here, target, *self._going)
         fastest = max(velocity, self._written.get(objects.PROFILE_VELOCITY, 0))
         speed = abs(self._sampler.values.get(objects.VELOCITY_ACTUAL, fastest))
-        beyond = self._strays + speed * speed // (2 * acceleration)
+        speed_counts, ramp_counts = speed * self._units.velocity.counts, acceleration * self._units.acceleration.counts
+        beyond = self._strays + round(speed_counts * speed_counts / (2 * ramp_counts))
         return _Way(min(places) - beyond, max(places) + beyond, target)
 
     def look(self, status: int) -> None:
         """Evaluate a sample: a following set-point that the drive has begun. Raises LimitError once, with the axis halted, where the
-        drive limits it."""
+        drive limits it. The next set-point of a move without profile position goes out here."""
+        self._feed(status)
         queued = self._queued
         if queued is None:
             return
@@ -244,13 +556,13 @@ class ProfileMotion:
             self.halted = False
         if wait_until_free and not self._await_status(_not_acknowledged, timeout_s, way):
             raise ProtocolError(f"{name}: set-point acknowledge (bit 12) stays set, no set-point can be given")
-        self._power.write(RUN | Control.NEW_SETPOINT | flags)
+        self._power.write_edge(RUN | Control.NEW_SETPOINT | flags)
         taken = self._await_status(_acknowledged, timeout_s, way)
         self._power.write(RUN)
         if not taken:
             raise ProtocolError(f"{name}: the set-point was not acknowledged within {timeout_s:g} s")
-        if wait_until_free:
-            self._await_status(_not_acknowledged, timeout_s, way)
+        if wait_until_free:  # some hold bit 12 until the arrival: the axis is not left unwatched for that
+            self._await_status(_not_acknowledged, min(FREE_S, timeout_s), way)
 
     def _await_status(self, condition: Callable[[int], bool], timeout_s: float, way: _Way | None = None) -> bool:
         """Sample statusword and position; False when the condition did not hold in time. Raises DriveFaultError when a fault comes,
@@ -277,9 +589,8 @@ class ProfileMotion:
 
     # -- profile velocity, halt --------------------------------------------------------------------------------------------
     def run_at(self, velocity: int, acceleration: int) -> None:
-        """Profile velocity, signed counts/s."""
-        self.set(objects.PROFILE_ACCELERATION, acceleration)
-        self.set(objects.PROFILE_DECELERATION, acceleration)
+        """Profile velocity, signed, in the drive's units."""
+        self._set_ramps(acceleration)
         self.set_mode(Mode.PROFILE_VELOCITY)
         if self._power.controlword != RUN:
             self._power.write(RUN)
@@ -293,7 +604,11 @@ class ProfileMotion:
 
     def resume(self) -> None:
         """Clear the halt bit: the drive continues the order in progress."""
-        self._power.write(RUN)
+        if self._streamed is not None:  # from where the halt brought it to rest
+            self._streamed.place = self._sampler.position_counts
+            self._power.write(self._run_word)
+        else:
+            self._power.write(RUN)
         self.halted = False
 
 

@@ -136,7 +136,10 @@ _KINDS: Mapping[DataType, ParameterKind] = {
     DataType.F32: ParameterKind.NUMBER,
     DataType.F64: ParameterKind.NUMBER,
     DataType.STRING: ParameterKind.TEXT,
+    DataType.UNICODE: ParameterKind.TEXT,
     DataType.OCTETS: ParameterKind.BYTES,
+    DataType.TIME_OF_DAY: ParameterKind.BYTES,
+    DataType.TIME_DIFFERENCE: ParameterKind.BYTES,
     DataType.DOMAIN: ParameterKind.BYTES,
 }
 
@@ -159,8 +162,7 @@ def range_of(found: EdsEntry) -> tuple[float | None, float | None]:
     kind = found.entry.type
     if kind_of(kind) is not ParameterKind.INTEGER:
         return found.low, found.high
-    bits = 1 if kind is DataType.BOOLEAN else 8 * kind.size
-    least, most = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.is_signed else (0, (1 << bits) - 1)
+    least, most = kind.range
     low = least if found.low is None else max(least, found.low)
     high = most if found.high is None else min(most, found.high)
     if low > high:

@@ -20,6 +20,8 @@ NMT = 0x000
 EMERGENCY = 0x080
 HEARTBEAT = 0x700
 LOG_LENGTH = 256
+LATE_TIMES = 2
+"""Times its limit after which the heartbeat of a node that still answers has stopped: one heartbeat and its grace were lost twice."""
 
 
 class NmtCommand(IntEnum):
@@ -136,14 +138,18 @@ class NodeMonitor:
         self._limit_ns = None if within_s is None else round(within_s * NS_PER_S)
         self._heard_ns = self.link.clock.now_ns()
 
-    def check(self) -> None:
-        """Raise LinkLostError when the heartbeat is overdue or the node has restarted without a command."""
+    def check(self, *, answered: bool = False) -> None:
+        """Raise LinkLostError when the heartbeat is overdue or the node has restarted without a command.
+
+        answered: the node has just answered a request, so that its heartbeat may be late, on a computer whose processes wait for each
+        other; after `LATE_TIMES` its limit it has stopped.
+        """
         if self._rebooted:
             raise LinkLostError(f"{self.name}: node {self.node_id} restarted by itself; open it again")
         if self._limit_ns is None or self._heard_ns is None:
             return
         silent_ns = self.link.clock.now_ns() - self._heard_ns
-        if silent_ns > self._limit_ns:
+        if silent_ns > self._limit_ns * (LATE_TIMES if answered else 1):
             raise LinkLostError(
                 f"{self.name}: no heartbeat of node {self.node_id} for {silent_ns / NS_PER_S:.3f} s,"
                 f" expected every {self._limit_ns / NS_PER_S:g} s at least"
@@ -195,10 +201,10 @@ class Node:
         self.eds = eds
         self.table = table
 
-    def open(self, sdo_timeout_s: float = 0.5) -> None:
-        """Listen to the node; no request is sent. sdo_timeout_s: for one answer, s."""
+    def open(self, sdo_timeout_s: float = 0.5, axis: int = 1) -> None:
+        """Listen to the node; no request is sent. sdo_timeout_s: for one answer, s. axis: of a node with several."""
         where = f"drive {self.name}"
-        self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=sdo_timeout_s)
+        self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=sdo_timeout_s, axis=axis)
         self.monitor = NodeMonitor(self.link, self.node_id, where)
 
     def close(self) -> None:

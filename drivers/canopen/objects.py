@@ -18,7 +18,10 @@ LONGEST_TEXT = 4096
 
 
 class DataType(Enum):
-    """Basic data types of CiA-301 by their code in 0002h… of the dictionary: (code, struct format or "" for bytes)."""
+    """Data types of CiA-301 (table 44) by their code in the dictionary: (code, struct format or "", bytes where there is no format).
+
+    Texts and bytes have size 0 where their length is free. TIME_OF_DAY and TIME_DIFFERENCE are taken as their six bytes.
+    """
 
     BOOLEAN = (0x01, "<?")
     I8 = (0x02, "<b")
@@ -30,25 +33,57 @@ class DataType(Enum):
     F32 = (0x08, "<f")
     STRING = (0x09, "")
     OCTETS = (0x0A, "")
+    UNICODE = (0x0B, "")
+    TIME_OF_DAY = (0x0C, "", 6)
+    TIME_DIFFERENCE = (0x0D, "", 6)
     DOMAIN = (0x0F, "")
+    I24 = (0x10, "", 3)
     F64 = (0x11, "<d")
+    I40 = (0x12, "", 5)
+    I48 = (0x13, "", 6)
+    I56 = (0x14, "", 7)
     I64 = (0x15, "<q")
+    U24 = (0x16, "", 3)
+    U40 = (0x18, "", 5)
+    U48 = (0x19, "", 6)
+    U56 = (0x1A, "", 7)
     U64 = (0x1B, "<Q")
 
-    def __init__(self, code: int, struct_format: str) -> None:
+    def __init__(self, code: int, struct_format: str, size: int = 0) -> None:
         self.code = code
         self.format = struct_format
-        self.size = struct.calcsize(struct_format) if struct_format else 0
+        self.size = struct.calcsize(struct_format) if struct_format else size
 
     @property
     def is_number(self) -> bool:
         """Whether values are numbers (BOOLEAN included), not texts or bytes."""
-        return bool(self.format)
+        return bool(self.format) or self.is_odd
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether values are integers of 24, 40, 48 or 56 bit, for which `struct` has no format."""
+        return not self.format and self.name[1:].isdigit()
+
+    @property
+    def is_real(self) -> bool:
+        """Whether values are floating-point numbers."""
+        return self in (DataType.F32, DataType.F64)
 
     @property
     def is_signed(self) -> bool:
         """Whether values are signed integers."""
-        return self.format in ("<b", "<h", "<i", "<q")
+        return self.is_number and self.name[0] == "I"
+
+    @property
+    def is_text(self) -> bool:
+        """Whether values are texts: VISIBLE_STRING, or UNICODE_STRING (16-bit units)."""
+        return self in (DataType.STRING, DataType.UNICODE)
+
+    @property
+    def range(self) -> tuple[int, int]:
+        """Lowest and highest value of an integer type; BOOLEAN has 0 and 1."""
+        bits = 1 if self is DataType.BOOLEAN else 8 * self.size
+        return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.is_signed else (0, (1 << bits) - 1)
 
 
 @dataclass(frozen=True)
@@ -64,6 +99,11 @@ class Entry:
         return f"{self.index:04X}h:{self.subindex:02X} {self.name}"
 
     @property
+    def key(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        return self.index, self.subindex
+
+    @property
     def bits(self) -> int:
         """Length in bits, 0 for texts and bytes."""
         return 8 * self.type.size
@@ -77,7 +117,7 @@ class Entry:
     def most_bytes(self) -> int:
         """Longest answer accepted, bytes: for a number eight, the longest type's, as some devices answer with more than the object
         has."""
-        return 8 if self.type.is_number else LONGEST_TEXT if self.type is DataType.STRING else LARGEST_ANNOUNCED
+        return 8 if self.type.is_number else LONGEST_TEXT if self.type.is_text else LARGEST_ANNOUNCED
 
     def same(self, shown: bytes, meant: bytes) -> bool:
         """Whether `shown`, read from a device, equals `meant`, by the type.
@@ -91,16 +131,35 @@ class Entry:
         if self.type is DataType.STRING:
             text = meant.rstrip(b"\0")
             return shown.startswith(text) and not shown[len(text) :].strip(b"\0 ")
+        if self.type is DataType.UNICODE and len(shown) % 2 == 0 == len(meant) % 2:
+            held, wanted = (str(self.unpack(data)) for data in (shown, meant))
+            return held.startswith(wanted) and not held[len(wanted) :].strip("\0 ")
         return shown == meant
 
     def pack(self, value: float | bool | bytes | str) -> bytes:
         """Value -> bytes on the wire. Raises InputError when it does not fit the type."""
         if not self.type.is_number:
-            return value.encode("latin-1") if isinstance(value, str) else bytes(value)  # type: ignore[arg-type]
+            return self._pack_bytes(value)
+        if self.type.is_odd:
+            low, high = self.type.range
+            if not isinstance(value, int) or not low <= value <= high:
+                raise InputError(f"{self}: {value!r} does not fit {self.type.name}")
+            return value.to_bytes(self.type.size, "little", signed=self.type.is_signed)
         try:
             return struct.pack(self.type.format, value)
-        except struct.error as error:
+        except (struct.error, OverflowError) as error:
             raise InputError(f"{self}: {value!r} does not fit {self.type.name}") from error
+
+    def _pack_bytes(self, value: object) -> bytes:
+        """A text or bytes as they go on the wire; a number is neither. Raises InputError."""
+        if isinstance(value, str):
+            try:
+                return value.encode("utf-16-le" if self.type is DataType.UNICODE else "latin-1")
+            except UnicodeEncodeError as error:
+                raise InputError(f"{self}: {value!r} does not fit {self.type.name}") from error
+        if not isinstance(value, bytes | bytearray) or (self.type.size and len(value) != self.type.size):
+            raise InputError(f"{self}: {value!r} does not fit {self.type.name}")
+        return bytes(value)
 
     def unpack(self, data: bytes) -> float | bool | bytes | str:
         """Bytes on the wire -> value. Raises ProtocolError on a wrong length (longer than needed is cut, see below).
@@ -110,10 +169,14 @@ class Entry:
         """
         if self.type is DataType.STRING:
             return data.rstrip(b"\0").decode("latin-1")
+        if self.type is DataType.UNICODE:
+            return data.decode("utf-16-le", errors="replace").rstrip("\0")
         if not self.type.is_number:
             return bytes(data)
         if len(data) < self.type.size:
             raise ProtocolError(f"{self}: answered {len(data)} bytes, {self.type.name} needs {self.type.size}")
+        if self.type.is_odd:
+            return int.from_bytes(data[: self.type.size], "little", signed=self.type.is_signed)
         value: float | bool = struct.unpack_from(self.type.format, data)[0]
         return value
 
@@ -131,9 +194,12 @@ SYNC_PERIOD = _entry(0x1006, 0, DataType.U32, "communication cycle period")
 DEVICE_NAME = _entry(0x1008, 0, DataType.STRING, "manufacturer device name")
 HARDWARE_VERSION = _entry(0x1009, 0, DataType.STRING, "hardware version")
 SOFTWARE_VERSION = _entry(0x100A, 0, DataType.STRING, "software version")
+GUARD_TIME = _entry(0x100C, 0, DataType.U16, "guard time")
+LIFE_FACTOR = _entry(0x100D, 0, DataType.U8, "life time factor")
 STORE_ALL = _entry(0x1010, 1, DataType.U32, "store all parameters")
 RESTORE_ALL = _entry(0x1011, 1, DataType.U32, "restore all defaults")
 EMCY_COB_ID = _entry(0x1014, 0, DataType.U32, "COB-ID EMCY")
+CONSUMER_COUNT = _entry(0x1016, 0, DataType.U8, "number of consumer heartbeats")
 CONSUMER_HEARTBEAT = _entry(0x1016, 1, DataType.U32, "consumer heartbeat time")
 PRODUCER_HEARTBEAT = _entry(0x1017, 0, DataType.U16, "producer heartbeat time")
 VENDOR_ID = _entry(0x1018, 1, DataType.U32, "vendor id")
@@ -151,6 +217,22 @@ SHUTDOWN_OPTION = _entry(0x605B, 0, DataType.I16, "shutdown option code")
 DISABLE_OPTION = _entry(0x605C, 0, DataType.I16, "disable operation option code")
 HALT_OPTION = _entry(0x605D, 0, DataType.I16, "halt option code")
 FAULT_REACTION_OPTION = _entry(0x605E, 0, DataType.I16, "fault reaction option code")
+INTERPOLATION_TARGET = _entry(0x60C1, 1, DataType.I32, "interpolation data record, first value")
+BUFFER_CLEAR = _entry(0x60C4, 6, DataType.U8, "interpolation buffer clear")
+MAX_PROFILE_VELOCITY = _entry(0x607F, 0, DataType.U32, "max profile velocity")
+MAX_ACCELERATION = _entry(0x60C5, 0, DataType.U32, "max acceleration")
+MAX_DECELERATION = _entry(0x60C6, 0, DataType.U32, "max deceleration")
+VELOCITY_NOTATION = _entry(0x608B, 0, DataType.I8, "velocity notation index")
+VELOCITY_DIMENSION = _entry(0x608C, 0, DataType.U8, "velocity dimension index")
+ACCELERATION_NOTATION = _entry(0x608D, 0, DataType.I8, "acceleration notation index")
+ACCELERATION_DIMENSION = _entry(0x608E, 0, DataType.U8, "acceleration dimension index")
+VELOCITY_ENCODER_INCREMENTS = _entry(0x6090, 1, DataType.U32, "velocity encoder increments per s")
+VELOCITY_ENCODER_REVOLUTIONS = _entry(0x6090, 2, DataType.U32, "velocity encoder revolutions per s")
+VELOCITY_FACTOR = tuple(_entry(0x6094, n, DataType.U32, "velocity encoder factor") for n in (1, 2))
+VELOCITY_FACTOR_NEW = tuple(_entry(0x6096, n, DataType.U32, "velocity factor") for n in (1, 2))
+ACCELERATION_FACTOR = tuple(_entry(0x6097, n, DataType.U32, "acceleration factor") for n in (1, 2))
+SI_UNIT_VELOCITY = _entry(0x60A9, 0, DataType.U32, "SI unit velocity")
+SI_UNIT_ACCELERATION = _entry(0x60AA, 0, DataType.U32, "SI unit acceleration")
 MODE = _entry(0x6060, 0, DataType.I8, "modes of operation")
 MODE_DISPLAY = _entry(0x6061, 0, DataType.I8, "modes of operation display")
 SUPPORTED_MODES = _entry(0x6502, 0, DataType.U32, "supported drive modes")
@@ -197,4 +279,18 @@ INTERPOLATION_PERIOD = _entry(0x60C2, 1, DataType.U8, "interpolation time period
 INTERPOLATION_EXPONENT = _entry(0x60C2, 2, DataType.I8, "interpolation time index")
 FOLLOWING_ERROR_ACTUAL = _entry(0x60F4, 0, DataType.I32, "following error actual value")
 DIGITAL_INPUTS = _entry(0x60FD, 0, DataType.U32, "digital inputs")
+DIGITAL_OUTPUTS = _entry(0x60FE, 1, DataType.U32, "physical outputs")
+DIGITAL_OUTPUTS_MASK = _entry(0x60FE, 2, DataType.U32, "mask of the outputs")
+
+
+def module_inputs(block: int) -> Entry:
+    """Inputs 8 · block to 8 · block + 7 of an I/O module (CiA 401, 6000h)."""
+    return _entry(0x6000, block + 1, DataType.U8, "digital inputs of a module")
+
+
+def module_outputs(block: int) -> Entry:
+    """Outputs 8 · block to 8 · block + 7 of an I/O module (CiA 401, 6200h)."""
+    return _entry(0x6200, block + 1, DataType.U8, "digital outputs of a module")
+
+
 TARGET_VELOCITY = _entry(0x60FF, 0, DataType.I32, "target velocity")

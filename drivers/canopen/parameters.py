@@ -2,7 +2,7 @@
 
 Single parameters with what an EDS says of them; whole sets (all or nothing, audit) are built on `raw_parameters`. Objects that move
 the axis are no parameters: targets, modes and the controlword are refused here, because some drives keep them through a store and a
-restore.
+restore (`not_parameters`).
 """
 
 from __future__ import annotations
@@ -12,56 +12,13 @@ from dataclasses import dataclass
 
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.node import Node
+from drivers.canopen.not_parameters import why_not_written
 from drivers.canopen.objects import DataType
-from drivers.canopen.table_map import TableMap
 from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError
 
 Value = int | float | str | bytes | bool
 SAVE, LOAD = b"save", b"load"
 ON_COMMAND = 0x01  # 1010h:1 and 1011h:1 when read
-MOTION_TARGETS: dict[int, str] = {
-    0x6040: "controlword",
-    0x6060: "mode of operation",
-    0x6071: "target torque",
-    0x607A: "target position",
-    0x60B0: "position offset",
-    0x60B1: "velocity offset",
-    0x60B2: "torque offset",
-    0x60B8: "touch probe function",
-    0x60C1: "interpolation data",
-    0x60FE: "digital outputs",
-    0x60FF: "target velocity",
-}
-NOT_PARAMETERS: dict[int, str] = {
-    0x1003: "error history",
-    0x1010: "store parameters",
-    0x1011: "restore parameters",
-    0x1014: "COB-ID EMCY, which goes with the node id",
-    0x1020: "verify configuration",
-    0x1F50: "program data",
-    0x1F51: "program control",
-}
-SET_UP_AS_A_WHOLE: dict[range, str] = {
-    range(0x1200, 0x1300): "is the channel that parameters come by",
-    range(0x1400, 0x1C00): "belongs to the PDO mapping, which is set up as a whole",
-}
-
-
-def why_not_written(found: EdsEntry, table: TableMap | None = None) -> str | None:
-    """Why an entry is not written as a parameter; None for one that may be written. table: map of the drive's own correction table."""
-    index = found.entry.index
-    if not found.writable:
-        return f"{found.entry} is read only"
-    if index in MOTION_TARGETS:
-        return f"{found.entry} moves the axis and is no parameter"
-    if index in NOT_PARAMETERS:
-        return f"{found.entry} is a command, not a parameter"
-    if table is not None and table.holds(index, found.entry.subindex):
-        return f"{found.entry} belongs to the drive's correction table, which is written as a whole (hil params table)"
-    for indices, what in SET_UP_AS_A_WHOLE.items():
-        if index in indices:
-            return f"{found.entry} {what}"
-    return None
 
 
 @dataclass(frozen=True)

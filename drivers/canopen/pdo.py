@@ -75,6 +75,7 @@ class PdoImage:
     cob_id: int
     kind: int
     mapped: tuple[int, ...] = field(default=())
+    beyond: tuple[int, ...] = field(default=())  # entries behind the mapped ones, as found
 
 
 def wanted_image(spec: PdoSpec) -> PdoImage:

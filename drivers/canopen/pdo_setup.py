@@ -15,7 +15,7 @@ from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import (
     EXISTS_NOT,
     ID_MASK,
-    OBJECT_MISSING,
+    NO_RTR,
     PdoImage,
     PdoSpec,
     same,
@@ -23,7 +23,7 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
-from drivers.errors import AbortError, BridgeError, InputError, ProtocolError
+from drivers.errors import AbortError, BridgeError, InputError, NoAnswerError, ProtocolError
 from drivers.undo import undo_all
 
 SURVEYED = 4  # of each direction: the predefined connection set
@@ -51,6 +51,25 @@ def spec_of(image: PdoImage) -> PdoSpec:
     )
 
 
+READ_ONLY = 0x06010002
+KEPT = (READ_ONLY, 0x06090030)
+"""A COB-ID that is read-only, or whose bit 31 a drive does not know (invalid value)."""
+GENERAL = 0x08000000
+
+
+class PdoRefusedError(AbortError):
+    """A drive refuses one step of setting up a PDO. spec: the PDO. entry: the object that it does not map, None for another step.
+
+    kind: whether its transmission type is refused.
+    """
+
+    def __init__(self, message: str, code: int, spec: PdoSpec, entry: Entry | None, *, kind: bool) -> None:
+        super().__init__(message, code)
+        self.spec = spec
+        self.entry = entry
+        self.kind = kind
+
+
 class PdoSetup:
     """The PDOs of one node: `apply` brings the wanted ones into force, `restore` writes back the earlier ones.
 
@@ -65,37 +84,42 @@ class PdoSetup:
         self._before: list[PdoImage] = []
         self._changed: list[PdoImage] = []
 
+    @property
+    def found(self) -> list[PdoImage]:
+        """The PDOs as `survey` found them."""
+        return self._before
+
     def survey(self) -> list[PdoImage]:
         """Read the first PDOs of both directions, existing or disabled. Raises as `SdoClient.read`."""
         images = []
         for transmit in (False, True):
             for number in range(1, SURVEYED + 1):
-                probe = PdoSpec(number, transmit, 0, 0, ())
+                place = 0x1800 if transmit else 0x1400
+                wanted = next((spec for spec in self.wanted if spec.communication == place + number - 1), None)
+                probe = wanted or PdoSpec(number, transmit, 0, 0, ())
                 try:
                     images.append(read_image(self._sdo, probe))
-                except AbortError as error:
-                    if error.code not in OBJECT_MISSING:
-                        raise
-                    break
+                except AbortError:
+                    break  # no further PDO, or one that does not show what it maps
         self._before = images
         return images
 
     def in_the_way(self) -> list[PdoImage]:
         """Active PDOs that are not wanted and would interfere: they command the same objects, or use our COB-IDs."""
         places = {spec.communication for spec in self.wanted}
-        commanded = {entry.mapping for spec in self.wanted if not spec.transmit for entry in spec.entries}
-        identifiers = {spec.cob_id for spec in self.wanted}
         return [
             image
             for image in self._before
             if image.communication not in places
             and not image.cob_id & EXISTS_NOT
-            and (
-                self._alone
-                or image.cob_id & ID_MASK in identifiers
-                or (image.communication < 0x1800 and not commanded.isdisjoint(image.mapped))
-            )
+            and (self._alone or self._conflicts(image))
         ]
+
+    def _conflicts(self, image: PdoImage) -> bool:
+        """Whether an active PDO uses one of our COB-IDs, or could command what ours command."""
+        commanded = {entry.mapping for spec in self.wanted if not spec.transmit for entry in spec.entries}
+        own_id = image.cob_id & ID_MASK in {spec.cob_id for spec in self.wanted}
+        return own_id or (image.communication < 0x1800 and not commanded.isdisjoint(image.mapped))
 
     def lint(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
         """Findings on the wanted PDOs together with those that remain."""
@@ -113,23 +137,31 @@ class PdoSetup:
         dictionary: Dictionary | None = None,
         cycle: Cycle | None = None,
         *,
+        refuse: bool = True,
         interrupted: Callable[[], None] = lambda: None,
     ) -> list[Finding]:
         """Survey, lint, then write and verify; returns the warnings. interrupted: called on an interrupt, before anything is restored.
+        refuse: whether an error that the linter finds ends it.
 
         Raises InputError before anything is written when the linter finds an error; AbortError or ProtocolError, with everything
         restored, when the drive does not accept a PDO.
         """
         self.survey()
         findings = self.lint(dictionary, cycle)
-        refuse_errors(findings)
+        if refuse:
+            refuse_errors(findings)
         try:
             for image in self.in_the_way():
                 self._changed.append(image)
-                self._sdo.write(Entry(image.communication, 1, DataType.U32, "COB-ID"), image.cob_id | EXISTS_NOT)
+                try:
+                    self._sdo.write(_communication(image.communication, 1), image.cob_id | EXISTS_NOT)
+                except AbortError as error:
+                    if error.code not in KEPT or self._conflicts(image):
+                        raise
+                    self._changed.remove(image)  # it only adds to the load of the bus
             for spec in self.wanted:
                 before = next((image for image in self._before if image.communication == spec.communication), None)
-                before = read_image(self._sdo, spec) if before is None else before
+                before = self._found(spec) if before is None else before
                 if not same(before, wanted_image(spec)):
                     self._changed.append(before)
                     configure(self._sdo, spec)
@@ -140,13 +172,19 @@ class PdoSetup:
             raise
         return findings
 
+    def _found(self, spec: PdoSpec) -> PdoImage:
+        try:
+            return read_image(self._sdo, spec)
+        except AbortError as error:
+            raise PdoRefusedError(f"{spec}: {error}", error.code, spec, None, kind=False) from error
+
     def restore(self) -> None:
         """Restore every PDO that was changed, the last first; one that fails does not prevent the others. Raises as `undo_all`."""
         changed, self._changed = self._changed[::-1], []
 
         def put_back(image: PdoImage) -> None:
             try:
-                write_image(self._sdo, image)
+                _put_back(self._sdo, image)
             except BaseException:
                 self._changed.insert(0, image)  # so that it can be tried again
                 raise
@@ -174,19 +212,91 @@ def read_image(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
         sdo.read(_communication(spec.communication, 1)),
         sdo.read(_communication(spec.communication, 2)),
         tuple(sdo.read(_mapping(spec.mapping, subindex)) for subindex in range(1, count + 1)),
+        _beyond(sdo, spec, count),
     )
 
 
-def write_image(sdo: SdoClient, image: PdoImage) -> None:
-    """Disable, clear, map, set, enable (CiA-301, 7.5.2.36). Raises AbortError where the drive refuses a step."""
-    sdo.write(_communication(image.communication, 1), image.cob_id | EXISTS_NOT)
-    sdo.write(_mapping(image.mapping, 0), 0)
+def _beyond(sdo: SdoClient, spec: PdoSpec, count: int) -> tuple[int, ...]:
+    """Entries behind the mapped ones that the spec would overwrite; as far as the drive shows them."""
+    found: list[int] = []
+    for subindex in range(count + 1, len(spec.entries) + 1):
+        try:
+            found.append(sdo.read(_mapping(spec.mapping, subindex)))
+        except AbortError:
+            break
+    return tuple(found)
+
+
+def write_image(sdo: SdoClient, image: PdoImage, steps: list[Entry] | None = None) -> None:
+    """Disable, clear, map, set, enable (CiA-301, 7.5.2.36). steps: filled with the entries that were to be written.
+
+    Raises AbortError where the drive refuses a step."""
+
+    def write(entry: Entry, value: int) -> None:
+        if steps is not None:
+            steps.append(entry)
+        _write(sdo, entry, value)
+
+    fixed = _fixed_cob_id(sdo, image, write)
+    write(_mapping(image.mapping, 0), 0)
     for subindex, mapped in enumerate(image.mapped, start=1):
-        sdo.write(_mapping(image.mapping, subindex), mapped)
-    sdo.write(_mapping(image.mapping, 0), len(image.mapped))
-    sdo.write(_communication(image.communication, 2), image.kind)
-    if not image.cob_id & EXISTS_NOT:
-        sdo.write(_communication(image.communication, 1), image.cob_id)
+        write(_mapping(image.mapping, subindex), mapped)
+    for subindex, mapped in enumerate(image.beyond, start=len(image.mapped) + 1):
+        with suppress(AbortError):  # behind the mapped ones: a drive may refuse what cannot be mapped
+            sdo.write(_mapping(image.mapping, subindex), mapped)
+    write(_mapping(image.mapping, 0), len(image.mapped))
+    kind = _communication(image.communication, 2)
+    try:
+        write(kind, image.kind)
+    except AbortError as error:
+        if error.code != READ_ONLY or sdo.read(kind) != image.kind:
+            raise
+    if not image.cob_id & EXISTS_NOT and not fixed:
+        write(_communication(image.communication, 1), image.cob_id)
+
+
+def _put_back(sdo: SdoClient, image: PdoImage) -> None:
+    """Write an earlier image. A drive whose mapping is read-only has it still: only type and COB-ID are written then."""
+    try:
+        write_image(sdo, image)
+        return
+    except AbortError:
+        direction = PdoSpec(image.communication % 0x400 + 1, image.communication >= 0x1800, 0, 0, ())
+        if read_image(sdo, direction).mapped != image.mapped:
+            raise
+    kind = _communication(image.communication, 2)
+    if sdo.read(kind) != image.kind:
+        sdo.write(kind, image.kind)
+    cob_id = _communication(image.communication, 1)
+    if not image.cob_id & EXISTS_NOT and sdo.read(cob_id) != image.cob_id:
+        sdo.write(cob_id, image.cob_id)
+
+
+def _write(sdo: SdoClient, entry: Entry, value: int) -> None:
+    """Write a parameter of a PDO, a second time where the drive did not answer and still has the old value: that changes no other.
+
+    Raises AbortError too for one that answers a read of it and neither of the writes; else as `SdoClient.write`."""
+    for again in (False, True):
+        try:
+            sdo.write(entry, value)
+            return
+        except NoAnswerError as error:
+            sdo.read(entry)  # a drive that does not answer at all ends it
+            if again:
+                raise AbortError(f"{sdo.name}: a write to {entry} is not answered", GENERAL) from error
+
+
+def _fixed_cob_id(sdo: SdoClient, image: PdoImage, write: Callable[[Entry, int], None]) -> bool:
+    """Switch the PDO off; True where that is refused and its COB-ID is the wanted one: it is changed with a count of 0 alone."""
+    entry = _communication(image.communication, 1)
+    try:
+        write(entry, image.cob_id | EXISTS_NOT)
+    except AbortError as error:
+        ignored = NO_RTR
+        if error.code in KEPT and sdo.read(entry) & ~ignored == image.cob_id & ~ignored:
+            return True
+        raise
+    return False
 
 
 def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
@@ -198,10 +308,19 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
     wanted = wanted_image(spec)
     if same(before, wanted):
         return before
+    steps: list[Entry] = []
     try:
-        write_image(sdo, wanted)
+        write_image(sdo, wanted, steps)
     except AbortError as error:
-        raise AbortError(f"{spec} cannot be configured: {error}", error.code) from error
+        last = steps[-1]
+        maps = last.index == spec.mapping and 0 < last.subindex <= len(spec.entries)
+        raise PdoRefusedError(
+            f"{spec} cannot be configured: {error}",
+            error.code,
+            spec,
+            spec.entries[last.subindex - 1] if maps else None,
+            kind=last.index == spec.communication and last.subindex == 2,
+        ) from error
     after = read_image(sdo, spec)
     if not same(after, wanted):
         raise ProtocolError(f"{sdo.name}: {spec} reads back {after}, written was {wanted}")

@@ -20,6 +20,11 @@ POLL_S = 0.002
 AGAIN_S = 0.5
 """Time for the disabling of a drive that stayed enabled after a quick stop or an earlier try, s: fifty slow control cycles."""
 ENABLING = Command.ENABLE_OPERATION.word
+STANDS_S = 0.002
+"""Time for which a controlword stands before one whose rising edge acts, s: a drive may look at it every millisecond only, and of two
+that are closer it sees the second alone."""
+KEPT_FAULT = Status.FAULT | Status.SWITCH_ON_DISABLED
+"""Some show the fault bit beside switch on disabled after a reset, until a shutdown."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ class PowerStage:
         self._clock = clock
         self.times = times
         self.controlword = 0  # as last written by us
+        self._written_ns = 0  # when
         self.stopped = False
         self.disobeyed = False
 
@@ -64,7 +70,14 @@ class PowerStage:
         if self.stopped and controlword & ENABLING == ENABLING:
             raise StateError(f"{self._name} was told to stop; it takes orders again once it is enabled anew")
         self._sdo.write(CONTROLWORD, controlword)
-        self.controlword = controlword
+        self.controlword, self._written_ns = controlword, self._clock.now_ns()
+
+    def write_edge(self, controlword: int) -> None:
+        """As `write`, for a word whose rising edge acts, once the one before has stood for `STANDS_S`."""
+        until_ns = self._written_ns + round(STANDS_S * NS_PER_S)
+        if self._clock.now_ns() < until_ns:
+            self._clock.sleep_until_ns(until_ns)
+        self.write(controlword)
 
     def error_code(self) -> int | None:
         """603Fh, None where the drive has no such object."""
@@ -80,6 +93,12 @@ class PowerStage:
         Raises DriveFaultError in a fault, MotionTimeoutError naming the state in which it stays and probable reasons, StateError when
         a stop is sent meanwhile.
         """
+
+        status = self.statusword()
+        if decode_state(status) is DriveState.NOT_READY:
+            self.write(Command.DISABLE_VOLTAGE.word)  # some leave it with the first controlword only
+        elif status & KEPT_FAULT == KEPT_FAULT:
+            self.write(Command.SHUTDOWN.word)
 
         def step(state: DriveState) -> Command | None:
             command = ENABLE_STEPS.get(state)
@@ -121,16 +140,25 @@ class PowerStage:
         self.write(Command.DISABLE_VOLTAGE.word)
         if state is not DriveState.FAULT:
             return
-        self.write(int(Control.FAULT_RESET))
+        self.write_edge(int(Control.FAULT_RESET))
         deadline = self._clock.deadline(self.times.fault_reset_s)
         while (state := self.state()) is DriveState.FAULT and not deadline.expired:
             self._clock.sleep_s(POLL_S)
         self.write(Command.DISABLE_VOLTAGE.word)
+        if self.statusword() & KEPT_FAULT == KEPT_FAULT:
+            self._clear_kept_fault()
         if state is DriveState.FAULT:
             code = self.error_code()
             raise DriveFaultError(
                 f"{self._name}: the fault stays after a reset: {error_text(code) if code else 'no error code'}", code
             )
+
+    def _clear_kept_fault(self) -> None:
+        """Shut down and back: without power, from switch on disabled. Raises MotionTimeoutError."""
+        self.write(Command.SHUTDOWN.word)
+        self._await(lambda state: state is DriveState.READY, self.times.fault_reset_s, "free of the fault bit")
+        self.write(Command.DISABLE_VOLTAGE.word)
+        self._await(lambda state: state is DriveState.SWITCH_ON_DISABLED, self.times.disable_s, "disabled")
 
     def _walk(
         self,

@@ -11,14 +11,17 @@ from collections.abc import Mapping, Sequence
 from drivers.canopen import objects
 from drivers.canopen.cia402 import decode_state
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
+from drivers.canopen.eds_text import summary
 from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of
 from drivers.canopen.node import NmtCommand, Node
+from drivers.canopen.not_parameters import refusal
 from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.parameters import ON_COMMAND, SAVE, why_not_written
+from drivers.canopen.parameters import ON_COMMAND, SAVE
 from drivers.canopen.pdo import OBJECT_MISSING
 from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
+from drivers.canopen.whole_pdo import Block, Pdo, WholePdo, described, pdo_at
 from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
@@ -81,10 +84,15 @@ class CanOpenRawParameters(RawParameters):
         self._keys = {address_of(key): found for key, found in file.entries.items()}
         self._assumed = eds is None
         units_by_key = {(names[name].entry.index, names[name].entry.subindex): unit for name, unit in units.items()}
-        self._entries = {
-            address: _parameter(address, found, units_by_key.get((found.entry.index, found.entry.subindex), ""), table)
+        self._eds = eds
+        self._every = {
+            address: _parameter(address, found, units_by_key.get(found.entry.key, ""), table)
             for address, found in sorted(self._keys.items())
-            if found.readable and found.entry.type is not DataType.DOMAIN
+        }
+        self._entries = {
+            address: parameter
+            for address, parameter in self._every.items()
+            if self._keys[address].readable and self._entry(parameter).type is not DataType.DOMAIN
         }
         self._node = Node(name, line.link, node_id)
         self._node.open(timeout_s)
@@ -98,17 +106,40 @@ class CanOpenRawParameters(RawParameters):
     def entries(self) -> Mapping[str, RawParameter]:
         return self._entries
 
+    def find(self, address: str) -> RawParameter | None:
+        """The parameter at an address: a PDO as a whole ("1400h PDO") too, and an object that is refused as it cannot be read."""
+        pdo = pdo_at(address)
+        if pdo is None:
+            return self._every.get(address)
+        if self._eds is not None and (pdo.communication, 1) not in self._eds.entries:
+            return None
+        return RawParameter(address, ParameterInfo(pdo.name, ParameterKind.TEXT, "", None, None, True), "PDO")
+
+    def doubts_of_file(self, found: DriveIdentity) -> Sequence[str]:
+        if self._eds is None:
+            return ()
+        vendor, product = (found.model.get(name) for name in ("vendor_id", "product_code"))
+        return self._eds.doubts(*(number if isinstance(number, int) else None for number in (vendor, product)))
+
+    @property
+    def file_notes(self) -> Sequence[str]:
+        return () if self._eds is None else summary(self._eds.notes)
+
     def _entry(self, entry: RawParameter) -> Entry:
         return self._keys[entry.address].entry
 
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
         """A value in its unit -> bytes, little endian. Raises InputError."""
         kind = entry.info.kind
+        if pdo_at(entry.address) is not None:
+            raise InputError("is a PDO, expected its raw form")
         if not isinstance(value, FITTING[kind]) or isinstance(value, bool):
             raise InputError(f"{value!r} is no {kind.value}")
         return self._entry(entry).pack(value)
 
     def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
+        if pdo_at(entry.address) is not None:
+            return described(data)
         value = self._entry(entry).unpack(data)
         return int(value) if isinstance(value, bool) else value
 
@@ -122,6 +153,9 @@ class CanOpenRawParameters(RawParameters):
             data = bytes.fromhex(raw)
         except ValueError as error:
             raise InputError(f"raw is {raw!r}, expected hexadecimal digits") from error
+        if pdo_at(entry.address) is not None:
+            Block.unpack(data)
+            return data
         size = self._entry(entry).type.size
         if size and len(data) != size:
             raise InputError(f"raw is {len(data)} bytes, a {entry.type} has {size}")
@@ -135,6 +169,8 @@ class CanOpenRawParameters(RawParameters):
     def objection(self, entry: RawParameter, data: bytes) -> str | None:
         if entry.refusal is not None:
             return entry.refusal
+        if pdo_at(entry.address) is not None:
+            return Block.unpack(data).objection()
         value = self.decode(entry, data)
         low, high = entry.info.low, entry.info.high
         if isinstance(value, int | float):
@@ -145,10 +181,14 @@ class CanOpenRawParameters(RawParameters):
         return None
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
+        if pdo_at(entry.address) is not None:
+            return Block.unpack(shown).holds(Block.unpack(meant))
         return self._entry(entry).same(shown, meant)
 
     def rank(self, address: str) -> int:
-        """Units first, then limits, then the rest."""
+        """Units first, then limits, then the rest, and PDOs last."""
+        if pdo_at(address) is not None:
+            return 3
         index = self._keys[address].entry.index
         return 0 if index in _UNITS else 1 if index in _LIMITS else 2
 
@@ -160,8 +200,9 @@ class CanOpenRawParameters(RawParameters):
         frames: list[Frame] = []
         for spelled, accesses in ((upload_frames, reads), (download_frames, writes)):
             for address, data in accesses:
-                entry = self._keys[address].entry
-                frames += spelled(entry.index, entry.subindex, data)
+                parts = Block.unpack(data).items if pdo_at(address) else ((self._keys[address].entry.key, data),)
+                for (index, subindex), value in parts:
+                    frames += spelled(index, subindex, value)
         return wire_time(self.node_id, frames, self.bitrate)
 
     # -- transfers -------------------------------------------------------------------------------------------------------
@@ -184,6 +225,22 @@ class CanOpenRawParameters(RawParameters):
                 return None
             raise
         return value if isinstance(value, str) else int(value)
+
+    def _reading(self, address: str) -> Steps[bytes]:
+        pdo = pdo_at(address)
+        if pdo is None:
+            return (yield from self._upload(self._keys[address].entry))
+        return (yield from self._whole(pdo).read()).pack()
+
+    def _writing(self, address: str, data: bytes) -> Steps[None]:
+        pdo = pdo_at(address)
+        if pdo is None:
+            yield from self._download(self._keys[address].entry, data)
+        else:
+            yield from self._whole(pdo).write(Block.unpack(data))
+
+    def _whole(self, pdo: Pdo) -> WholePdo:
+        return WholePdo(pdo, self._upload, self._download)
 
     # -- on the wire -----------------------------------------------------------------------------------------------------
     def identify(self) -> Steps[DriveIdentity]:
@@ -217,7 +274,7 @@ class CanOpenRawParameters(RawParameters):
         for number, address in enumerate(addresses):
             start_ns = self.clock.now_ns()
             try:
-                data = yield from self._upload(self._keys[address].entry)
+                data = yield from self._reading(address)
             except (AbortError, ProtocolError) as error:
                 accesses.append(self._failed(address, start_ns, error))
             except TransportError as error:
@@ -233,7 +290,7 @@ class CanOpenRawParameters(RawParameters):
         for address, data in items:
             start_ns = self.clock.now_ns()
             try:
-                yield from self._download(self._keys[address].entry, data)
+                yield from self._writing(address, data)
             except BridgeError as error:
                 return [*accesses, self._failed(address, start_ns, error)]
             accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9))
@@ -302,6 +359,8 @@ class CanOpenRawParameters(RawParameters):
 
 def _parameter(address: str, found: EdsEntry, unit: str, table: TableMap | None) -> RawParameter:
     low, high = range_of(found)
-    refusal = why_not_written(found, table)
-    info = ParameterInfo(found.entry.name, kind_of(found.entry.type), unit, low, high, refusal is None)
-    return RawParameter(address, info, found.entry.type.name, refusal)
+    refused = refusal(found, table)
+    info = ParameterInfo(found.entry.name, kind_of(found.entry.type), unit, low, high, refused is None)
+    if refused is None:
+        return RawParameter(address, info, found.entry.type.name)
+    return RawParameter(address, info, found.entry.type.name, refused.text, refused.kind.value)

@@ -46,6 +46,9 @@ from drivers.raw_parameters import Pause, Steps
 T = TypeVar("T")
 Same = Callable[[bytes, bytes], bool]
 """same(shown, meant): whether bytes that were read back equal the value that was written."""
+FIRST_AXIS = range(0x6000, 0x6800)
+AXIS_OFFSET = 0x800
+WRONG_LENGTH = (0x06070010, 0x06070012, 0x06070013)
 SDO_REQUEST = 0x600
 SDO_RESPONSE = 0x580
 QUIET_TIMES = 10  # number of quiet times after which a channel that does not fall silent is given up
@@ -209,6 +212,11 @@ class WayOut:
             self._until_ns = max(self._began_ns + whole_ns, self._now_ns() + least_ns)
 
     @property
+    def inside(self) -> bool:
+        """Whether the drive is being shut down at this moment."""
+        return self._depth > 0
+
+    @property
     def limit_ns(self) -> int | None:
         """End of every wait, ns; None: there is no limit."""
         return self._until_ns if self._depth else None
@@ -223,11 +231,23 @@ class SdoClient:
     """The default SDO channel of one node (CiA-301, 7.2.4).
 
     timeout_s: longest time for one answer, s; a transfer of n bytes ends within `longest_s(timeout_s, n)`. quiet_s: silence of the
-    channel, s, before it is used again after a time-out; an answer within that time is late, not lost.
+    channel, s, before it is used again after a time-out; an answer within that time is late, not lost. axis: of a node with several;
+    an `Entry` of the device profile then means that axis's (CiA 402: index + 800h for each further axis); `read_bytes` and
+    `write_bytes` take indices as they are.
     """
 
-    def __init__(self, link: CanLink, node_id: int, name: str, *, timeout_s: float = 0.5, quiet_s: float = 0.2) -> None:
+    def __init__(
+        self,
+        link: CanLink,
+        node_id: int,
+        name: str,
+        *,
+        timeout_s: float = 0.5,
+        quiet_s: float = 0.2,
+        axis: int = 1,
+    ) -> None:
         self.link = link
+        self._offset = AXIS_OFFSET * (axis - 1)
         self.node_id = node_id
         self.name = name
         self.timeout_s = timeout_s
@@ -266,13 +286,17 @@ class SdoClient:
             running.finished = True
             abort = abort_frame(running.talk.index, running.talk.subindex, ABORT_GENERAL)
             self.link.send(SDO_REQUEST + self.node_id, abort, STOP_SEND_S)
-        (frame,) = next(download(Conversation(entry.index, entry.subindex), entry.pack(value)))
+        (frame,) = next(download(Conversation(self.index_of(entry), entry.subindex), entry.pack(value)))
         self.link.send(SDO_REQUEST + self.node_id, frame, STOP_SEND_S)
 
     # -- values ----------------------------------------------------------------------------------------------------
+    def index_of(self, entry: Entry) -> int:
+        """The index of an object of the standard in this axis."""
+        return entry.index + self._offset if entry.index in FIRST_AXIS else entry.index
+
     def read(self, entry: Entry) -> int:
         """Read an integer object. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
-        value = entry.unpack(self.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
+        value = entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=entry.most_bytes))
         if not isinstance(value, int):
             raise ProtocolError(f"{self.name}: {entry} is no integer: {value!r}")
         return value
@@ -288,11 +312,28 @@ class SdoClient:
 
     def read_text(self, entry: Entry) -> str:
         """Read a string object. Raises as `read`."""
-        return str(entry.unpack(self.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)))
+        return str(entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=entry.most_bytes)))
 
     def write(self, entry: Entry, value: float) -> None:
         """Write a numeric object; returns once the device has accepted it. Raises InputError, and as `write_bytes`."""
-        self.write_bytes(entry.index, entry.subindex, entry.pack(value), same=entry.same)
+        index, data = self.index_of(entry), entry.pack(value)
+        try:
+            self.write_bytes(index, entry.subindex, data, same=entry.same)
+        except AbortError as error:
+            wide = self._as_wide_as_shown(index, entry, value) if error.code in WRONG_LENGTH else None
+            if wide is None:
+                raise
+            self.write_bytes(index, entry.subindex, wide)
+
+    def _as_wide_as_shown(self, index: int, entry: Entry, value: float) -> bytes | None:
+        """The value with as many bytes as the device answers for the object; None where that is not another width."""
+        shown = len(self.read_bytes(index, entry.subindex, most=entry.most_bytes))
+        if shown == entry.type.size or not 1 <= shown <= 8 or not isinstance(value, int):
+            return None
+        try:
+            return value.to_bytes(shown, "little", signed=entry.type.is_signed)
+        except OverflowError:
+            return None
 
     # -- bytes -----------------------------------------------------------------------------------------------------
     def read_bytes(self, index: int, subindex: int, *, block: bool = False, most: int = LARGEST_ANNOUNCED) -> bytes:
@@ -300,6 +341,9 @@ class SdoClient:
 
         Raises AbortError, NoAnswerError, ProtocolError, LinkLostError.
         """
+        return self._read_bytes(index, subindex, block, most)
+
+    def _read_bytes(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
         try:
             return self._upload(index, subindex, block, most)
         except NoAnswerError:
@@ -380,9 +424,7 @@ class SdoClient:
         if self._settled(talk, data, lost, reads_back, late):
             return
         with self._unknown(lost):
-            reading = self._uploading(index, subindex, False, LARGEST_ANNOUNCED)
-            yield from self._turn(reading)
-            present = self._brought(reading)
+            present = yield from self.reading(index, subindex)
         self._compare(present, data, lost, same)
 
     def _turn(self, running: Running[Any]) -> Steps[None]:
@@ -399,7 +441,9 @@ class SdoClient:
         if self._settled(talk, data, lost, reads_back, late):
             return
         with self._unknown(lost):
-            present = self._upload(talk.index, talk.subindex, block=False)
+            # an axis that is being stopped does not wait for a second answer
+            read = self._upload if self.way_out.inside else self._read_bytes
+            present = read(talk.index, talk.subindex, block=False)
         self._compare(present, data, lost, same)
 
     @contextlib.contextmanager

@@ -42,7 +42,7 @@ from drivers.errors import (
     StateError,
     TransportError,
 )
-from drivers.scaling import AxisScaling
+from drivers.scaling import AxisScaling, MotionScaling
 from drivers.shared_time import SharedTime
 from drivers.standstill import Standstill
 
@@ -74,6 +74,8 @@ class StoppableDrive(ServoDrive):
     connection: Connection
     motion: ProfileMotion
     homing: Homing
+    units: MotionScaling
+    """Of its velocities and accelerations on the wire; known once open."""
 
     def __init__(
         self,
@@ -125,7 +127,7 @@ class StoppableDrive(ServoDrive):
         else:
             self._fault_code = None
         velocity = self.sampler.values.get(objects.VELOCITY_ACTUAL)
-        slow = velocity is None or Standstill.is_slow(self.scaling.load_mm(velocity))
+        slow = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
         self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
         self.motion.look(status)
         sample = self._as_sample()
@@ -139,12 +141,16 @@ class StoppableDrive(ServoDrive):
         velocity = values.get(objects.VELOCITY_ACTUAL)
         torque = values.get(objects.TORQUE_ACTUAL)
         error = values.get(objects.FOLLOWING_ERROR_ACTUAL)
+        arrived = self.motion.arrived()
+        reached = bool(status & Status.TARGET_REACHED) if arrived is None else arrived
+        if self.homing.without_bit_10 and self.motion.mode is Mode.HOMING:
+            reached = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
         return DriveSample(
             self.sampler.heard_ns,
             decode_state(status),
             scaling.load_mm(self.sampler.position_counts),
-            bool(status & Status.TARGET_REACHED) and not self.homing.under_way,
-            None if velocity is None else scaling.load_mm(velocity),
+            reached and not self.homing.under_way,
+            None if velocity is None else self.units.load_mm_s(velocity),
             None if torque is None else scaling.direction * torque / 10.0,
             None if error is None else scaling.load_mm(error),
             self.homing.homed,
@@ -173,11 +179,11 @@ class StoppableDrive(ServoDrive):
         self.sampler.by_sdo = False
         self.sampler.subscribe()
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: Mode, *, until_enabled: bool = False) -> None:
         """Change the mode of operation; see `ProfileMotion.set_mode`, also for the errors."""
         self._require_open()
         with self._stopped_if_it_fails():
-            self.motion.set_mode(mode)
+            self.motion.set_mode(mode, until_enabled=until_enabled)
         self.homing.under_way = False
 
     # -- coming to rest and taking the power off -------------------------------------------------------------------------
@@ -212,7 +218,7 @@ class StoppableDrive(ServoDrive):
         halted = False
         try:
             if not self.sampler.heard_by_sync():
-                if not (self.sampler.by_sdo or self.link.sync.taken):
+                if not (self.sampler.by_sdo or self.sampler.without_pdos or self.link.sync.taken):
                     self.send_stop()  # the drive should have answered: stop before anything is read
                 self.sampler.refresh_somehow()
             state = decode_state(self.sampler.statusword)
@@ -265,7 +271,7 @@ class StoppableDrive(ServoDrive):
             stands = standstill.look(
                 sampler.heard_ns,
                 self.scaling.load_mm(sampler.position_counts),
-                None if velocity is None else self.scaling.load_mm(velocity),
+                None if velocity is None else self.units.load_mm_s(velocity),
                 reached=bool(status & Status.TARGET_REACHED),
             )
             if stands or decode_state(status) in WITHOUT_TORQUE:
@@ -351,16 +357,17 @@ class StoppableDrive(ServoDrive):
                 way()
 
     def _ways(self, word: int) -> list[Callable[[], None]]:
-        """The channels, the fastest first. In a stream its RPDO carries the command too: a set-point that waits in the drive for
-        the next SYNC would enable the axis. SYNC is sent only where it is ours, or where no other producer is heard. SDO is the
-        last."""
+        """The channels, the fastest first. Where the set-points of a stream carry a controlword they carry the command too: one that
+        waits in the drive for the next SYNC would enable the axis. SYNC is sent only where it is ours, or where no other producer is
+        heard. SDO is the last."""
         stop, axis = self.connection.stop_rpdo, self._stream_axis
+        by_set_point = None if axis is None else axis.command(word)
         ways: list[Callable[[], None]] = []
         if stop is not None:
             ways.append(partial(self.link.send, stop.cob_id, stop.codec.pack(word), STOP_SEND_S))
-        if axis is not None:
-            ways.append(partial(self.link.send_message, axis.command(word), STOP_SEND_S))
-        elif stop is None and self.connection.mapped:
+        if by_set_point is not None:
+            ways.append(partial(self.link.send_message, by_set_point, STOP_SEND_S))
+        elif axis is None and stop is None and self.connection.mapped and self.connection.rpdo is not None:
             place = self.sampler.values.get(objects.POSITION_ACTUAL, 0)
             ways.append(partial(self.link.send, self.rpdo.cob_id, self.rpdo.codec.pack(word, place), STOP_SEND_S))
         if stop is None and ways and not self.link.sync.foreign_runs and (axis is None or axis.sync_by_host):
@@ -369,7 +376,7 @@ class StoppableDrive(ServoDrive):
         return ways
 
     def _quick_stop_holds(self) -> bool:
-        ending = QUICK_STOP_ENDINGS.get(self.sdo.read_or(objects.QUICK_STOP_OPTION, 2))
+        ending = QUICK_STOP_ENDINGS.get(self.motion.shown(objects.QUICK_STOP_OPTION, 2))
         return ending is not None and ending.stays
 
     def _note_ramps(self) -> None:
@@ -385,14 +392,14 @@ class StoppableDrive(ServoDrive):
                 f"drive {self.name}: gravity can move this axis and no brake is stated, but after a quick stop (605Ah) its drive"
                 " switches its power off"
             )
-        quick = self.sdo.read_or(objects.QUICK_STOP_DECELERATION, 0)
-        ordinary = self.scaling.motor_counts_per_s(self.limits.max_acceleration_mm_s2)
-        if 0 < quick < ordinary:
+        quick = self.motion.shown(objects.QUICK_STOP_DECELERATION, 0)
+        quick_mm_s2 = self.units.mm_s2(quick)
+        if 0 < quick_mm_s2 < self.limits.max_acceleration_mm_s2 * (1 - 1e-6):
             self.notes.append(
-                f"drive {self.name}: quick stop (6085h) brakes with {quick * self.scaling.resolution_load_mm:g} mm/s²,"
+                f"drive {self.name}: quick stop (6085h) brakes with {quick_mm_s2:g} mm/s²,"
                 f" moves with up to {self.limits.max_acceleration_mm_s2:g} mm/s²: a stop may overshoot the target"
             )
-        braking_mm_s2 = quick * self.scaling.resolution_load_mm or self.limits.max_acceleration_mm_s2
+        braking_mm_s2 = quick_mm_s2 or self.limits.max_acceleration_mm_s2
         # and delays of drive and bus, generously: ten samples
         self._braking_s = min(self.limits.max_velocity_mm_s / braking_mm_s2 + 10 * LOOK_S, self.settings.power.stop_s)
 

@@ -19,10 +19,12 @@ import can
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Mode, decode_state
+from drivers.canopen.pdo import SYNC_EVERY
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.sdo import write_together
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream_axis import (
+    BY_POSITION,
     RUNNING,
     RUNNING_MASK,
     TARGETS,
@@ -56,7 +58,6 @@ FOREIGN_SYNCS = 3
 FOREIGN_SYNC_S = 10.0
 """Number of foreign SYNCs within `FOREIGN_SYNC_S` seconds above which the stream ends. A program that only samples sends at most two
 before it hears the stream's and leaves SYNC to it; a third may come from a program that is started meanwhile."""
-_RUN = Command.ENABLE_OPERATION.word
 
 
 class CyclicStream:
@@ -80,7 +81,17 @@ class CyclicStream:
         self.clock = self.link.clock
         self._drives = tuple(drives)
         self._axes = [
-            Axis(drive.node, drive.power, drive.scaling, drive.limits, settings, stop=drive.connection.stop_rpdo)
+            Axis(
+                drive.node,
+                drive.power,
+                drive.scaling,
+                drive.limits,
+                settings,
+                stop=drive.connection.stop_rpdo,
+                mode=_mode_of(drive, settings.mode),
+                units=drive.units,
+                kind=SYNC_EVERY if drive.connection.rpdo is None else drive.connection.rpdo.kind,
+            )
             for drive in drives
         ]
         self._last_first = sorted(self._axes, key=lambda axis: -axis.tpdo.cob_id)
@@ -148,8 +159,12 @@ class CyclicStream:
         sample = drive.sample()
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {drive.name} cannot stream: it is {sample.state.value}")
-        if not drive.motion.supports(self.settings.mode):
-            raise CapabilityError(f"drive {drive.name} has no {self.settings.mode.name.lower().replace('_', ' ')} mode")
+        if not drive.motion.supports(axis.mode):
+            raise CapabilityError(f"drive {drive.name} has no {axis.mode.name.lower().replace('_', ' ')} mode")
+        if drive.connection.no_stream:
+            raise CapabilityError(f"drive {drive.name} cannot stream: {drive.connection.no_stream}")
+        if axis.mode is Mode.CYCLIC_VELOCITY and drive.units.ambiguous:
+            raise CapabilityError(f"drive {drive.name} cannot stream velocities: {drive.units.ambiguous}")
         value, exponent = _interpolation(self.settings.period_s)
         with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
             drive.motion.set(objects.INTERPOLATION_PERIOD, value)
@@ -157,9 +172,12 @@ class CyclicStream:
         drive.begin_streaming(axis)
         axis.taken = True
         axis.setup.apply(interrupted=self._send_stops)
-        drive.set_mode(self.settings.mode)
+        if axis.mode is Mode.INTERPOLATED_POSITION:
+            with suppress(AbortError):  # 60C4h is optional: set-points of an earlier stream are cleared
+                drive.motion.set(objects.BUFFER_CLEAR, 1, always=True)
+        drive.set_mode(axis.mode)
         axis.position_counts = drive.sdo.read(objects.POSITION_ACTUAL)
-        if self.settings.mode is Mode.CYCLIC_POSITION:
+        if axis.mode in BY_POSITION:
             axis.demand_counts = axis.next_counts = axis.position_counts
         axis.status = drive.sdo.read(objects.STATUSWORD)
         axis.heard_ns = self.clock.now_ns()
@@ -226,7 +244,9 @@ class CyclicStream:
             finally:
                 drive.end_streaming()
             if not self._stopped:
-                drive.set_mode(Mode.PROFILE_POSITION)
+                if axis.mode is Mode.INTERPOLATED_POSITION:
+                    drive.power.write(Command.ENABLE_OPERATION.word)  # bit 4 means a new set-point in profile position
+                drive.set_mode(drive.motion.resting_mode)
         except BaseException as error:
             drive.send_stop()
             undo_all([("", drive.disable)], during=error)
@@ -286,7 +306,7 @@ class CyclicStream:
         else:
             self._missed_in_a_row = 0
         for axis in self._axes:
-            link.send_message(axis.message_with(_RUN, axis.planned))
+            link.send_message(axis.set_point())
         self._end_when_stopped()  # before SYNC: a stop that came just now was sent before the set-point, which would cancel it
         clock.sleep_until_ns(self._next_sync_ns)
         link.poll()  # late frames belong to the cycle before
@@ -303,7 +323,7 @@ class CyclicStream:
         self._sync_taken = self._sync_count
         self._account_for_missed(missed)
         for axis in self._axes:
-            self.link.send_message(axis.message_with(_RUN, axis.planned))
+            self.link.send_message(axis.set_point())
         self._end_when_stopped()
         if not self.link.wait(lambda: self._sync_count > self._sync_taken, 2.5 * self.settings.period_s):
             self.counters.sync_losses += 1
@@ -394,6 +414,13 @@ class CyclicStream:
             raise axis.explain_status()
 
 
+def _mode_of(drive: StoppableDrive, wanted: Mode) -> Mode:
+    """The mode of one drive: interpolated position where cyclic synchronous position is wanted and missing."""
+    if wanted is Mode.CYCLIC_POSITION and drive.motion.streaming_mode is not None:
+        return drive.motion.streaming_mode
+    return wanted
+
+
 def _stop(drive: StoppableDrive) -> None:
     """Quick stop with confirmation; the axis is disabled where it is not confirmed."""
     try:
@@ -480,5 +507,23 @@ class OneAxisStream(_BySync, SetPointStream):
 class AxesBySync(_BySync, SetPointGroup):
     """Set-points to several axes on one bus, all paced by one SYNC."""
 
+    def __init__(self, drives: Sequence[StoppableDrive], settings: SetPointSettings) -> None:
+        super().__init__(drives, settings)
+        self._period_ns = round(settings.period_s * NS_PER_S)
+        self._found = [(0, math.nan)] * len(drives)
+
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
-        return [feedback.position_load_mm for feedback in self._stream.cycle(positions_load_mm)]
+        feedback = self._stream.cycle(positions_load_mm)
+        synced_ns = self._stream.next_sync_ns - self._period_ns
+        for index, one in enumerate(feedback):
+            if not one.late:
+                self._found[index] = synced_ns, one.position_load_mm
+        return [one.position_load_mm for one in feedback]
+
+    @property
+    def found(self) -> list[tuple[int, float]]:
+        return self._found
+
+    @property
+    def reached_ns(self) -> int:
+        return self._stream.next_sync_ns

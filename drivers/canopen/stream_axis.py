@@ -13,7 +13,7 @@ from typing import NamedTuple
 import can
 
 from drivers.canopen import objects
-from drivers.canopen.cia402 import Mode, Status, decode_state
+from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
 from drivers.canopen.node import Node
 from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
@@ -21,7 +21,7 @@ from drivers.canopen.pdo_setup import PdoSetup
 from drivers.canopen.power import PowerStage
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
-from drivers.scaling import AxisScaling
+from drivers.scaling import AxisScaling, MotionScaling
 
 
 class SyncSource(Enum):
@@ -78,18 +78,26 @@ class Feedback(NamedTuple):
 
 TARGETS: dict[Mode, Entry] = {
     Mode.CYCLIC_POSITION: objects.TARGET_POSITION,
+    Mode.INTERPOLATED_POSITION: objects.INTERPOLATION_TARGET,
     Mode.CYCLIC_VELOCITY: objects.TARGET_VELOCITY,
     Mode.CYCLIC_TORQUE: objects.TARGET_TORQUE,
 }
+BY_POSITION = (Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION)
 ANY = 1 << 62  # larger than every number of counts
-RUNNING = 0x0027 | int(Status.FOLLOWS_COMMAND)  # operation enabled, and the set-points are followed
+RUNNING = 0x0027 | int(
+    Status.FOLLOWS_COMMAND
+)  # operation enabled, and the set-points are followed (interpolation active)
 RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
 
 
 class Axis:
     """One axis in the stream: its frames, its latest feedback, its limits in counts, precomputed for the cycle.
 
-    stop: the RPDO that stops the drive at once, which the stream leaves in place; None where there is none.
+    mode: of this drive: interpolated position stands in for cyclic synchronous position. units: of its velocity. kind: the
+    transmission type that its RPDO takes.
+    stop: the RPDO that stops the drive at once, which the stream leaves in place; None where there is none. With it the set-points
+    carry no controlword: one of "enable operation" each cycle would undo within a period what another master, a panel or the drive
+    itself did to disable the axis. Interpolated position keeps it, as its bit 4 begins with the first set-point.
     counts_of(value): a set-point (load mm, mm/s, percent of rated torque) in the drive's units; raises LimitError.
     """
 
@@ -102,13 +110,23 @@ class Axis:
         settings: StreamSettings,
         *,
         stop: PdoSpec | None,
+        mode: Mode,
+        units: MotionScaling,
+        kind: int = SYNC_EVERY,
     ) -> None:
         node_id = node.node_id
+        self.mode = mode
+        self._run = Command.ENABLE_OPERATION.word
+        if mode is Mode.INTERPOLATED_POSITION:
+            self._run |= Control.INTERPOLATE
+        self._units = units
         self.node = node
         self.power = power
         self.limits = limits
         self.settings = settings
-        self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, TARGETS[settings.mode]))
+        self.commanding = stop is None or mode is Mode.INTERPOLATED_POSITION
+        carried = (objects.CONTROLWORD, TARGETS[mode]) if self.commanding else (TARGETS[mode],)
+        self.rpdo = PdoSpec(1, False, 0x200 + node_id, kind, carried)
         self.tpdo = PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
         kept = () if stop is None else (stop,)
         self.setup = PdoSetup(node.sdo, node_id, (self.rpdo, self.tpdo, *kept), alone=True)
@@ -130,16 +148,17 @@ class Axis:
         self.taken = False  # whether this stream controls the drive
         self.counts_of = {
             Mode.CYCLIC_POSITION: self._position_counts,
+            Mode.INTERPOLATED_POSITION: self._position_counts,
             Mode.CYCLIC_VELOCITY: self._velocity_counts,
             Mode.CYCLIC_TORQUE: self._torque_permille,
-        }[settings.mode]
+        }[mode]
         self.direction = scaling.direction
         self.mm_per_count = scaling.direction * scaling.resolution_load_mm
         self.counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         # one count of rounding at either end does not count as velocity
         self.max_step_counts = math.floor(limits.max_velocity_mm_s * settings.period_s * scaling.counts_per_load_mm) + 1
         self.travel_min_mm, self.travel_max_mm = limits.travel_min_mm, limits.travel_max_mm
-        by_position = settings.mode is Mode.CYCLIC_POSITION
+        by_position = mode in BY_POSITION
         self.max_error_counts = (
             math.floor(settings.following_error_mm * scaling.counts_per_load_mm) if by_position else ANY
         )
@@ -152,19 +171,25 @@ class Axis:
             self.heard_ns = time_ns
             self.fresh = True
 
-    def message_with(self, controlword: int, counts: int) -> can.Message:
-        """The RPDO of this axis; one message object, filled anew each time."""
-        self.next_counts = counts
+    def set_point(self) -> can.Message:
+        """The RPDO with the planned set-point; one message object, filled anew each time."""
+        self.next_counts = self.planned
         message = self.message
-        self._pack_into(message.data, 0, controlword, counts)
+        if self.commanding:
+            self._pack_into(message.data, 0, self._run, self.planned)
+        else:
+            self._pack_into(message.data, 0, self.planned)
         return message
 
-    def command(self, controlword: int) -> can.Message:
-        """A command that stops the axis, as the RPDO of this axis: a message object of its own, as any thread may send it.
+    def command(self, controlword: int) -> can.Message | None:
+        """A command that stops the axis, as the RPDO of this axis: a message object of its own, as any thread may send it. None where
+        the RPDO carries no controlword.
 
         The target is the last one of a position stream, and 0 in the others.
         """
-        counts = self.next_counts if self.settings.mode is Mode.CYCLIC_POSITION else 0
+        if not self.commanding:
+            return None
+        counts = self.next_counts if self.mode in BY_POSITION else 0
         data = self.rpdo.codec.pack(controlword, counts)
         return can.Message(arbitration_id=self.rpdo.cob_id, data=data, is_extended_id=False)
 
@@ -186,7 +211,7 @@ class Axis:
         self._check_inside(velocity_mm_s)
         if abs(velocity_mm_s) > self.limits.max_velocity_mm_s:
             self.limits.check_velocity(abs(velocity_mm_s))
-        return round(velocity_mm_s * self.counts_per_mm)
+        return round(velocity_mm_s * self.counts_per_mm / float(self._units.velocity.counts))
 
     def _torque_permille(self, torque_percent: float) -> int:
         self._check_inside(torque_percent)

@@ -27,7 +27,7 @@ from drivers.toml_types import Limits, Positive, SchemaError, Text, Via, one_of
 
 SUBINDICES = 254
 _OBJECT = re.compile(r"(?P<index>[0-9A-Fa-f]{4})h(:(?P<subindex>[0-9A-Fa-f]{2}))?")
-_TYPES = {kind.name.lower(): kind for kind in DataType if kind.is_number and kind.name[0] in "IU"}
+_TYPES = {kind.name.lower(): kind for kind in DataType if kind.format and kind.name[0] in "IU"}
 _MOST_POINTS = 1 << 16
 
 

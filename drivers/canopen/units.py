@@ -11,14 +11,15 @@ that their manufacturer chose. Micrometres are assumed then, the usual choice.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from fractions import Fraction
 
 from drivers.canopen import objects
 from drivers.canopen.objects import Entry
-from drivers.canopen.pdo import OBJECT_MISSING
 from drivers.canopen.sdo import SdoClient
 from drivers.errors import AbortError
-from drivers.scaling import ReportedScaling
+from drivers.scaling import AxisScaling, MotionScaling, MotionUnit, ReportedScaling, motion_unit
 
 METRE = 0x01  # the unit in bits 16 to 23 of 60A8h (CiA-303-2); bits 24 to 31 are its power of ten
 MM_PER_M = 1000
@@ -28,15 +29,53 @@ UM_PER_MM = 1000
 def read_units(sdo: SdoClient) -> ReportedScaling:
     """Read the objects. Raises NoAnswerError, ProtocolError; an object that is missing or zero becomes None."""
     encoder = _ratio(sdo, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
+    if encoder == 1:  # as delivered, never set
+        encoder = None
     gear = _ratio(sdo, objects.GEAR_MOTOR_REVOLUTIONS, objects.GEAR_SHAFT_REVOLUTIONS)
     feed = _ratio(sdo, objects.FEED, objects.FEED_SHAFT_REVOLUTIONS)
     si_unit = _read(sdo, objects.SI_UNIT_POSITION)
+    turn = None if not si_unit else _units_per_turn(si_unit)
+    if turn is not None:
+        return ReportedScaling(encoder, gear, None, turn)
     if feed is None:
         return ReportedScaling(encoder, gear)
     if si_unit is None:
         return ReportedScaling(encoder, gear, feed / UM_PER_MM)
     metre = _power_of_metre(si_unit)
     return ReportedScaling(encoder, gear, None if metre is None else feed * metre * MM_PER_M, feed)
+
+
+UNIT_OBJECTS = (
+    *((index, subindex) for index in (0x608F, 0x6091, 0x6092, 0x6093) for subindex in (1, 2)),
+    (0x607E, 0),
+    (0x60A8, 0),
+)
+"""Encoder resolution, gear ratio, feed constant, position factor (of drives by the older DSP 402), polarity, unit of position."""
+
+
+def unit_objects(sdo: SdoClient) -> dict[str, int]:
+    """The unit objects that the drive has, such as "6091h:01", as whole numbers. Raises as `read_units`."""
+    found = {}
+    for index, subindex in UNIT_OBJECTS:
+        try:
+            data = sdo.read_bytes(index, subindex)
+        except AbortError:
+            continue
+        found[f"{index:04X}h:{subindex:02X}"] = int.from_bytes(data, "little")
+    return found
+
+
+def object_of(name: str) -> tuple[int, int] | None:
+    """(index, subindex) of "2201h" or "2201h:01"; None for what is no object."""
+    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9A-Fa-f]{2}))?", name)
+    return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
+
+
+def _units_per_turn(si_unit: int) -> Fraction | None:
+    """Position units per revolution of the shaft, where 60A8h names turns or degrees of it; None where it names another unit."""
+    per_turn = {0xB4: Fraction(1), 0x41: Fraction(360)}.get(si_unit >> 16 & 0xFF)
+    prefix = si_unit >> 24 & 0xFF
+    return None if per_turn is None else per_turn / Fraction(10) ** (prefix - 0x100 if prefix & 0x80 else prefix)
 
 
 def _power_of_metre(si_unit: int) -> Fraction | None:
@@ -48,12 +87,11 @@ def _power_of_metre(si_unit: int) -> Fraction | None:
 
 
 def _read(sdo: SdoClient, entry: Entry) -> int | None:
+    """None for an object that is missing, or that the drive does not show."""
     try:
         return sdo.read(entry)
-    except AbortError as error:
-        if error.code in OBJECT_MISSING:
-            return None
-        raise
+    except AbortError:
+        return None
 
 
 def _ratio(sdo: SdoClient, above: Entry, below: Entry) -> Fraction | None:
@@ -80,3 +118,136 @@ def readings(reported: ReportedScaling) -> tuple[ReportedScaling, ...]:
     if encoder is None or encoder * (gear or 1) == feed:
         return (wire,)
     return (wire, lead) if units is not None else (lead, wire)
+
+
+# -- velocity and acceleration -------------------------------------------------------------------------------------------
+_SI_BASES = {0xB4: "rev", 0xB5: "counts", 0x41: "deg", 0x10: "rad", METRE: "m", 0xC0: "rpm"}
+"""Numerators of 60A9h and 60AAh (CiA 303-2, bits 16 to 23); C0h is maxon's turns per minute in 60AAh (EPOS4 manual)."""
+_SI_TIMES = {0x03: ("s",), 0x47: ("min",), 0x48: ("h",), 0x57: ("s", "s")}
+"""Denominators: bits 8 to 15, and 0 to 7 of a second one."""
+_DIMENSIONS = {
+    objects.VELOCITY_DIMENSION: {0xA3: "rev/s", 0xA4: "rpm", 0xAD: "counts/s"},
+    objects.ACCELERATION_DIMENSION: {0xA3: "rev/s2", 0xA4: "rpm/s", 0xAE: "counts/s2"},
+}
+"""Dimension indices 608Ch and 608Eh of DSP 402 version 2; the notation index is a power of ten."""
+
+FAULHABER, MAXON, NANOTEC, ORIENTAL, TRINAMIC, TECHNOSOFT = 0x147, 0xFB, 0x26C, 0x2BE, 0x286, 0x1A3
+_BY_MANUAL = {
+    MAXON: ("maxon", "rpm", "rpm/s"),
+    FAULHABER: ("Faulhaber", "rpm", "rev/s2"),
+    NANOTEC: ("Nanotec", "rpm", "rpm/s"),
+    ORIENTAL: ("Oriental Motor", "rpm", "rpm/s"),
+}
+"""Vendor (1018h:1) -> name, velocity and acceleration by the maker's manuals, where no object states them."""
+_BY_MODEL = {
+    TRINAMIC: "Trinamic's modules take turns per minute (rpm) or steps per second (counts/s), by model",
+    TECHNOSOFT: "Technosoft's drives take 1/65536 counts/ms, or what their factors make of it",
+}
+"""Vendors whose drives differ, or whose objects do not tell it: the axis file has to."""
+_STATE_IT = 'state velocity_unit in [drive], such as velocity_unit = "rpm"'
+_CONTRADICT = Fraction(1, 1000)
+
+
+def read_motion_units(
+    sdo: SdoClient,
+    scaling: AxisScaling,
+    *,
+    velocity: str | None = None,
+    acceleration: str | None = None,
+    vendor: int = 0,
+) -> MotionScaling:
+    """The units of velocity and acceleration: stated by the axis file (velocity, acceleration), by the drive's objects, by its maker's
+    manual (vendor, 1018h:1), or the standard's position units per second.
+
+    Raises InputError for a text that is no unit, and as `SdoClient.read`. What contradicts itself is `ambiguous`.
+    """
+    usual = MotionScaling.in_counts(scaling)
+    stated, doubt = _by_objects(sdo, scaling, 1)
+    by_file = None if velocity is None else motion_unit(velocity, scaling, 1)
+    ambiguous = doubt if by_file is None else ""
+    if by_file is not None and stated is not None and not _same(by_file, stated):
+        ambiguous = f"the axis file says {by_file.text}, {stated.source} says {stated.text}"
+    chosen = by_file or stated
+    maker = _BY_MANUAL.get(vendor)
+    if chosen is None and maker is not None:
+        chosen = motion_unit(maker[1], scaling, 1, f"{maker[0]}'s manual, as no object states it")
+    if chosen is None and vendor in _BY_MODEL and not ambiguous:
+        ambiguous = f"{_BY_MODEL[vendor]}, and no object of the drive states it"
+    if ambiguous:
+        ambiguous = f"its unit of velocity is not known: {ambiguous}; {_STATE_IT}"
+    speed = chosen or usual.velocity
+    ramp = None if acceleration is None else motion_unit(acceleration, scaling, 2)
+    if ramp is None:
+        ramp, doubt = _by_objects(sdo, scaling, 2)
+        if ramp is None and doubt and not ambiguous:
+            ambiguous = f"its unit of acceleration is not known: {doubt}; state acceleration_unit in [drive]"
+    if ramp is None and maker is not None and (chosen is None or chosen.text == maker[1] or stated is not None):
+        ramp = motion_unit(maker[2], scaling, 2, f"{maker[0]}'s manual, as no object states it")
+    if ramp is None and chosen is not None:
+        time = "2" if speed.text.endswith("/ms") else "/s"
+        ramp = motion_unit(f"{speed.text}{time}", scaling, 2, "the unit of velocity, as no object states it")
+    return MotionScaling(scaling, speed, ramp or usual.acceleration, ambiguous)
+
+
+def _same(one: MotionUnit, other: MotionUnit) -> bool:
+    return abs(one.counts - other.counts) <= _CONTRADICT * abs(other.counts)
+
+
+def _by_objects(sdo: SdoClient, scaling: AxisScaling, times: int) -> tuple[MotionUnit | None, str]:
+    """The unit that the drive's objects state, None where they state none; and why it cannot be known, "" where it can."""
+    si = objects.SI_UNIT_VELOCITY if times == 1 else objects.SI_UNIT_ACCELERATION
+    code = _read(sdo, si)
+    found: list[MotionUnit] = []
+    if code:
+        text = si_text(code, times)
+        if text is None:
+            return None, f"{si.index:04X}h is {code:08X}h, which is no unit that is known here"
+        found.append(motion_unit(text, scaling, times, f"{si.index:04X}h"))
+    notation, dimension = (
+        (objects.VELOCITY_NOTATION, objects.VELOCITY_DIMENSION)
+        if times == 1
+        else (objects.ACCELERATION_NOTATION, objects.ACCELERATION_DIMENSION)
+    )
+    index = _read(sdo, dimension)
+    if index:
+        named = _DIMENSIONS[dimension].get(index)
+        if named is None:
+            return None, f"{dimension.index:04X}h is {index:02X}h, which is no dimension that is known here"
+        factor = Fraction(10) ** (_read(sdo, notation) or 0)
+        text = named if factor == 1 else f"{factor} {named}"
+        found.append(motion_unit(text, scaling, times, f"{notation.index:04X}h and {dimension.index:04X}h"))
+    factors: Sequence[Sequence[Entry]] = (
+        (objects.VELOCITY_FACTOR, objects.VELOCITY_FACTOR_NEW) if times == 1 else (objects.ACCELERATION_FACTOR,)
+    )
+    for above, below in factors:
+        ratio = _ratio(sdo, above, below)
+        if ratio is not None and ratio != 1:
+            text = f"{ratio} counts/s{'' if times == 1 else '2'}"
+            found.append(motion_unit(text, scaling, times, f"{above.index:04X}h"))
+    if times == 1 and not found:
+        speed, place = (
+            _ratio(sdo, objects.VELOCITY_ENCODER_INCREMENTS, objects.VELOCITY_ENCODER_REVOLUTIONS),
+            _ratio(sdo, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS),
+        )
+        if speed and place and speed > 1 and speed != place:
+            return None, f"6090h has {speed} increments per revolution, 608Fh {place}"
+    for other in found[1:]:
+        if not _same(found[0], other):
+            return None, f"{found[0].source} says {found[0].text}, {other.source} says {other.text}"
+    return (found[0] if found else None), ""
+
+
+def si_text(code: int, times: int) -> str | None:
+    """The unit that 60A9h (times 1) or 60AAh (2) names, as `motion_unit` reads it; None for one that is not known here."""
+    exponent = code >> 24 & 0xFF
+    base = _SI_BASES.get(code >> 16 & 0xFF)
+    divisors: list[str] = []
+    for byte in (code >> 8 & 0xFF, code & 0xFF):
+        if byte and byte not in _SI_TIMES:
+            return None
+        divisors += _SI_TIMES.get(byte, ())
+    if base is None or len(divisors) + (base == "rpm") != times:
+        return None
+    factor = Fraction(10) ** (exponent - 0x100 if exponent & 0x80 else exponent)
+    text = "/".join((base, *divisors))
+    return text if factor == 1 else f"{factor} {text}"

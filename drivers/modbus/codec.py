@@ -37,6 +37,7 @@ class RegisterType(Enum):
     I64 = "i64"
     F32 = "f32"
     F64 = "f64"
+    TEN_THOUSANDS = "ten_thousands"  # two words with signs of their own: high · 10000 + low
     STRING = "string"  # ASCII, two characters per register
 
     @property
@@ -57,12 +58,15 @@ class RegisterType(Enum):
     @property
     def bounds(self) -> tuple[int, int]:
         """Least and greatest raw value of an integer type."""
+        if self is RegisterType.TEN_THOUSANDS:
+            return -(_TEN_THOUSAND**2) + 1, _TEN_THOUSAND**2 - 1
         bits = 1 if self is RegisterType.BIT else 16 * self.words
         if self in _SIGNED:
             return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
         return 0, (1 << bits) - 1
 
 
+_TEN_THOUSAND = 10_000
 _INTEGER_CODES = {
     RegisterType.BIT: "",
     RegisterType.BITS: "H",
@@ -72,6 +76,7 @@ _INTEGER_CODES = {
     RegisterType.I32: "i",
     RegisterType.U64: "Q",
     RegisterType.I64: "q",
+    RegisterType.TEN_THOUSANDS: "hh",
 }
 _FLOAT_CODES = {RegisterType.F32: "f", RegisterType.F64: "d"}
 _SIGNED = (RegisterType.I16, RegisterType.I32, RegisterType.I64)
@@ -86,6 +91,7 @@ _WORDS = {
     RegisterType.I64: 4,
     RegisterType.F32: 2,
     RegisterType.F64: 4,
+    RegisterType.TEN_THOUSANDS: 2,
     RegisterType.STRING: 0,
 }
 
@@ -122,6 +128,9 @@ def decode(registers: Sequence[int], layout: Layout) -> Raw:
     if layout.type is RegisterType.STRING:
         return data.split(b"\0", 1)[0].decode("ascii", errors="replace").rstrip(" ")
     code = _INTEGER_CODES.get(layout.type) or _FLOAT_CODES[layout.type]
+    if layout.type is RegisterType.TEN_THOUSANDS:
+        high, low = struct.unpack(f">{code}", data)
+        return int(high * _TEN_THOUSAND + low)
     value: int | float = struct.unpack(f">{code}", data)[0]
     return value
 
@@ -147,6 +156,10 @@ def encode(value: Raw, layout: Layout) -> tuple[int, ...]:
         raise InputError(f"value {value!r} does not fit a {kind.value}, expected a whole number {low} to {high}")
     if kind is RegisterType.BIT:
         return (int(value),)
+    if kind is RegisterType.TEN_THOUSANDS:
+        sign = -1 if value < 0 else 1
+        high, low = divmod(abs(int(value)), _TEN_THOUSAND)
+        return _from_bytes(struct.pack(f">{_INTEGER_CODES[kind]}", sign * high, sign * low), layout)
     return _from_bytes(struct.pack(f">{_INTEGER_CODES[kind]}", int(value)), layout)
 
 
@@ -191,6 +204,7 @@ _PROBED = (
     RegisterType.U64,
     RegisterType.I64,
     RegisterType.F64,
+    RegisterType.TEN_THOUSANDS,
 )
 _F32_RELATIVE = 2.0**-23  # a known value typed in decimals is not exactly a float
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 
-from drivers.clock import Clock
+from drivers.clock import NS_PER_S, Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import (
     BridgeError,
@@ -28,9 +28,12 @@ from drivers.errors import (
 )
 from drivers.modbus.codec import Raw
 from drivers.modbus.correction_table import ModbusCorrectionTable
-from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, StreamMap, all_hold
+from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, Need, RunMap, StreamMap, all_hold
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_facts import FactLedger, Proof
+from drivers.modbus.map_roles import Writes
+from drivers.modbus.order_evidence import judge_orders
 from drivers.modbus.orders import POLL_S, Orders, hold
 from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.power import PowerStates
@@ -70,8 +73,15 @@ class ModbusDrive(ServoDrive):
         unit: int,
         drive_map: DriveMap,
         wear: WearLedger | None = None,
+        ledger: FactLedger | None = None,
     ) -> None:
         super().__init__(name, scaling, limits, clock)
+        self._ledger = ledger
+        self._weak = drive_map.weak()
+        self._proving = False
+        self._arranged: dict[str, Raw] = {}  # needs that are made to hold, and what was there before, in their order
+        self._kept_alive_ns = 0  # when a jog was last ordered
+        self._jog: Writes = ()  # the order of the jog under way
         self.link = link
         self.unit = unit
         self.map = drive_map
@@ -112,6 +122,7 @@ class ModbusDrive(ServoDrive):
             self.orders.forget()
             self.way_out.over()
             self.link.limit_by(self.unit, self.way_out)
+            self._require_needs()
             self.access.note(self.map.quick_stop)
             self.sample()
         except BaseException:
@@ -128,13 +139,55 @@ class ModbusDrive(ServoDrive):
             return
         try:
             with self.way_out.step(last=True):
-                undo_all([("", self._disable_at_last), ("", self.orders.put_back)])
+                undo_all([("", self._disable_at_last), ("", self.orders.put_back), ("", self._put_back_needs)])
         except BridgeError as error:
             if not _is_silence(error) or self._answers():
                 raise
         finally:
             self._open = False
             self.link.close()
+
+    def _unmet(self) -> list[Need]:
+        """The needs of the map that do not hold now."""
+        needs = self.map.needs
+        raw = self.access.of_conditions([need.condition for need in needs]) if needs else {}
+        return [need for need in needs if not all_hold((need.condition,), raw)]
+
+    def _require_needs(self) -> None:
+        """Raise StateError, with the remedy, for a need that only the user can meet."""
+        for need in self._unmet():
+            if need.write is None:
+                raise StateError(self._need_text(need))
+
+    def _need_text(self, need: Need) -> str:
+        register = self.registers[need.condition.register]
+        value = self.access.integers([register.name])[register.name]
+        expected = " or ".join(f"{each:#x}" for each in need.condition.values)
+        word = "anything but" if need.condition.negate else "expected"
+        place = f"{register.table.value} {register.span.start:#06x}"
+        text = f"drive {self.name}: {register.name} ({place}) reads {value:#x}, {word} {expected}: {need.why}"
+        return f"{text}; {need.remedy}" if need.remedy else text
+
+    def _arrange_needs(self) -> None:
+        """Make hold what the map may make hold; each is read back. Raises StateError for one that does not."""
+        for need in self._unmet():
+            if need.write is not None:
+                name = need.write.register
+                if name not in self._arranged:
+                    self._arranged |= self.access.read([name])
+                self.orders.give((need.write,))
+        for need in self._unmet():
+            raise StateError(self._need_text(need))
+
+    def _put_back_needs(self) -> None:
+        """Restore them, the first arranged last: it may be what keeps the others out of the EEPROM."""
+        found, self._arranged = self._arranged, {}
+        undo_all(
+            [
+                (f"{name} not put back", partial(self.access.write, {name: value}))
+                for name, value in reversed(found.items())
+            ]
+        )
 
     def _disable_at_last(self) -> None:
         """Disable once more where the first try failed and the drive answers, such as one that answers late or was silent for a
@@ -188,6 +241,53 @@ class ModbusDrive(ServoDrive):
         self._require_open()
         return (self._parameters.reported_scaling(),)
 
+    def unit_parameters(self) -> dict[str, int | float]:
+        """The registers that the map's [drive.scaling] names."""
+        self._require_open()
+        return self._parameters.unit_parameters()
+
+    # -- facts of the map --------------------------------------------------------------------------------------------
+    def preflight(self) -> tuple[tuple[str, bool, str], ...]:
+        """Needs of the map, word orders judged by the values found, and the facts that are still to be proven."""
+        self._require_open()
+        names = [name for name in self.map.wide() if self.registers[name].readable]
+        order = judge_orders({name: (self.registers[name], words) for name, words in self.access.words(names).items()})
+        good = order.agrees and (order.supported or self.map.speed_is_narrow)
+        checks = [("word order", good, order.detail)] if names else []
+        waiting = [text for proof in Proof if proof.value in self.unproven() for text in self._weak[proof]]
+        if waiting:
+            checks.append(("facts", True, f"to be proven on this drive before use: {'; '.join(waiting)}"))
+        elif self._weak:
+            checks.append(("facts", True, "everything in its map that is assumed was proven on this drive"))
+        return tuple(checks)
+
+    def unproven(self) -> frozenset[str]:
+        done = frozenset[Proof]() if self._ledger is None else self._ledger.proven()
+        return frozenset(proof.value for proof in self._weak if proof not in done and proof is not Proof.PERSON)
+
+    @contextmanager
+    def proving(self) -> Iterator[None]:
+        before, self._proving = self._proving, True
+        try:
+            yield
+        finally:
+            self._proving = before
+
+    def proven(self, what: frozenset[str]) -> None:
+        if self._ledger is not None and self._weak:
+            self._ledger.add(frozenset(Proof(each) for each in what) & self._weak.keys())
+
+    def _require_proven(self, verb: str, *, homing: bool = False) -> None:
+        """Raise StateError for facts that this order rests on and nobody has proven on this drive."""
+        waiting = set() if self._proving else {each for each in self.unproven() if (each == "homing") is homing}
+        if waiting:
+            text = next(text for proof in Proof if proof.value in waiting for text in self._weak[proof])
+            option = " --home" if homing else ""
+            raise StateError(
+                f"drive {self.name} cannot {verb}: its register map rests on facts that are not proven on this drive, such as"
+                f" {text}; prove them by: hil doctor AXIS.toml{option}"
+            )
+
     @property
     def correction_table(self) -> ModbusCorrectionTable | None:
         """The table by the map's [drive.correction_table]; None without one."""
@@ -210,6 +310,7 @@ class ModbusDrive(ServoDrive):
         """
         sample = self._look()
         self._judge_alive(sample)
+        self._keep_jogging()
         if self._running and sample.state is DriveState.ENABLED:
             velocity_mm_s = sample.velocity_mm_s or 0.0
             lag_mm = math.copysign(
@@ -284,6 +385,11 @@ class ModbusDrive(ServoDrive):
         names = [name for name in (homing.method, homing.home_position) if name is not None]
         raw = self.access.read(names) if names else {}
         method = None if homing.method is None else int(raw[homing.method])
+        if (
+            method is not None and homing.makers_method
+        ):  # another one makes another zero; what it seeks only the manual says
+            identity |= {"homing by the maker's method": method}
+            method = None
         return DriveZero(method, self.values.load_mm(raw, homing.home_position), identity)
 
     def says_homed(self) -> bool | None:
@@ -300,6 +406,7 @@ class ModbusDrive(ServoDrive):
     # -- states ----------------------------------------------------------------------------------------------------
     def _enable(self) -> None:
         self._require_open()
+        self._require_proven("enable")
         self.orders.stopped = False
         self.way_out.over()
         try:
@@ -317,16 +424,20 @@ class ModbusDrive(ServoDrive):
                 f"drive {self.name}: standstill before enabling not within {self._braking_s():g} s"
             )
         self._end_run()
+        self._arrange_needs()
         self.moves.set_mode()
         self.power.enable(self._target_here)
 
     def _target_here(self) -> None:
         """Target := actual, so that switching power on moves nothing."""
-        self._write_here(self.map.move.target)
+        with self.moves.target_kept():
+            self._write_here(self.map.move.target)
         self.moves.under_way = None
 
     def _write_here(self, target: str) -> None:
-        counts = self.values.position_counts(self.access.read([self.map.position]))
+        counts = 0.0
+        if not (self.map.move.relative and target == self.map.move.target):
+            counts = self.values.position_counts(self.access.read([self.map.position]))
         self.access.write({target: self.values.raw(counts, target)})
 
     def disable(self) -> None:
@@ -480,15 +591,25 @@ class ModbusDrive(ServoDrive):
     def _start_homing(self) -> None:
         homing = self.map.homing
         if homing is None:
-            raise StateError(f"drive {self.name}: its register map has no homing")
+            why = self.map.without_homing
+            raise StateError(f"drive {self.name}: its register map has no homing{why and ': ' + why}")
+        if homing.at_power_on and self.falls_without_power:
+            raise StateError(
+                f"drive {self.name} homes only as its power comes on, so it has to be taken off first: gravity can move the axis"
+                " and no brake is stated"
+            )
+        self._require_proven("home", homing=True)
         self.moves.under_way = None
         with self._no_motion_after_errors():
             self._end_run()
             self._release_homing(homing)
             self.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
             self._homed = False
+            if homing.at_power_on:
+                self._disable()
+                self.orders.remember([write.register for write in homing.start if write.mask is None])
             self.orders.start(homing.start, "homing", homing.timeout_s)
-            self.orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s)
+            self.orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s, homing.remedy)
             self._attained_gone, self._attained_stands = False, Standstill(self.scaling.resolution_load_mm)
             self._homing = True
             deadline = self.clock.deadline(homing.timeout_s)
@@ -527,6 +648,9 @@ class ModbusDrive(ServoDrive):
         if run is None:
             raise CapabilityError(f"drive {self.name}: its register map has no velocity run")
         counts_per_s = self.scaling.direction * velocity_mm_s * self.scaling.counts_per_load_mm
+        if run.forward:
+            self._start_jog(run, counts_per_s)
+            return
         target = {run.target: self.values.raw(counts_per_s, run.target)}  # refuses before anything is written
         raw = self.access.read(self.map.sampled())
         self.moves.under_way = None
@@ -540,7 +664,35 @@ class ModbusDrive(ServoDrive):
             self.orders.start(run.start, "velocity run", run.timeout_s)
             self.orders.write(target)
 
+    def _start_jog(self, run: RunMap, counts_per_s: float) -> None:
+        """Jog: the speed without its sign, then the order of its direction, which `sample` repeats where it has to be."""
+        target = self.values.raw_speed(abs(counts_per_s), run.target) if counts_per_s else None
+        self.moves.under_way = None
+        with self._no_motion_after_errors():
+            self._end_run()
+            if target is None:
+                return
+            self.orders.remember((run.target,))
+            self.access.write({run.target: target, **self.moves.ramp_settings(run.acceleration, run.deceleration)})
+            self._running, self._jog = True, run.forward if counts_per_s > 0 else run.backward
+            self._kept_alive_ns = self.clock.now_ns()
+            self.orders.start(self._jog, "jog", run.timeout_s)
+
+    def _keep_jogging(self) -> None:
+        """Order a jog again that would end by itself. Half the time is left for the wire; a sample that is late lets it end."""
+        run = self.map.run
+        if run is None or run.keep_alive_s is None or not (self._running and self._jog) or self.orders.stopped:
+            return
+        age_s = (self.clock.now_ns() - self._kept_alive_ns) / NS_PER_S
+        if age_s >= 0.5 * run.keep_alive_s:
+            self._kept_alive_ns = self.clock.now_ns()
+            self.orders.give(self._jog)
+
     def _write_no_velocity(self) -> None:
+        if self._jog and self.map.run is not None:
+            self._jog = ()
+            self.orders.give(self.map.run.stop)
+            return
         if self.map.run is not None:
             self.access.write({self.map.run.target: self.values.raw(0.0, self.map.run.target)})
 

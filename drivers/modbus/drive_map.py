@@ -9,11 +9,14 @@
     [drive.move]           hand-shake of a profile move      [drive.homing], with its method and home_position
     [drive.store]  [drive.scaling]
     [drive.run]            where the drive runs at a velocity   [drive.stream]  where it follows set-points that come cyclically
+    [[drive.needs]]        what must hold for the rest to be true: assigned inputs and outputs, modes, where writes are kept
+    without_homing         why there is no [drive.homing], where the drive cannot be asked to home
     [drive.correction_table]  the table that the drive holds itself (`drivers.modbus.table_map`)
     [[drive.touch_probe]]  one for each input that latches positions, with [drive.touch_probe.positive] and .negative for its edges
 
-A *condition* is {register, mask, value} or {register, bit, set}; a *write* is the same, and one with a mask changes those bits only.
-Values are raw. `drivers.modbus.map_loader` reads these from the file and refuses what cannot work together.
+A *condition* is {register, mask, value} or {register, bit, set}, and its value may be a list of which any will do; a *write* is the
+same, one with a mask changes those bits only, and after one with pause_s the drive is left alone. Values are raw.
+`drivers.modbus.map_loader` reads these from the file and refuses what cannot work together.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from fractions import Fraction
 from typing import Annotated
 
 from drivers.drive import DriveState
+from drivers.modbus.map_facts import Proof
 from drivers.modbus.map_roles import (
     Condition,
     ConditionRow,
@@ -32,20 +36,21 @@ from drivers.modbus.map_roles import (
     Named,
     SomeConditions,
     SomeWrites,
+    Write,
     Writes,
     WriteTable,
     role,
 )
-from drivers.modbus.register_map import Register, RegisterMap
+from drivers.modbus.register_map import Memory, Register, RegisterMap
 from drivers.modbus.table_map import TableBlocks, TableSection, table_blocks
 from drivers.toml_schema import Document
-from drivers.toml_types import Key, Limits, Positive, SchemaError, Via, not_empty
+from drivers.toml_types import Key, Limits, Positive, SchemaError, Text, Via, not_empty
 from drivers.touch_probe import Edge
 
 FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 POSITION_UNITS = ("counts", "rev")
 VELOCITY_UNITS = ("counts/s", "rpm", "rev/s")
-ACCELERATION_UNITS = ("counts/s2", "rpm/s", "rev/s2")
+ACCELERATION_UNITS = ("counts/s2", "rpm/s", "rev/s2", "ms/1000rpm", "ms/3000rpm")
 TORQUE_UNITS = ("percent", "permille")
 
 
@@ -95,6 +100,7 @@ class Transition:
     writes: Annotated[SomeWrites, Key("write")]
     targets: Annotated[States, Key("to")]
     timeout_s: Positive = 1.0
+    remedy: Text = ""
 
 
 class Handshake(Enum):
@@ -109,14 +115,17 @@ class Handshake(Enum):
 
 _NEEDED = {
     Handshake.SET_POINT_BIT: ("idle", "start", "accepted", "release", "released", "reached"),
-    Handshake.TRIGGER: ("start", "accepted", "reached"),
+    Handshake.TRIGGER: ("start", "reached"),  # without `accepted`, the axis that departs shows that it was taken
     Handshake.ON_WRITE: (),
 }
 
 
 @dataclass(frozen=True)
 class MoveMap:
-    """A profile move. `window`, in the target register's unit: `reached` counts only this close to the target. Raises SchemaError."""
+    """A profile move. `window`, in the target register's unit: `reached` counts only this close to the target. Raises SchemaError.
+
+    relative: the target is written as its distance from where the axis stands; the drive knows no other kind.
+    """
 
     handshake: Handshake
     target: Annotated[str, role(POSITION_UNITS, written=True)]
@@ -133,8 +142,13 @@ class MoveMap:
     reached: Conditions = ()
     window: Positive | None = None
     timeout_s: Positive = 0.5
+    relative: bool = False
 
     def __post_init__(self) -> None:
+        if self.relative and self.handshake is Handshake.ON_WRITE:
+            raise SchemaError(
+                "relative", "is true, and a target that starts a move cannot be set to 0 before power comes on"
+            )
         for key in _NEEDED[self.handshake]:
             if not getattr(self, key):
                 raise SchemaError("", f"lacks {key}, expected a list of tables")
@@ -146,7 +160,10 @@ class MoveMap:
 class HomingMap:
     """The drive's own homing. `attained` and `failed` are valid only while `applies` holds (an empty one always does).
 
-    method, home_position: the registers that define the zero, where the map names them
+    method, home_position: the registers that define the zero, where the map names them; makers_method: the numbers of `method` are
+    the maker's own, not those of CiA 402
+    at_power_on: the drive homes as its power comes on: it is taken off, then `start` arms the homing and switches on
+    remedy: what to look at where the homing is not taken up
     """
 
     start: SomeWrites
@@ -160,19 +177,67 @@ class HomingMap:
     timeout_s: Positive = 0.5
     method: AnyNumber | None = None
     home_position: Position | None = None
+    makers_method: bool = False
+    at_power_on: bool = False
+    remedy: Text = ""
 
 
 @dataclass(frozen=True)
 class RunMap:
-    """Profile velocity: the (signed) target is followed once the mode is shown, after `start` where that is needed."""
+    """Profile velocity: the (signed) target is followed once the mode is shown, after `start` where that is needed.
 
-    target: Annotated[str, role(VELOCITY_UNITS, written=True, signed=True)]
+    A drive that jogs has forward and backward instead, orders that say the direction of an unsigned target; `stop` ends them. Where
+    they have to come again within keep_alive_s, each sample sends them: without samples the drive stops by itself. Raises SchemaError.
+    """
+
+    target: Annotated[str, role(VELOCITY_UNITS, written=True)]
     acceleration: Acceleration | None = None
     deceleration: Acceleration | None = None
     mode: Writes = ()
     mode_shown: Conditions = ()
     start: Writes = ()
     timeout_s: Positive = 0.5
+    forward: Writes = ()
+    backward: Writes = ()
+    stop: Writes = ()
+    keep_alive_s: Positive | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.forward) is not bool(self.backward):
+            raise SchemaError("", "lacks forward or backward, expected both or neither")
+        if self.forward and not self.stop and self.keep_alive_s is None:
+            raise SchemaError("", "lacks stop, and keep_alive_s without which forward and backward go on")
+
+
+@dataclass(frozen=True)
+class Need:
+    """What must hold for the rest of the map to be true of a drive.
+
+    write: makes it hold while the axis is enabled, and is put back afterwards; None: only the user may change it, by `remedy`.
+    """
+
+    condition: Condition
+    why: str
+    remedy: str = ""
+    write: Write | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NeedRow(ConditionRow):
+    why: Text
+    remedy: Text = ""
+    by_us: bool = False
+
+    def need(self) -> Need:
+        condition = self.condition()
+        if not self.by_us:
+            return Need(condition, self.why, self.remedy)
+        if not self.register.writable or self.register.memory is Memory.EEPROM or condition.negate:
+            raise SchemaError("by_us", f"is for a value that can be written to RAM, {self.register.name} cannot")
+        return Need(condition, self.why, self.remedy, Write(condition.register, condition.mask, condition.values[0]))
+
+
+Needs = tuple[Annotated[Need, Via(_NeedRow, lambda row, _: row.need())], ...]
 
 
 @dataclass(frozen=True)
@@ -233,24 +298,28 @@ class StoreMap:
 
 @dataclass(frozen=True)
 class Ratio:
-    """A number of the drive: constant, or one register over another."""
+    """A number of the drive: constant, or one register over another, times a whole number."""
 
     constant: Fraction | None
     register: str | None = None
     per: str | None = None
+    times: int = 1
 
 
 @dataclass(frozen=True)
 class _RatioRow:
     register: AnyNumber
     per: AnyNumber | None = None
+    times: Annotated[int, Limits(ge=1, le=2**40, description="a whole number > 0")] = 1
 
 
 def _ratio(value: float | _RatioRow, _: Document) -> Ratio:
-    return Ratio(None, value.register, value.per) if isinstance(value, _RatioRow) else Ratio(Fraction(str(value)))
+    if isinstance(value, _RatioRow):
+        return Ratio(None, value.register, value.per, value.times)
+    return Ratio(Fraction(str(value)))
 
 
-Stated = Annotated[Ratio | None, Via(Positive | _RatioRow, _ratio, "a number > 0, or {register, per}")]
+Stated = Annotated[Ratio | None, Via(Positive | _RatioRow, _ratio, "a number > 0, or {register, per, times}")]
 
 
 @dataclass(frozen=True)
@@ -287,8 +356,15 @@ class DriveMap:
     scaling: ScalingMap = ScalingMap()
     table: Annotated[TableBlocks | None, Key("correction_table"), Via(TableSection, table_blocks)] = None
     identity: tuple[Annotated[str, Via(Named, _readable)], ...] = ()
+    needs: Needs = ()
+    without_homing: Text = ""
 
     def __post_init__(self) -> None:
+        if self.run is not None and not self.run.forward:
+            kind = self.registers[self.run.target].layout.type
+            if kind.is_integer and kind.bounds[0] == 0:
+                what = f"is {self.run.target!r} of type {kind.value}, which has no sign; a drive that jogs needs forward and backward"
+                raise SchemaError("run.target", what)
         if self.run is not None and self.velocity is None:
             raise SchemaError("run", "needs drive.velocity, which says when a run has to be stopped")
         if len({probe.number for probe in self.probes}) != len(self.probes):
@@ -302,6 +378,61 @@ class DriveMap:
             conditions += [*self.homing.applies, *self.homing.attained, *self.homing.failed]
         names += [condition.register for condition in conditions]
         return tuple(dict.fromkeys(name for name in names if name is not None))
+
+    def weak(self) -> Mapping[Proof, tuple[str, ...]]:
+        """What has to be proven on the drive before it is used, in sentences, by what proves it; empty where nothing has to."""
+        found: dict[Proof, list[str]] = {}
+        for fact in self.registers.facts:
+            if fact.strength.is_weak:
+                found.setdefault(fact.proof, []).append(f"{fact.about}: {fact.says} ({fact.strength.value})")
+        told: set[str] = set()
+        for proof, names in self._used().items():
+            for name in dict.fromkeys(names):
+                register = self.registers[name]
+                if register.origin.strength.is_weak and name not in told:
+                    told.add(name)
+                    place = f"{register.table.value} {register.span.start:#06x}"
+                    found.setdefault(proof, []).append(f"{name} at {place} ({register.origin.strength.value})")
+        return {proof: tuple(each) for proof, each in found.items()}
+
+    def _used(self) -> Mapping[Proof, list[str]]:
+        """Names of registers by what proves them."""
+        powered = [*self.enable, *self.disable]
+        move = self.move
+        moved = [self.position, self.velocity, move.target, move.velocity, move.acceleration, move.deceleration]
+        asked = [*move.idle, *move.accepted, *move.released, *move.reached, *move.mode_shown]
+        orders = [*move.mode, *move.start, *move.release]
+        homing: list[str | None] = []
+        if self.homing is not None:
+            homing = [write.register for write in self.homing.start]
+            homing += [each.register for each in (*self.homing.attained, *self.homing.applies)]
+            homing += [self.homing.method, self.homing.home_position]
+        used: dict[Proof, list[str | None]] = {
+            Proof.READING: [need.condition.register for need in self.needs],
+            Proof.ENABLING: [
+                *(rule.condition.register for rule in self.states),
+                *(write.register for transition in powered for write in transition.writes),
+            ],
+            Proof.MOVE: [*moved, *(each.register for each in asked), *(each.register for each in orders)],
+            Proof.STOP: [write.register for write in (*self.quick_stop, *self.halt)],
+            Proof.HOMING: homing,
+        }
+        return {proof: [name for name in names if name is not None] for proof, names in used.items()}
+
+    def wide(self) -> tuple[str, ...]:
+        """Names of the registers of two or more words that decide where and how fast the axis moves."""
+        move = self.move
+        names = [self.position, self.velocity, self.following_error, move.target]
+        names += [move.velocity, move.acceleration, move.deceleration]
+        known = dict.fromkeys(name for name in names if name is not None)
+        return tuple(name for name in known if self.registers[name].layout.type.words > 1)
+
+    @property
+    def speed_is_narrow(self) -> bool:
+        """Whether speed or ramp of a move is one word: then no wrong word order makes a first slow move fast."""
+        move = self.move
+        names = [name for name in (move.velocity, move.acceleration) if name is not None]
+        return any(self.registers[name].layout.type.words == 1 for name in names)
 
     def moving(self) -> frozenset[str]:
         """Names of all registers that commands, targets, modes and the correction table write; no parameters."""
@@ -319,6 +450,8 @@ class DriveMap:
             writes += [*probe.off, *probe.on, *probe.continuous]
             for edge in probe.edges.values():
                 writes += edge.arm
+        if self.run is not None:
+            writes += [*self.run.forward, *self.run.backward, *self.run.stop]
         if self.store is not None:
             writes += self.store.writes
         if self.table is not None:  # changed as a whole, by itself

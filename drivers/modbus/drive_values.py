@@ -5,6 +5,7 @@ Registers in rev and rpm are of the motor's shaft. `AxisScaling` alone turns mot
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from drivers.drive import DriveState
@@ -18,6 +19,8 @@ from drivers.scaling import AxisScaling
 
 _PER_REV = {"rev": 1.0, "rpm": 1.0 / 60.0, "rev/s": 1.0, "rpm/s": 1.0 / 60.0, "rev/s2": 1.0}
 _COUNTS = ("counts", "counts/s", "counts/s2")
+_RAMP_RPM = {"ms/1000rpm": 1000.0, "ms/3000rpm": 3000.0}
+"""Units of a ramp by its time, ms from standstill to this speed: the inverse of an acceleration."""
 
 
 def counts_per_unit(register: Register, counts_per_motor_rev: int) -> float:
@@ -35,12 +38,22 @@ def to_counts(raw: Raw, register: Register, counts_per_motor_rev: int) -> float:
     value = register.value_of(raw)
     if isinstance(value, str):
         raise InputError(f"register {register.name} holds {value!r}, expected a number")
+    if register.unit in _RAMP_RPM:
+        rpm_s = _RAMP_RPM[register.unit] / (max(value, 1.0) / 1000.0)  # 0 ms stands for less than the least
+        return rpm_s / 60.0 * counts_per_motor_rev
     factor = counts_per_unit(register, counts_per_motor_rev)
     return value if factor == 1.0 else value * factor
 
 
 def from_counts(counts: float, register: Register, counts_per_motor_rev: int) -> Raw:
-    """Motor counts (per s, per s²) -> the raw value. Raises InputError outside the register's limits."""
+    """Motor counts (per s, per s²) -> the raw value; a ramp by its time is rounded to the gentler side, within the register's limits.
+
+    Raises InputError outside the register's limits."""
+    if register.unit in _RAMP_RPM:
+        rpm_s = max(counts * 60.0 / counts_per_motor_rev, 1e-6)
+        least, most = register.bounds
+        ramp_ms = math.ceil(1000.0 * _RAMP_RPM[register.unit] / rpm_s)
+        return register.raw_of(min(max(ramp_ms, least or 1.0), math.inf if most is None else most))
     factor = counts_per_unit(register, counts_per_motor_rev)
     return register.raw_of(counts if factor == 1.0 else counts / factor)
 
@@ -84,6 +97,8 @@ class DriveValues:
     def raw_speed(self, counts: float, name: str) -> Raw:
         """As `raw`, for a velocity or ramp above 0: at least one step, as one rounded to 0 would never arrive."""
         register = self._registers[name]
+        if register.unit in _RAMP_RPM:
+            return self.raw(counts, name)
         step = to_counts(1, register, self._scaling.encoder_counts_per_motor_rev)
         return self.raw(counts if register.layout.type.is_float else max(counts, step), name)
 

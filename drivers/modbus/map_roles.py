@@ -18,25 +18,26 @@ from drivers.toml_types import Limits, SchemaError, Text, Via, not_empty, one_of
 
 @dataclass(frozen=True)
 class Condition:
-    """Holds when (raw & mask) == value; mask None means the whole value. `negate` inverts it."""
+    """Holds when (raw & mask) is one of the values; mask None means the whole value. `negate` inverts it."""
 
     register: str
     mask: int | None
-    value: int
+    values: tuple[int, ...]
     negate: bool = False
 
     def holds(self, raw: int) -> bool:
         seen = raw if self.mask is None else raw & self.mask
-        return (seen == self.value) is not self.negate
+        return (seen in self.values) is not self.negate
 
 
 @dataclass(frozen=True)
 class Write:
-    """Write the raw value; with a mask, only the bits of the mask."""
+    """Write the raw value; with a mask, only the bits of the mask. pause_s: the drive is left alone for as long afterwards."""
 
     register: str
     mask: int | None
     value: int
+    pause_s: float = 0.0
 
 
 # -- roles -------------------------------------------------------------------------------------------------------------
@@ -96,7 +97,6 @@ class _Masked:
     bit: Text | None = None
     set: Annotated[int, one_of(0, 1)] | None = None
     mask: Annotated[int, Limits(ge=1, description="a mask")] | None = None
-    value: int | None = None
 
     def masked(self, key: str, value: int | None) -> tuple[str, int | None, int]:
         """(register, mask, value). Raises SchemaError."""
@@ -128,31 +128,46 @@ Whole = Annotated[Named, _whole(False)]
 """A register of whole numbers that can be read."""
 
 
+def _some(value: int | list[int], _: Document) -> tuple[int, ...]:
+    values = tuple(value) if isinstance(value, list) else (value,)
+    if not values:
+        raise ValueError
+    return values
+
+
+SomeValues = Annotated[tuple[int, ...], Via(int | list[int], _some, "a whole number, or a list of them")]
+"""One raw value or several, of which any will do."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConditionRow(_Masked):
     """A condition as written in the file."""
 
     register: Whole
-    not_value: int | None = None
+    value: SomeValues | None = None
+    not_value: SomeValues | None = None
 
     def condition(self) -> Condition:
         """The condition. Raises SchemaError."""
-        if self.not_value is None:
-            return Condition(*self.masked("value", self.value))
-        if self.value is not None or self.bit is not None:
+        if self.not_value is not None and (self.value is not None or self.bit is not None):
             raise SchemaError("not_value", "stands beside a value or bit, expected one of them")
-        return Condition(*self.masked("not_value", self.not_value), negate=True)
+        key = "value" if self.not_value is None else "not_value"
+        found = [self.masked(key, value) for value in self.not_value or self.value or (None,)]
+        name, mask, _ = found[0]
+        return Condition(name, mask, tuple(value for _, _, value in found), negate=self.not_value is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _WriteRow(_Masked):
     register: Annotated[Named, _whole(True)]
+    value: int | None = None
+    pause_s: Annotated[float, Limits(ge=0.0, le=10.0)] = 0.0
 
     def write(self) -> Write:
         name, mask, value = self.masked("value", self.value)
         if self.bit is None and mask is not None and not self.register.readable:
             raise SchemaError("mask", f"needs {name} to be readable, to keep its other bits")
-        return Write(name, mask, value)
+        return Write(name, mask, value, self.pause_s)
 
 
 @dataclass(frozen=True)

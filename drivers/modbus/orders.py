@@ -18,6 +18,8 @@ from drivers.modbus.way_out import WayOut
 from drivers.undo import undo_all
 
 POLL_S = 0.005
+_TARGETS_S = 3.0
+"""Time of the shutdown that has to be left for putting targets back, s: half of what a drive has."""
 Evidence = Callable[[], bool]
 
 
@@ -46,11 +48,12 @@ class Orders:
         self._post_stop = post_stop
         self.stopped = False
         self._found: dict[str, Raw] = {}  # settings as they were before they were changed
+        self._targets: dict[str, Raw] = {}  # likewise
 
     # -- earlier settings --------------------------------------------------------------------------------------------
     def forget(self) -> None:
         """For a new connection: nothing has been changed yet."""
-        self._found, self.stopped = {}, False
+        self._found, self._targets, self.stopped = {}, {}, False
 
     def remember(self, names: Sequence[str]) -> None:
         """Keep the values of these registers before they are written for the first time."""
@@ -59,26 +62,48 @@ class Orders:
         if new:
             self._found.update(self._access.read(new))
 
+    def keep(self, found: Mapping[str, Raw]) -> None:
+        """Targets read before they were written; the first found stays, and is put back last."""
+        self._targets = {**found, **self._targets}
+
+    def kept(self, name: str) -> bool:
+        """Whether the earlier value of this target is known."""
+        return name in self._targets
+
     def put_back(self) -> None:
-        """Restore everything that was remembered, each by a write of its own, whatever fails. Raises as `undo_all`."""
+        """Restore everything that was remembered, each by a write of its own, targets last, whatever fails. Raises as `undo_all`."""
         found, self._found = self._found, {}
-        undo_all([(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found])
+        steps = [(f"{name} not put back", partial(self._access.write, {name: found[name]})) for name in found]
+        undo_all([*steps, ("target not put back", self._put_back_targets)])
+
+    def _put_back_targets(self) -> None:
+        """Targets act on nothing without power: of a drive so slow that shutting it down leaves no time, they stay as they are."""
+        found, self._targets = self._targets, {}
+        if found and self._way_out.within_s(_TARGETS_S) >= _TARGETS_S:
+            self._access.write(found)
 
     # -- orders ------------------------------------------------------------------------------------------------------
     def give(self, writes: Sequence[Write]) -> None:
         """Write each of them; all are certain when this returns. Raises StateError once a stop was sent, and as `ModbusLink.write`."""
         for write in writes:
             self._unless_stopped(partial(self._access.command, write))
+            self._pause(write)
 
     def give_stopped(self, writes: Sequence[Write]) -> None:
         """As `give`, also after a stop: for the writes that reset a fault."""
         for write in writes:
             self._access.command(write)
+            self._pause(write)
 
     def take_power(self, writes: Sequence[Write]) -> None:
         """Writes that take power off, also after a stop; the only orders but the stop that are repeated while unanswered."""
         for write in writes:
             self._access.command(write, stops=True)
+            self._pause(write)
+
+    def _pause(self, write: Write) -> None:
+        if write.pause_s:
+            self._clock.sleep_s(self._way_out.within_s(write.pause_s))
 
     def write(self, values: Mapping[str, Raw]) -> None:
         """Write set-points, on which some drives start. Raises StateError once a stop was sent."""
@@ -133,14 +158,14 @@ class Orders:
             self._clock.sleep_s(POLL_S)
         return True
 
-    def wait_for(self, conditions: tuple[Condition, ...], what: str, timeout_s: float) -> None:
-        """Wait until the conditions hold. Raises MotionTimeoutError naming `what` after `timeout_s`."""
+    def wait_for(self, conditions: tuple[Condition, ...], what: str, timeout_s: float, remedy: str = "") -> None:
+        """Wait until the conditions hold. Raises MotionTimeoutError naming `what`, and the remedy, after `timeout_s`."""
         if not conditions:
             return
         timeout_s = self._way_out.within_s(timeout_s)
         if not self.becomes(lambda: all_hold(conditions, self._access.of_conditions(conditions)), timeout_s):
             raise MotionTimeoutError(
-                f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {self._shown_state()}"
+                f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {self._shown_state()}{remedy and '; ' + remedy}"
             )
 
 

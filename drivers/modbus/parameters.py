@@ -147,10 +147,19 @@ class ModbusParameters(DriveParameters):
             self._ratio(scaling.feed_mm_per_shaft_rev),
         )
 
+    def unit_parameters(self) -> dict[str, int | float]:
+        """The registers of the drive's own units, by name and in their unit."""
+        scaling = self._map.scaling
+        ratios = (scaling.encoder_counts_per_motor_rev, scaling.motor_revs_per_shaft_rev, scaling.feed_mm_per_shaft_rev)
+        named = [name for ratio in ratios if ratio is not None for name in (ratio.register, ratio.per)]
+        names = tuple(dict.fromkeys(name for name in named if name is not None))
+        values = self.read_many(names) if names else {}
+        return {name: value for name, value in values.items() if isinstance(value, int | float)}
+
     def _ratio(self, ratio: Ratio | None) -> Fraction | None:
         if ratio is None or ratio.register is None:
             return None if ratio is None else ratio.constant
-        above = self._exact(ratio.register)
+        above = ratio.times * self._exact(ratio.register)
         below = Fraction(1) if ratio.per is None else self._exact(ratio.per)
         if below == 0:
             raise ProtocolError(f"drive {self._drive}: {ratio.per} is 0, {ratio.register} is to be divided by it")

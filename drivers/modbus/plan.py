@@ -136,11 +136,13 @@ def plan_reads(
     cost: WireCost,
     *,
     gaps_readable: bool = True,
+    apart: bool = False,
     avoid: Iterable[tuple[Table, Span]] = (),
     max_registers: int = MAX_READ_REGISTERS,
 ) -> ReadPlan:
     """Group reads so that the wire is busy for the shortest time; ties go to fewer requests.
 
+    apart: one request for each value, of a drive whose addresses are numbers of objects.
     gaps_readable: False for drives that refuse a request touching an address they do not have.
     avoid: registers that must not be read along either (write-only registers, registers that act when read).
     max_registers: the drive's own limit for one request, at most 125 (bits: 2000 regardless).
@@ -148,10 +150,13 @@ def plan_reads(
     """
     if not 1 <= max_registers <= MAX_READ_REGISTERS:
         raise InputError(f"max_registers is {max_registers}, expected 1 to {MAX_READ_REGISTERS}")
+    if apart:
+        requests = [ReadRequest(table, span) for table, span in dict.fromkeys(wanted)]
+        return ReadPlan(tuple(requests), sum(cost.read_s(each.table, each.span.count) for each in requests))
     per_table: dict[Table, set[Span]] = {}
     for table, span in wanted:
         per_table.setdefault(table, set()).add(span)
-    requests: list[ReadRequest] = []
+    requests = []
     avoided = list(avoid)
     for table in sorted(per_table, key=lambda table: table.value):
         limit = MAX_READ_BITS if table.is_bits else max_registers

@@ -123,11 +123,12 @@ class PowerStates:
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,
             transition.timeout_s,
+            transition.remedy,
         )
         if state in FAULTS and not off:
             raise DriveFaultError(f"drive {self._name}: fault while trying to {verb}", self._sample().fault_code)
 
-    def _await(self, what: str, good: StateTest, timeout_s: float) -> DriveState:
+    def _await(self, what: str, good: StateTest, timeout_s: float, remedy: str = "") -> DriveState:
         timeout_s = self._way_out.within_s(timeout_s)
         deadline = self._clock.deadline(timeout_s)
         while True:
@@ -136,6 +137,6 @@ class PowerStates:
                 return state
             if deadline.expired:
                 raise MotionTimeoutError(
-                    f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {state.value}"
+                    f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {state.value}{remedy and '; ' + remedy}"
                 )
             self._clock.sleep_s(POLL_S)

@@ -6,12 +6,14 @@ was not confirmed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from drivers.drive import DriveLimits
 from drivers.errors import MotionTimeoutError
 from drivers.modbus.codec import Raw
-from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.drive_map import DriveMap, Handshake
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.orders import Orders, hold
 from drivers.modbus.register_access import RegisterAccess
@@ -51,11 +53,23 @@ class ProfileMoves:
         self._scaling = scaling
         self._limits = limits
 
+    @contextmanager
+    def target_kept(self) -> Iterator[None]:
+        """Around writing the target: the one found is put back without power, not where that would start a move, nor after a
+        refusal."""
+        move = self._map.move
+        once = self._orders.kept(move.target) or move.handshake is Handshake.ON_WRITE
+        readable = self._map.registers[move.target].readable
+        found = self._access.read([move.target]) if readable and not once else {}
+        yield
+        self._orders.keep(found)
+
     def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> Move:
         """A move (mm, mm/s) from the position of a sample. Raises InputError for values outside its registers; writes nothing."""
         start_counts = self._values.position_counts(raw)
         target_counts = float(self._scaling.motor_counts(position_load_mm))
-        return Move(start_counts, target_counts, velocity_mm_s, self._profile(target_counts, velocity_mm_s))
+        written_counts = target_counts - start_counts if self._map.move.relative else target_counts
+        return Move(start_counts, target_counts, velocity_mm_s, self._profile(written_counts, velocity_mm_s))
 
     def _profile(self, target_counts: float, velocity_mm_s: float) -> dict[str, Raw]:
         """All settings of a move, speeds before the target, as some drives start on the target; neighbours are joined when written."""
@@ -97,7 +111,8 @@ class ProfileMoves:
         """Start the move; returns when the axis has started. After an error it may be moving. Raises MotionTimeoutError,
         NoAnswerError."""
         move, orders = self._map.move, self._orders
-        orders.write(planned.written)
+        with self.target_kept():
+            orders.write(planned.written)
         self.under_way = planned
         orders.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
         orders.wait_for(move.accepted, "new target to be accepted", move.timeout_s)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from drivers.errors import CapabilityError, InputError
+from drivers.errors import CapabilityError, InputError, ProtocolError
 from drivers.modbus.codec import Raw, decode, encode
 from drivers.modbus.link import Doubt, ModbusLink
 from drivers.modbus.map_roles import Condition, Write
@@ -34,6 +34,7 @@ class RegisterAccess:
                 [self._readable(name).place for name in key],
                 self.link.cost,
                 gaps_readable=self.registers.gaps_readable,
+                apart=self.registers.one_value_per_request,
                 avoid=[register.place for register in self.registers.registers.values() if not register.readable],
                 max_registers=self.registers.max_read,
             )
@@ -81,10 +82,15 @@ class RegisterAccess:
         """As `write`, for the words themselves."""
         names = list(values)
         places = [self._writable(name).place for name in names]
-        for group in group_writes(places, max_registers=self.registers.max_write):
+        apart = self.registers.one_value_per_request
+        for group in (
+            [[at] for at in range(len(names))]
+            if apart
+            else group_writes(places, max_registers=self.registers.max_write)
+        ):
             words = tuple(word for index in group for word in values[names[index]])
             table, first = places[group[0]]
-            provable = all(self.registers[names[index]].readable for index in group)
+            provable = all(self.registers[names[index]].shows_writes for index in group)
             self.link.write(
                 self.unit,
                 table,
@@ -93,6 +99,19 @@ class RegisterAccess:
                 doubt=Doubt.READ_BACK if provable else Doubt.RAISE,
                 single=self.registers.single_writes,
             )
+            if provable and self.registers.prove_writes:
+                self._prove({names[index]: values[names[index]] for index in group})
+
+    def _prove(self, values: Mapping[str, tuple[int, ...]]) -> None:
+        """Read back what was acknowledged. Raises ProtocolError for a write that the drive dropped."""
+        for name, seen in self.words(tuple(values)).items():
+            if seen != values[name]:
+                register = self.registers[name]
+                raise ProtocolError(
+                    f"register {name} ({register.table.value} {register.span.start:#06x}) was written as"
+                    f" {decode(values[name], register.layout)!r}, acknowledged, and reads {decode(seen, register.layout)!r}:"
+                    " nothing is mapped to that address, or it cannot be written now"
+                )
 
     def command(self, write: Write, *, stops: bool = False) -> None:
         """One write of a command. stops: it stops the axis or takes its power, see `Doubt.STOP`; back-off is ignored."""
@@ -102,7 +121,7 @@ class RegisterAccess:
             before = self.integers([register.name], urgent=stops)[register.name]
             value = (before & ~write.mask) | write.value
         self._seen[register.name] = value
-        doubt = Doubt.READ_BACK if register.readable and not register.self_clearing else Doubt.RAISE
+        doubt = Doubt.READ_BACK if register.shows_writes else Doubt.RAISE
         self.link.write(
             self.unit,
             register.table,
@@ -112,6 +131,8 @@ class RegisterAccess:
             single=self.registers.single_writes,
             urgent=stops,
         )
+        if self.registers.prove_writes and register.shows_writes and not stops:
+            self._prove({register.name: encode(value, register.layout)})
 
     def post(self, writes: Sequence[Write]) -> None:
         """Send the writes of a stop without waiting, see `ModbusLink.post`.

@@ -1,7 +1,10 @@
 """The register map of one drive model: a TOML file, read once, checked, frozen.
 
-    [map]                    name, description, how addresses are written (address_base), what the model allows in one request
-    [registers.NAME]         one value: address, table, type, scale, unit, orders, access, limits, memory
+    [map]                    name, description, how addresses are written (address_base, address_rules), what the model allows in one
+                             request, and where what is said of it comes from (`drivers.modbus.map_facts`)
+    [registers.NAME]         one value: address, table, type, scale, unit, orders, access, limits, memory, source, strength
+    [bus]                    how the drive is set up from the factory: baud, parity, stop_bits, unit, port, and a note
+    [[facts]]                what else is said of the model, each with its source and strength
     [drive] and below        which of them make it a servo drive (`drivers.modbus.drive_map`)
 
 Addresses are written as in the drive's manual, and `address_base` states how that is; inside, every address is the
@@ -12,6 +15,7 @@ Conditions and writes of the [drive] part are raw, before scale.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -21,10 +25,12 @@ from types import MappingProxyType
 from typing import Annotated
 
 from drivers.errors import InputError
+from drivers.facts import Strength
 from drivers.modbus.codec import Layout, Order, Raw, RegisterType, decode, encode
+from drivers.modbus.map_facts import UNSTATED, Fact, Origin
 from drivers.modbus.plan import MAX_READ_REGISTERS, MAX_WRITE_REGISTERS, Span, Table
 from drivers.toml_schema import Document, either
-from drivers.toml_types import Limits, SchemaError, Text, Via
+from drivers.toml_types import Key, Limits, SchemaError, Text, Via, one_of
 
 Value = int | float | str
 """A value after scale and offset; an int where the type is an integer, the scale 1 and the offset 0."""
@@ -60,6 +66,7 @@ class Register:
     """One value of the drive. `span.start` is the 0-based PDU address; minimum and maximum are in `unit`, None is unlimited.
 
     self_clearing: the drive clears the value when it has acted on it, so reading it back proves nothing.
+    reads_state: what it reads is a state of the drive, not the value that was written.
     """
 
     name: str
@@ -77,6 +84,13 @@ class Register:
     self_clearing: bool = False
     bits: Mapping[str, int] = field(default_factory=dict)
     description: str = ""
+    reads_state: bool = False
+    origin: Origin = UNSTATED
+
+    @property
+    def shows_writes(self) -> bool:
+        """Whether reading it back shows the value that was written."""
+        return self.readable and not self.self_clearing and not self.reads_state
 
     @property
     def readable(self) -> bool:
@@ -142,10 +156,27 @@ class Register:
 
 
 @dataclass(frozen=True)
+class BusDefaults:
+    """How the drive's port is set up from the factory. port: of Modbus TCP, None for a drive on a serial line."""
+
+    baud: Annotated[int, Limits(ge=300, le=4_000_000)] = 19_200
+    parity: Annotated[str, one_of("N", "E", "O")] = "E"
+    stop_bits: Annotated[int, one_of(1, 2)] = 1
+    unit: Annotated[int, Limits(ge=0, le=255)] = 1
+    port: Annotated[int, Limits(ge=1, le=65535)] | None = None
+    note: str = ""
+
+
+FACTORY = BusDefaults()
+
+
+@dataclass(frozen=True)
 class RegisterMap:
     """All registers of a drive model. `path` names the file in errors.
 
     gaps_readable: a request may touch addresses that have no register. single_writes: function 6 is understood (else always 16).
+    one_value_per_request: an address is the number of an object, not a place, so that neighbours are never read or written together.
+    prove_writes: the drive acknowledges writes that it drops, so that every one is read back.
     """
 
     path: Path
@@ -157,6 +188,11 @@ class RegisterMap:
     max_read: int = MAX_READ_REGISTERS
     max_write: int = MAX_WRITE_REGISTERS
     response_s: float = 0.003
+    one_value_per_request: bool = False
+    prove_writes: bool = False
+    origin: Origin = UNSTATED
+    facts: tuple[Fact, ...] = ()
+    bus: BusDefaults = FACTORY
 
     def __getitem__(self, name: str) -> Register:
         """The register of a name. Raises InputError for a name that the map does not have."""
@@ -194,11 +230,46 @@ def _not_zero(value: float, _: Document) -> float:
     return value
 
 
-def _written_address(value: int | str, _: Document) -> int:
-    address = int(value, 10) if isinstance(value, str) else value  # TOML has no number 00001
+def _written_address(value: int | str, _: Document) -> int | str:
+    if isinstance(value, str) and not value.isdecimal():
+        return value
+    address = int(value)  # TOML has no number 00001
     if not 0 <= address <= 999_999:
         raise ValueError
     return address
+
+
+@dataclass(frozen=True)
+class AddressRule:
+    """How a manual's parameter number becomes an address: first + group · page + step · index.
+
+    groups: first and last group that it holds for. group_base, index_base: 10 or 16, their digits. high_word_before: a value of two
+    registers begins one address lower (the number is that of its low word).
+    """
+
+    groups: tuple[int, int] = (0, 255)
+    first: Annotated[int, Limits(ge=0, le=0xFFFF, description="an address")] = 0
+    page: Annotated[int, Limits(ge=0, le=0xFFFF, description="addresses per group")] = 0x100
+    step: Annotated[int, Limits(ge=1, le=16, description="addresses per parameter, 1 to 16")] = 1
+    group_base: Annotated[int, one_of(10, 16)] = 10
+    index_base: Annotated[int, one_of(10, 16)] = 10
+    high_word_before: bool = False
+
+
+_NUMBER = re.compile(r"(?:[A-Z][a-z]?)?([0-9A-Fa-f]+)[.-]([0-9A-Fa-f]+)")  # Pr8.02, P5-07, H0B.34, C0A.05
+
+
+def _by_rule(number: str, words: int, rules: tuple[AddressRule, ...]) -> int:
+    """The address of a parameter such as "P5-07". Raises SchemaError."""
+    match = _NUMBER.fullmatch(number)
+    for rule in rules:
+        try:
+            group, index = (int(match[1], rule.group_base), int(match[2], rule.index_base)) if match else (-1, 0)
+        except ValueError:
+            continue
+        if rule.groups[0] <= group <= rule.groups[1]:
+            return rule.first + group * rule.page + rule.step * index - (rule.high_word_before and words > 1)
+    raise SchemaError("address", f"is {number!r}, which no rule of [map] address_rules makes an address of")
 
 
 def _limits(value: tuple[float, float], _: Document) -> tuple[float, float]:
@@ -226,13 +297,20 @@ class _Head:
     max_read_registers: Annotated[int, Limits(ge=4, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
     max_write_registers: Annotated[int, Limits(ge=4, le=MAX_WRITE_REGISTERS)] = MAX_WRITE_REGISTERS
     response_time_s: Finite = 0.003
+    table: Table | None = None
+    address_rules: tuple[AddressRule, ...] = ()
+    one_value_per_request: bool = False
+    prove_writes: bool = False
+    origin: Annotated[Origin, Key("")] = UNSTATED
 
 
 @dataclass(frozen=True)
 class _Row:
     """[registers.NAME] as it is written."""
 
-    address: Annotated[int, Via(int | str, _written_address, "a whole number")]
+    address: Annotated[
+        int | str, Via(int | str, _written_address, "a whole number, or a number by [map] address_rules")
+    ]
     table: Table | None = None
     type: RegisterType | None = None
     word_order: Order | None = None
@@ -253,18 +331,24 @@ class _Row:
         default_factory=dict
     )
     description: str = ""
+    reads_state: bool = False
+    source: Text | None = None
+    strength: Strength | None = None
 
 
 def parse_registers(document: Document) -> RegisterMap:
     """[map] and [registers] of an open document. Raises InputError naming file, line and key."""
-    head = document.load(_Head, "map")
+    origin = document.load(Origin, "map", beside=[_Head])
+    head = document.load(_Head, "map", beside=[Origin], usual={"origin": origin})
+    facts = document.load(tuple[Fact, ...], "facts", required=False) if "facts" in document else ()
     registers: dict[str, Register] = {}
     for name, row in document.load(dict[str, _Row], "registers").items():
         with document.blaming("registers", name):
             registers[name] = _register(name, row, head)
     if not registers:
         raise document.fail("registers", "is empty, expected at least one register")
-    _refuse_overlaps(document, registers)
+    if not head.one_value_per_request:
+        _refuse_overlaps(document, registers)
     return RegisterMap(
         document.path,
         head.name,
@@ -275,11 +359,16 @@ def parse_registers(document: Document) -> RegisterMap:
         max_read=head.max_read_registers,
         max_write=head.max_write_registers,
         response_s=head.response_time_s,
+        one_value_per_request=head.one_value_per_request,
+        prove_writes=head.prove_writes,
+        origin=head.origin,
+        facts=facts,
+        bus=document.load(BusDefaults, "bus", required=False),
     )
 
 
 def _register(name: str, row: _Row, head: _Head) -> Register:
-    table, start = _address(row, head.address_base)
+    table, start = _address(row, head)
     kind = row.type or (RegisterType.BIT if table.is_bits else None)
     if kind is None:
         raise SchemaError("", f"lacks type, expected {either(each.value for each in RegisterType)}")
@@ -313,12 +402,16 @@ def _register(name: str, row: _Row, head: _Head) -> Register:
         self_clearing=row.self_clearing,
         bits=MappingProxyType(row.bits),
         description=row.description,
+        reads_state=row.reads_state,
+        origin=head.origin.but(row.source, row.strength),
     )
 
 
-def _address(row: _Row, base: AddressBase) -> tuple[Table, int]:
+def _address(row: _Row, head: _Head) -> tuple[Table, int]:
     """The table and the 0-based PDU address of the manual's `address`. Raises SchemaError."""
-    written, table = row.address, row.table
+    table, base = row.table or head.table, head.address_base
+    words = 1 if row.type is None else row.type.words
+    written = row.address if isinstance(row.address, int) else _by_rule(row.address, words, head.address_rules)
     if base in (AddressBase.PDU0, AddressBase.ONE):
         if table is None:
             raise SchemaError("", f"lacks table, expected {either(each.value for each in Table)}")

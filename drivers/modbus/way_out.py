@@ -61,6 +61,9 @@ class WayOut:
             self.over()
             self._begun_ns = self._clock.now_ns()
         self._shared = time
+        if self._failed and self._begun_ns is not None:  # what failed before axes were joined counts too
+            time.failed(self._begun_ns)
+            time.unanswered(self._unanswered_s)
 
     @contextmanager
     def step(self, *, last: bool) -> Iterator[None]:

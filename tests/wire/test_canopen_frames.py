@@ -170,7 +170,7 @@ def test_a_streaming_cycle() -> None:
             spy.take()
             stream.cycle([0.01])
             assert spy.take() == [
-                "205#0F0064000000",  # 6040h enable operation, 607Ah 100 counts
+                "205#64000000",  # 607Ah 100 counts; no controlword, which has an RPDO of its own
                 "080#",
                 "185#371600000000",  # enabled, follows the command (bit 12); still at 0
             ]

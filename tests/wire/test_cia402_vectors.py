@@ -153,7 +153,7 @@ def test_bits_of_the_statusword() -> None:
 
 
 def test_bits_of_the_controlword() -> None:
-    """IEC 61800-7-201, table 27, and the bits 4 to 6 of profile position and homing."""
+    """IEC 61800-7-201, table 27, and the bits 4 to 6 of profile position, homing and interpolated position."""
     assert {name: int(bit) for name, bit in cia402.Control.__members__.items()} == {
         "SWITCH_ON": 1 << 0,
         "ENABLE_VOLTAGE": 1 << 1,
@@ -161,6 +161,7 @@ def test_bits_of_the_controlword() -> None:
         "ENABLE_OPERATION": 1 << 3,
         "NEW_SETPOINT": 1 << 4,
         "HOMING_START": 1 << 4,
+        "INTERPOLATE": 1 << 4,
         "CHANGE_IMMEDIATELY": 1 << 5,
         "RELATIVE": 1 << 6,
         "FAULT_RESET": 1 << 7,
@@ -174,6 +175,7 @@ def test_numbers_of_the_modes() -> None:
         "PROFILE_POSITION": 1,
         "PROFILE_VELOCITY": 3,
         "HOMING": 6,
+        "INTERPOLATED_POSITION": 7,
         "CYCLIC_POSITION": 8,
         "CYCLIC_VELOCITY": 9,
         "CYCLIC_TORQUE": 10,
@@ -218,8 +220,8 @@ def test_which_homing_has_failed() -> None:
 
 
 def test_supported_mode_bits() -> None:
-    """6502h: pp bit 0, pv bit 2, hm bit 5, csp bit 7, csv bit 8, cst bit 9."""
-    assert [mode.supported_bit for mode in Mode] == [0x0, 0x1, 0x4, 0x20, 0x80, 0x100, 0x200]
+    """6502h: pp bit 0, pv bit 2, hm bit 5, ip bit 6, csp bit 7, csv bit 8, cst bit 9."""
+    assert [mode.supported_bit for mode in Mode] == [0x0, 0x1, 0x4, 0x20, 0x40, 0x80, 0x100, 0x200]
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,13 @@ def test_several_failures_are_one_line_in_the_order_of_the_steps() -> None:
     assert done == ["step 1"]
 
 
+def test_what_several_steps_of_a_step_report_counts_one_by_one() -> None:
+    inner = [("a", _fails(NoAnswerError("silent"))), ("b", _fails(ProtocolError("odd")))]
+    with pytest.raises(UndoError, match=r"^PDOs: a: silent; b: odd; lost$") as caught:
+        undo_all([("PDOs", lambda: undo_all(inner)), ("", _fails(LinkLostError("lost")))])
+    assert [type(error) for error in caught.value.errors] == [NoAnswerError, ProtocolError, LinkLostError]
+
+
 @pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), ZeroDivisionError()])
 def test_an_interrupt_ends_its_step_only(interrupt: BaseException) -> None:
     done: list[str] = []

@@ -581,14 +581,68 @@ def test_a_homing_that_was_over_before_anybody_looked_counts_after_a_while_at_re
 # -- supervision -----------------------------------------------------------------------------------------------------------
 
 
+def test_a_dictionary_file_of_another_vendor_is_named(make: MakeRig, tmp_path: Path) -> None:
+    rig = make()
+    rig.drive.node.eds = load_eds(EDS, NODE)
+    rig.opened()
+    assert not any("maker's file" in note for note in rig.drive.notes)
+    other = make()
+    path = tmp_path / "other.eds"
+    text = (
+        EDS.read_text(encoding="utf-8").replace("0x000004E1", "0xFB").replace("VendorNumber=0x4E1", "VendorNumber=0xFB")
+    )
+    path.write_text(
+        f"{text}\n[40F7]\nParameterName=odd\nDataType=0x0005\nAccessType=rw\nDefaultValue=soon\n", encoding="utf-8"
+    )
+    other.drive.node.eds = load_eds(path, NODE)
+    assert other.drive.node.eds.vendors() == {0xFB}
+    other.opened()
+    assert "the maker's file (eds) is for vendor id 0xfb, this drive reports 0x4e1" in other.drive.notes
+    assert any(note.startswith("the maker's file (eds): ") and "40F7" in note for note in other.drive.notes)
+
+
 def test_a_silent_heartbeat_is_a_lost_link(make: MakeRig) -> None:
     rig = make(CanFault(K.HEARTBEAT_STOPS, at_s=1.0), heartbeat_s=0.1)
     drive = rig.opened()
     rig.run(0.9)
     drive.sample()
     rig.run(0.4)
-    with pytest.raises(LinkLostError, match=r"no heartbeat of node 5 for 0\.\d+ s, expected every 0.25 s at least"):
+    drive.sample()  # it answers: its heartbeat may be late
+    rig.run(0.3)
+    with pytest.raises(
+        LinkLostError, match=r"no heartbeat of node 5 for 0\.[5-7]\d+ s, expected every 0.25 s at least"
+    ):
         drive.sample()
+
+
+def test_a_node_that_is_silent_altogether_is_lost_with_its_heartbeat(make: MakeRig) -> None:
+    rig = make(CanFault(K.NODE_DEAD, at_s=1.0), heartbeat_s=0.1)
+    drive = rig.opened()
+    rig.run(0.9)
+    drive.sample()
+    rig.run(0.2)
+    start_ns = rig.bench.clock.now_ns()
+    with pytest.raises(LinkLostError, match=r"no heartbeat of node 5"):
+        drive.sample()
+    assert rig.bench.clock.now_ns() - start_ns < 0.55e9  # ANSWER_WITHIN_S
+
+
+@pytest.mark.parametrize(("lost_s", "answers"), [(0.15, True), (0.35, True), (2.0, False)])
+def test_a_sync_that_is_not_answered_is_sent_again_within_the_deadline(
+    make: MakeRig, lost_s: float, answers: bool
+) -> None:
+    """As on a computer whose other processes keep the drive's from running."""
+    rig = make(CanFault(K.TPDO_LOST, at_s=1.0, duration_s=lost_s))
+    drive = rig.opened()
+    rig.run(1.0)
+    start_ns = rig.bench.clock.now_ns()
+    if answers:
+        drive.sample()
+        assert rig.bench.clock.now_ns() - start_ns < (lost_s + 0.4) * 1e9
+    else:
+        with pytest.raises(NoAnswerError, match=r"does not answer SYNC within 0\.1 s, asked 5 times"):
+            drive.sample()
+        assert rig.bench.clock.now_ns() - start_ns < 0.55e9
 
 
 def test_a_restart_is_noticed(make: MakeRig) -> None:

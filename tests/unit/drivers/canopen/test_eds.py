@@ -1,15 +1,17 @@
 """EDS and DCF files as vendors write them: read where the canopen package stops, limits kept, nothing overlooked in silence."""
 
+import time
 from pathlib import Path
 
 import canopen
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen.eds import load_eds
-from drivers.canopen.eds_text import parse
-from drivers.canopen.objects import DataType
+from drivers.canopen.eds_text import parse, summary
+from drivers.canopen.objects import QUICK_STOP_OPTION, TARGET_VELOCITY, DataType, Entry
 from drivers.errors import InputError
 from sim_backends.canopen_drive import EDS
 
@@ -129,16 +131,197 @@ def test_limits_are_kept(vendor_file: Path) -> None:
 
 
 def test_what_was_overlooked_is_said(vendor_file: Path) -> None:
-    assert load_eds(vendor_file, 5).notes == (
-        "line 3: 'this line is a stray one' is neither section nor key, skipped",
-        "line 34: section [605A] again, taken together",
-        "line 35: [605A] HighLimit again, the last one counts",
-        "[6083] has access type 'wr', taken as read only",
-        "[6083] DefaultValue 'ten' is no number, left out",
+    assert tuple(map(str, load_eds(vendor_file, 5).notes)) == (
+        "line 3 'this line is a stray one' is neither section nor key, skipped",
+        "[605A] stands there again, taken together",
+        "[605A] HighLimit stands there again, the last one counts",
+        "[6083] AccessType 'wr' is no access type, taken as read only",
         "[2002] has no data type, taken as a domain",
-        "[2010sub3] has no [2010], one was assumed",
-        "[6085] limits 0 to -1 hold nothing, left out",
+        "[2010sub3] has no object, one was assumed",
+        "[6083] DefaultValue 'ten' is no number, left out",
+        "[6085] LowLimit and HighLimit '0 to -1' limits hold nothing, left out",
     )
+
+
+VALUES = """
+[2000]
+ParameterName=a signed byte in hexadecimal digits
+DataType=0x0002
+AccessType=rw
+DefaultValue=0xFD
+[2001]
+ParameterName=the lowest of 32 bits
+DataType=0x0004
+AccessType=rw
+DefaultValue=0x80000000
+ParameterValue=-0x77359400
+[2002]
+ParameterName=a REAL by its bits
+DataType=0x0008
+AccessType=rw
+DefaultValue=0x41200000
+LowLimit=0xC1200000
+HighLimit=3.402823E+38
+[2003]
+ParameterName=the node id alone
+DataType=0x0007
+AccessType=rw
+DefaultValue=$NODEID
+ParameterValue=0x80 + $NodeID
+[2004]
+ParameterName=24 bit
+DataType=0x0010
+AccessType=rw
+DefaultValue=0xFFFFFE
+[2005]
+ParameterName=56 bit
+DataType=UNSIGNED56
+AccessType=rw
+DefaultValue=0xFFFFFFFFFFFFFF
+[2006]
+ParameterName=48 bit
+DataType=0x0013
+AccessType=rw
+DefaultValue=-48
+[2007]
+ParameterName=a suffix of C
+DataType=0x0015
+AccessType=rw
+DefaultValue=0x1234567890ABCDEFLL
+[2008]
+ParameterName=16-bit units
+DataType=0x000B
+AccessType=rw
+DefaultValue=abc✓; def
+[2009]
+ParameterName=six bytes of time
+DataType=0x000C
+AccessType=rw
+DefaultValue=010203040506
+[200A]
+ParameterName=a domain
+DataType=0x000F
+AccessType=rw
+DefaultValue=0
+ParameterValue=0A0B ; two bytes
+[200B]
+ParameterName=beyond its type
+DataType=0x0005
+AccessType=rw
+DefaultValue=256
+ParameterValue=010
+[200C]
+ParameterName=compact
+ObjectType=0x8
+DataType=0x0003
+AccessType=rw
+CompactSubObj=2
+[200CValue]
+NrOfEntries=1
+2=0xFFFF
+[200D]
+ParameterName=an empty list
+ObjectType=0x8
+DataType=0x0003
+AccessType=rw
+CompactSubObj=400
+"""
+
+
+def test_values_are_read_as_they_are_meant(tmp_path: Path) -> None:
+    """CiA 306: hexadecimal digits of signed types are two's complement, of a REAL its bits (41200000h is 10.0 in IEEE 754)."""
+    path = tmp_path / "values.dcf"
+    path.write_text(VALUES, encoding="utf-8")
+    eds = load_eds(path, 5)
+    found = {key[0]: (each.default, each.value) for key, each in eds.entries.items() if key[1] == 0}
+    assert found[0x2000] == (-3, None)
+    assert found[0x2001] == (-(2**31), -2_000_000_000)
+    assert found[0x2002] == (10.0, None)
+    assert (eds.entries[0x2002, 0].low, eds.entries[0x2002, 0].high) == (-10.0, 3.402823e38)
+    assert found[0x2003] == (5, 0x85)
+    assert (found[0x2004], found[0x2005], found[0x2006]) == ((-2, None), (2**56 - 1, None), (-48, None))
+    assert found[0x2007] == (0x1234567890ABCDEF, None)
+    assert found[0x2008] == ("abc✓; def", None)
+    assert found[0x2009] == (bytes((1, 2, 3, 4, 5, 6)), None)
+    assert found[0x200A] == (None, b"\x0a\x0b")
+    assert found[0x200B] == (None, 10)
+    assert [eds.entries[0x200C, member].value for member in (1, 2)] == [None, -1]
+    assert tuple(map(str, eds.notes)) == (
+        "[2005] DataType 'UNSIGNED56' is a name, its code is meant",
+        "[200D] CompactSubObj '400' is no number of members, left out",
+        "[200A] DefaultValue '0' is no DOMAIN in hexadecimal digits, left out",
+        "[200B] DefaultValue '256' does not fit its type, left out",
+        "[200B] ParameterValue '010' has a leading zero, read as decimal, not octal",
+    )
+    unknown = load_eds(path)
+    assert unknown.entries[0x2003, 0].default is None
+    assert summary(unknown.notes)[2] == (
+        "[2003] DefaultValue '$NODEID', [2003] ParameterValue '0x80 + $NodeID':"
+        " depends on the node id, which is not given, left out"
+    )
+
+
+def test_many_notes_are_a_line_for_each_kind(tmp_path: Path) -> None:
+    path = tmp_path / "many.eds"
+    sections = (f"[{0x2000 + n:04X}]\nDataType=7\nAccessType=rw\nDefaultValue=many\n" for n in range(80))
+    path.write_text("".join(sections), encoding="utf-8")
+    assert summary(load_eds(path).notes) == (
+        "[2000] DefaultValue 'many', [2001] DefaultValue 'many', [2002] DefaultValue 'many' and 77 more:"
+        " is no number, left out",
+    )
+
+
+def test_values_of_every_type_go_to_the_wire_and_back() -> None:
+    """CiA 301, 7.1.4: little endian; UNICODE_STRING in units of 16 bit."""
+    spelled: tuple[tuple[DataType, int | str | bytes, str], ...] = (
+        (DataType.I24, -2, "feffff"),
+        (DataType.U40, 0x0102030405, "0504030201"),
+        (DataType.I48, -48, "d0ffffffffff"),
+        (DataType.U56, 2**56 - 1, "ff" * 7),
+        (DataType.UNICODE, "a✓", "61001327"),
+        (DataType.TIME_OF_DAY, bytes(6), "00" * 6),
+    )
+    for kind, value, data in spelled:
+        entry = Entry(0x2000, 0, kind, "x")
+        assert entry.pack(value).hex() == data
+        assert entry.unpack(bytes.fromhex(data)) == value
+    for kind, wrong in ((DataType.I24, 2**23), (DataType.DOMAIN, 1_200_000), (DataType.OCTETS, 3), (DataType.U40, -1)):
+        with pytest.raises(InputError, match="does not fit"):
+            Entry(0x2000, 0, kind, "x").pack(wrong)
+
+
+def test_a_limit_of_400_digits_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "long.eds"
+    path.write_text("[6081]\nDataType=7\nAccessType=rw\nHighLimit=" + "9" * 400 + "\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_eds(path, 5)
+    assert str(caught.value) == (f"{path}: [6081] HighLimit '{'9' * 40}…' has 400 digits, expected a number of 64 bits")
+
+
+def test_the_time_of_reading_grows_with_the_size_and_no_faster(tmp_path: Path) -> None:
+    """Fitted exponent over four sizes, of processor time; the last has 8000 objects, which took 5 s by a search in all sections."""
+    sizes, times = (1000, 2000, 4000, 8000), []
+    for size in sizes:
+        path = tmp_path / f"{size}.eds"
+        records = (
+            f"[{0x2000 + n:04X}]\nParameterName=object {n}\nObjectType=0x9\nSubNumber=2\n"
+            f"[{0x2000 + n:04X}sub0]\nParameterName=count\nDataType=5\nAccessType=ro\nDefaultValue=1\n"
+            f"[{0x2000 + n:04X}sub1]\nParameterName=value\nDataType=7\nAccessType=rw\nLowLimit=0\nDefaultValue={n}\n"
+            for n in range(0, size, 2)
+        )
+        variables = (
+            f"[{0x2000 + n:04X}]\nParameterName=object {n}\nObjectType=0x7\nDataType=4\nAccessType=rw\nDefaultValue=-{n}\n"
+            for n in range(1, size, 2)
+        )
+        path.write_text("".join((*records, *variables)), encoding="utf-8")
+        spent = []
+        for _ in range(3):
+            start = time.process_time()
+            assert len(load_eds(path, 5).entries) == 3 * size // 2
+            spent.append(time.process_time() - start)
+        times.append(min(spent))
+    exponent = float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
+    assert exponent < 1.3, f"{times} s for {sizes} objects: exponent {exponent:.2f}"
 
 
 def test_a_clean_file_has_no_notes_and_agrees_with_the_canopen_package() -> None:
@@ -154,6 +337,24 @@ def test_a_clean_file_has_no_notes_and_agrees_with_the_canopen_package() -> None
         assert found.mappable == variable.pdo_mappable
     assert len(eds.entries) > 200
     assert eds.mappable_objects()[0x6041, 0].readable
+
+
+def test_the_file_tells_of_an_object_what_the_drive_layer_asks(vendor_file: Path) -> None:
+    eds = load_eds(vendor_file, 5)
+    quick_stop = eds.about(QUICK_STOP_OPTION)
+    assert quick_stop is not None
+    assert (quick_stop.entry.type, quick_stop.access, quick_stop.mappable) == (DataType.I16, "rw", False)
+    assert (eds.limits(QUICK_STOP_OPTION), eds.value(QUICK_STOP_OPTION)) == ((-32768, 7), 2)
+    assert (eds.about(TARGET_VELOCITY), eds.limits(TARGET_VELOCITY), eds.value(TARGET_VELOCITY)) == (
+        None,
+        (None, None),
+        None,
+    )
+    assert eds.doubts(0x4E1, 1026) == eds.doubts(None, None) == ()
+    assert eds.doubts(0xFB, 2) == (
+        "the maker's file (eds) is for vendor id 0x4e1, this drive reports 0xfb",
+        "the maker's file (eds) is for product code 0x402, this drive reports 0x2",
+    )
 
 
 def test_a_dcf_brings_its_node_and_values(tmp_path: Path) -> None:

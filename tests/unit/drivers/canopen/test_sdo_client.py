@@ -103,6 +103,14 @@ def test_a_write_whose_answer_was_lost_is_resolved_by_reading_back() -> None:
     desk.close()
 
 
+def test_the_reading_back_of_a_lost_write_is_asked_again() -> None:
+    desk = _desk(CanFault(CanFaultKind.SDO_LOST, count=2))
+    desk.sdo.write(GAIN, 777)
+    assert desk.stored(GAIN) == 777
+    assert (desk.sdo.counters.timeouts, desk.sdo.counters.writes_read_back) == (2, 1)
+    desk.close()
+
+
 def test_a_write_whose_request_was_lost_is_reported_not_repeated() -> None:
     desk = _desk(CanFault(CanFaultKind.SDO_REQUEST_LOST, count=1))
     with pytest.raises(NoAnswerError, match="it reads back e8030000, not 09030000: not written"):

@@ -139,7 +139,7 @@ def _halt(drive: CanOpenDrive) -> None:
 def test_the_stop_leaves_at_once_by_every_way_the_fastest_first(
     make: MakeRig, order: Callable[[CanOpenDrive], None], fixed: tuple[tuple[int, int], ...], frames: list[str]
 ) -> None:
-    rig = make(refused=fixed)
+    rig = make(refused=fixed, parameters={(0x1401, 2): 1} if fixed else {})
     rig.drive.open()
     rig.drive.enable()
     order(rig.drive)
@@ -339,11 +339,12 @@ def test_a_stop_in_the_middle_of_a_cycle_is_not_undone_by_the_set_point_that_wai
 
 
 @pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
+@pytest.mark.parametrize("fixed", [(), (FIXED_RPDO_2,)], ids=["event-rpdo", "synchronous-rpdo"])
 def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
-    make: MakeRig, sync: SyncSource, monkeypatch: pytest.MonkeyPatch
+    make: MakeRig, sync: SyncSource, fixed: tuple[tuple[int, int], ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another thread sends the stop between the check of this cycle and its set-point."""
-    rig = make(parameters={(0x605A, 0): 6})
+    rig = make(refused=fixed, parameters={(0x605A, 0): 6})
     drive = rig.drive
     drive.open()
     drive.enable()
@@ -354,14 +355,14 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
             for cycle in range(20):
                 stream.cycle([0.5 * cycle])
             (axis,) = stream._axes
-            pack = axis.message_with
+            pack = axis.set_point
 
-            def late(controlword: int, counts: int) -> can.Message:
+            def late() -> can.Message:
                 drive.send_stop()
                 rig.bench.slave.dictionary.on_write(0x6040, 0, words.append)
-                return pack(controlword, counts)
+                return pack()
 
-            monkeypatch.setattr(axis, "message_with", late)
+            monkeypatch.setattr(axis, "set_point", late)
             stream.cycle([10.0])
 
     with pytest.raises(StateError, match="was told to stop while streaming"):
@@ -369,6 +370,29 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
     rig.clock.sleep_s(0.1)
     assert set(words) == {0x0002}
     assert rig.bench.slave.profile.state is DriveState.QUICK_STOP
+
+
+@pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
+def test_an_axis_that_something_else_disables_in_a_stream_stays_disabled(make: MakeRig, sync: SyncSource) -> None:
+    """A panel or a second master writes "shutdown": no set-point may switch on again what somebody has switched off."""
+    rig = make()
+    drive = rig.drive
+    drive.open()
+    drive.enable()
+    states: list[DriveState] = []
+
+    def run() -> None:
+        with CyclicStream([drive], StreamSettings(0.01, sync=sync)) as stream:
+            for cycle in range(60):
+                if cycle == 40:
+                    rig.bench.slave.profile._write_controlword(0x0006)
+                    rig.clock.attach(lambda _now_ns, _dt_s: states.append(rig.bench.slave.profile.state))
+                stream.cycle([0.5 * cycle])
+
+    with pytest.raises(StateError, match="left operation enabled while streaming"):
+        run()
+    assert states
+    assert DriveState.ENABLED not in states
 
 
 STILL_LOOKS = round(STILL_S / LOOK_S)

@@ -5,9 +5,11 @@ from fractions import Fraction
 import pytest
 
 from drivers.canopen.bus import CanLink
+from drivers.canopen.objects import Entry
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.units import read_units
-from drivers.scaling import ReportedScaling
+from drivers.canopen.units import read_motion_units, read_units
+from drivers.errors import AbortError
+from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from sim_backends.canopen_bench import CanBench
 
 NODE = 5
@@ -59,3 +61,101 @@ def test_without_a_unit_the_feed_is_taken_in_micrometres() -> None:
 def test_what_a_drive_does_not_have_is_unknown() -> None:
     said = _read({}, without=(0x608F, 0x6091, 0x6092))
     assert said == ReportedScaling(None, None, None, None)
+
+
+def test_positions_in_degrees_or_turns_of_the_shaft() -> None:
+    """0.1 degrees (FF41 0000h, as one maker delivers it): 3600 position units per revolution."""
+    assert _read({**ENCODER, (0x60A8, 0): 0xFF410000}).position_units_per_shaft_rev == 3600
+    assert _read({**ENCODER, (0x60A8, 0): 0xFDB40000}).position_units_per_shaft_rev == 1000
+
+
+# -- units of velocity and acceleration --------------------------------------------------------------------------------------
+AXIS = AxisScaling(4096, 10.0)  # 10 mm/s is one turn per second
+Objects = dict[tuple[int, int], int]
+
+
+class _Drive(SdoClient):
+    """A drive that holds these objects and no others."""
+
+    def __init__(self, objects: Objects) -> None:
+        self._objects = objects
+
+    def read(self, entry: Entry) -> int:
+        if (entry.index, entry.subindex) not in self._objects:
+            raise AbortError(f"{entry} refused: object does not exist", 0x06020000)
+        return self._objects[entry.index, entry.subindex]
+
+
+def _units(objects: Objects, vendor: int = 0, **stated: str) -> MotionScaling:
+    return read_motion_units(_Drive(objects), AXIS, vendor=vendor, **stated)  # type: ignore[arg-type]
+
+
+def _asked(units: MotionScaling) -> tuple[int, int]:
+    """What 10 mm/s and 100 mm/s² are in the drive's units."""
+    assert not units.ambiguous
+    return units.velocity_units(10.0), units.acceleration_units(100.0)
+
+
+@pytest.mark.parametrize(
+    ("objects", "velocity", "acceleration"),
+    [
+        ({}, 4096, 40_960),
+        ({(0x60A9, 0): 0, (0x60AA, 0): 0}, 4096, 40_960),
+        ({(0x60A9, 0): 0x00B44700}, 60, 600),  # rpm; the ramp per second, as no object states it
+        ({(0x60A9, 0): 0x00B44700, (0x60AA, 0): 0x00C00300}, 60, 600),  # EPOS4 as delivered
+        ({(0x60A9, 0): 0xFDB44700, (0x60AA, 0): 0x00C00300}, 60_000, 600),  # milli-rpm
+        ({(0x60A9, 0): 0x00B40300, (0x60AA, 0): 0x00B40303}, 1, 10),  # turns/s and turns/s/s
+        ({(0x60A9, 0): 0x00B50300, (0x60AA, 0): 0x00B55700}, 4096, 40_960),  # increments
+        ({(0x60A9, 0): 0xFF410300}, 3600, 36_000),  # 0.1 degrees/s
+        ({(0x60A9, 0): 0xFD010300, (0x60AA, 0): 0xFD015700}, 10, 100),  # mm/s, mm/s²
+        ({(0x608B, 0): 0, (0x608C, 0): 0xA4, (0x608D, 0): 0, (0x608E, 0): 0xA4}, 60, 600),  # EPOS2's
+        ({(0x608B, 0): -1, (0x608C, 0): 0xA4}, 600, 6000),  # deci-rpm
+        ({(0x608B, 0): 0, (0x608C, 0): 0xA3}, 1, 10),
+        ({(0x608B, 0): 0, (0x608C, 0): 0}, 4096, 40_960),
+        ({(0x6094, 1): 4096, (0x6094, 2): 60}, 60, 600),  # increments/s in one unit: rpm by a factor
+        ({(0x6096, 1): 4096, (0x6096, 2): 1}, 1, 10),
+        ({(0x6094, 1): 1, (0x6094, 2): 1}, 4096, 40_960),
+        ({(0x6094, 1): 4096, (0x6094, 2): 60, (0x6097, 1): 4096, (0x6097, 2): 1}, 60, 10),
+        ({(0x60A9, 0): 0x00B44700, (0x6094, 1): 4096, (0x6094, 2): 60}, 60, 600),  # both say rpm
+        ({(0x6090, 1): 4096, (0x6090, 2): 1, (0x608F, 1): 4096, (0x608F, 2): 1}, 4096, 40_960),
+    ],
+)
+def test_units_that_the_objects_state(objects: Objects, velocity: int, acceleration: int) -> None:
+    assert _asked(_units(objects)) == (velocity, acceleration)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "velocity", "acceleration"),
+    [(0xFB, 60, 600), (0x147, 60, 10), (0x26C, 60, 600), (0x2BE, 60, 600), (0x9A, 4096, 40_960)],
+)
+def test_units_by_the_makers_manual(vendor: int, velocity: int, acceleration: int) -> None:
+    assert _asked(_units({}, vendor)) == (velocity, acceleration)
+    assert _asked(_units({(0x60A9, 0): 0x00B40300, (0x60AA, 0): 0x00B40303}, vendor)) == (1, 10)
+
+
+def test_the_axis_file_states_what_no_object_does() -> None:
+    assert _asked(_units({}, velocity="rpm")) == (60, 600)
+    assert _asked(_units({}, velocity="rpm", acceleration="rev/s2")) == (60, 10)
+    assert _asked(_units({}, 0x1A3, velocity="1/65536 counts/ms")) == (268_435, 2684)
+    assert _asked(_units({(0x60A9, 0): 0x00B44700}, velocity="rev/min")) == (60, 600)
+
+
+@pytest.mark.parametrize(
+    ("objects", "vendor", "stated", "words"),
+    [
+        ({(0x60A9, 0): 0x00B44700}, 0, {"velocity": "counts/s"}, "the axis file says counts/s, 60A9h says rev/min"),
+        ({(0x60A9, 0): 0x00B44700, (0x608C, 0): 0xA3}, 0, {}, "60A9h says rev/min, 608Bh and 608Ch says rev/s"),
+        ({(0x60A9, 0): 0x00990300}, 0, {}, "60A9h is 00990300h, which is no unit"),
+        ({(0x608C, 0): 0x77}, 0, {}, "608Ch is 77h"),
+        ({(0x6090, 1): 2000, (0x6090, 2): 1, (0x608F, 1): 4096, (0x608F, 2): 1}, 0, {}, "6090h has 2000 increments"),
+        ({}, 0x286, {}, "Trinamic's modules take turns per minute"),
+        ({}, 0x1A3, {}, "Technosoft's drives"),
+        ({(0x60A9, 0): 0x00B44700, (0x60AA, 0): 0x00990300}, 0, {}, "unit of acceleration is not known"),
+    ],
+)
+def test_ambiguous_units_are_told_with_the_remedy(
+    objects: Objects, vendor: int, stated: dict[str, str], words: str
+) -> None:
+    units = _units(objects, vendor, **stated)
+    assert words in units.ambiguous
+    assert "_unit in [drive]" in units.ambiguous

@@ -40,6 +40,9 @@ def test_the_four_layouts_of_a_32_bit_value(orders: tuple[Order, Order]) -> None
         (RegisterType.F32, 1.0, (0x3F80, 0x0000)),  # IEEE 754: 3F800000
         (RegisterType.F32, -118.625, (0xC2ED, 0x4000)),  # C2ED4000
         (RegisterType.F64, 1.0, (0x3FF0, 0, 0, 0)),
+        (RegisterType.TEN_THOUSANDS, 125_000, (12, 5000)),  # 12.5 turns of 10000, as a maker's parameter list writes it
+        (RegisterType.TEN_THOUSANDS, -5, (0, 0xFFFB)),
+        (RegisterType.TEN_THOUSANDS, -123_456, (0x10000 - 12, 0x10000 - 3456)),
         (RegisterType.BIT, 1, (1,)),
         (RegisterType.BITS, 0x8001, (0x8001,)),
     ],
@@ -47,6 +50,13 @@ def test_the_four_layouts_of_a_32_bit_value(orders: tuple[Order, Order]) -> None
 def test_values_written_out_by_hand(kind: RegisterType, value: float, registers: tuple[int, ...]) -> None:
     assert encode(value, Layout(kind)) == registers
     assert decode(registers, Layout(kind)) == value
+
+
+def test_ten_thousands_whose_rest_has_another_sign_are_read() -> None:
+    assert decode((0xFFFF, 9995), Layout(RegisterType.TEN_THOUSANDS)) == -5
+    assert decode((5000, 12), Layout(RegisterType.TEN_THOUSANDS, LITTLE)) == 125_000
+    with pytest.raises(InputError, match="expected a whole number -99999999 to 99999999"):
+        encode(100_000_000, Layout(RegisterType.TEN_THOUSANDS))
 
 
 def test_a_string_is_padded_and_its_bytes_swapped_but_its_words_never() -> None:
