@@ -22,7 +22,14 @@ from sim_backends.homing import HOMING_METHODS, Switches
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
-from sim_backends.plant.parameters import PlantParameters, geometric_axis, ideal_axis, typical_axis, worn_axis
+from sim_backends.plant.parameters import (
+    PlantParameters,
+    bent_axis,
+    geometric_axis,
+    ideal_axis,
+    typical_axis,
+    worn_axis,
+)
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 HOMING_REV_S = 5.0
@@ -96,6 +103,9 @@ class BenchParameters:
             (0x6092, 2): 1,
             (0x60A8, 0): (round(exponent) & 0xFF) << 24 | 0x01 << 16 if is_length else 0xB5 << 16,
             (0x6085, 0): round(servo.max_acceleration_rev_s2 * counts),
+            (0x607F, 0): round(servo.max_velocity_rev_s * counts),
+            (0x60C5, 0): round(servo.max_acceleration_rev_s2 * counts),
+            (0x60C6, 0): round(servo.max_acceleration_rev_s2 * counts),
             (0x6098, 0): self.homing_method,
             (0x607C, 0): self.home_counts,
             (0x6099, 1): round(HOMING_REV_S * counts),
@@ -130,15 +140,17 @@ class BenchParameters:
     def micrometre_objects(self) -> dict[tuple[int, int], int]:
         """As `objects`, for a drive whose feed per revolution is in µm, whatever its position unit."""
         own = self.objects
-        del own[(0x60A8, 0)]
+        for key in ((0x60A8, 0), (0x607F, 0), (0x60C5, 0), (0x60C6, 0)):
+            del own[key]
         return {**own, (0x6092, 1): round(self.plant.screw.lead_mm * 1000.0)}
 
 
 def known_bench(kind: str, seed: int) -> BenchParameters:
-    """A bench by the name of its machine: ideal, geometric, typical or worn. Raises InputError for another."""
+    """A bench by the name of its machine: ideal, geometric, bent, typical or worn. Raises InputError for another."""
     plants = {
         "ideal": lambda _seed: ideal_axis(),
         "geometric": geometric_axis,
+        "bent": bent_axis,
         "typical": typical_axis,
         "worn": worn_axis,
     }
@@ -170,6 +182,7 @@ class Bench:
         self.laser = SimulatedLaser(self.plant, p.laser, p.laser_faults, wait_for_arrival=wait_for_arrival)
         self.clock.attach(self.servo.advance, bearable=self.servo.bearable)
         self.clock.attach(self.laser.advance, bearable=self.laser.bearable, settle=self.laser.settle)
+        self.across: Bench | None = None
         self.gauge: SimulatedGauge | None = None
         if p.gauge is not None:
             self.gauge = SimulatedGauge(self.plant, p.gauge, p.laser_faults, wait_for_arrival=wait_for_arrival)
@@ -196,6 +209,11 @@ class Bench:
         else:
             known = ", ".join([*switches.SWITCHES, *laser_effects.SWITCHES])
             raise InputError(f"effect {effect!r} cannot be switched on in the bench, expected one of {known}")
+
+    def cross(self, other: Bench) -> None:
+        """Make the axes of two benches those of one machine, at right angles (`FeedAxis.across`)."""
+        self.across, other.across = other, self
+        self.plant.across, other.plant.across = other.plant, self.plant
 
     @property
     def laser_path(self) -> str:

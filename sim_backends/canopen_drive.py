@@ -19,7 +19,7 @@ from can.interfaces.virtual import VirtualBus
 
 from drivers.clock import NS_PER_S, Clock, WallClock
 from drivers.errors import InputError
-from sim_backends.canopen_dictionary import Dictionary, RefusedError, load_items
+from sim_backends.canopen_dictionary import Dictionary, Item, Key, RefusedError, load_items
 from sim_backends.canopen_faults import CanFault, FaultLayer
 from sim_backends.canopen_pdo_engine import PdoEngine
 from sim_backends.canopen_profile import DriveProfile
@@ -74,20 +74,16 @@ class CanOpenSlave:
         self.servo = servo
         self.node_id = node_id
         own = {} if table is None else table_items(table)
-        self.dictionary = Dictionary({**load_items(eds, node_id), **own})
+        self.dictionary = self._made_dictionary(eds, own)
         for (index, subindex), value in (parameters or {}).items():
             self.dictionary.set_number(index, subindex, value)
         self._send = send
         self.nmt_state = NmtState.BOOT_UP
-        self.profile = DriveProfile(self.dictionary, servo, self.emergency)
-        if (0x2201, 0) in self.dictionary.items:
-            servo.backlash.follow(
-                lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
-            )
+        self.profile = self._made_profile(servo)
         self.table = None if table is None else TableObjects(self.dictionary, table, lambda: servo.powered)
         if self.table is not None:
             servo.table.follow(self.table.table)
-        self.pdos = PdoEngine(self.dictionary, self._transmit, lambda: self.emergency(PDO_LENGTH_ERROR))
+        self.pdos = self._made_pdos()
         self.sdo = SdoServer(self.dictionary)
         self.store = ParameterStore(self.dictionary, flash if flash is not None else Flash(), lambda: not servo.powered)
         self._owed: list[tuple[int, bytes]] = []  # answers delayed until the memory is written
@@ -96,12 +92,31 @@ class CanOpenSlave:
         self._sync_ns: int | None = None  # time of the last SYNC
         self._guarded: dict[int, int] = {}  # node id -> time of its last heartbeat
         self._guard_lost: set[int] = set()
+        self._asked_ns: int | None = None  # time of the master's last guarding request
+        self._toggle = 0
         self._error_register = 0
         self.dictionary.on_read(0x1001, 0, lambda: self._error_register)
         self.dictionary.on_write(0x1003, 0, self._clear_history)
         self.dictionary.on_write(0x1017, 0, self._restart_heartbeat)
         for index in (0x1006, 0x6060):
             self.dictionary.on_write(index, 0, self._restart_sync_watch)
+
+    # -- parts, for a drive with another dictionary ----------------------------------------------------------------------
+    def _made_dictionary(self, eds: Path, own: Mapping[Key, Item]) -> Dictionary:
+        return Dictionary({**load_items(eds, self.node_id), **own})
+
+    def _made_profile(self, servo: Servo) -> DriveProfile:
+        if (0x2201, 0) in self.dictionary.items:
+            servo.backlash.follow(
+                lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
+            )
+        return DriveProfile(self.dictionary, servo, self.emergency)
+
+    def _made_pdos(self) -> PdoEngine:
+        return PdoEngine(self.dictionary, self._transmit, self._on_short_pdo)
+
+    def _on_short_pdo(self) -> None:
+        self.emergency(PDO_LENGTH_ERROR)
 
     # -- power and time ------------------------------------------------------------------------------------------------
     def boot(self, now_ns: int) -> None:
@@ -116,6 +131,7 @@ class CanOpenSlave:
         self.pdos.reload()
         self._guarded.clear()
         self._guard_lost.clear()
+        self._asked_ns, self._toggle = None, 0
         self._error_register = 0
         self._transmit(0x700 + self.node_id, bytes((NmtState.BOOT_UP,)))
         self.nmt_state = NmtState.PRE_OPERATIONAL
@@ -144,6 +160,8 @@ class CanOpenSlave:
             self._transmit(0x700 + self.node_id, bytes((self.nmt_state,)))
         if self._guarded:
             self._watch_heartbeats()
+        if self._asked_ns is not None:
+            self._watch_guarding(self._asked_ns)
         if self._sync_ns is not None and self.profile.cyclic:
             self._watch_sync(self._sync_ns)
 
@@ -198,6 +216,24 @@ class CanOpenSlave:
             self.nmt_state = NmtState.PRE_OPERATIONAL
         elif command in (0x81, 0x82):
             self.boot(self._now_ns)
+
+    def on_remote(self, cob_id: int, now_ns: int) -> None:
+        """Node guarding (CiA-301, 7.2.8.2.2): answer with the state and a bit that alternates, unless a heartbeat is produced."""
+        if cob_id != 0x700 + self.node_id or self._heartbeat_ns is not None:
+            return
+        self._transmit(cob_id, bytes((self._toggle | self.nmt_state,)))
+        self._toggle ^= 0x80
+        self._asked_ns = now_ns
+
+    def _watch_guarding(self, asked_ns: int) -> None:
+        """Life guarding: the master has asked once, and then not within guard time (100Ch) times life factor (100Dh)."""
+        if not {(0x100C, 0), (0x100D, 0)} <= self.dictionary.items.keys():
+            return
+        life_ns = 1_000_000 * self.dictionary.number(0x100C) * self.dictionary.number(0x100D)
+        if life_ns and self._now_ns - asked_ns > life_ns:
+            self._asked_ns = None
+            self.emergency(HEARTBEAT_ERROR)
+            self.profile.abort_connection()
 
     # -- heartbeats ----------------------------------------------------------------------------------------------------
     def _restart_heartbeat(self, period_ms: int) -> None:
@@ -272,10 +308,11 @@ def with_faults(
     flash: Flash | None = None,
     table: TableForm | None = None,
     eds: Path = EDS,
+    make: Callable[..., CanOpenSlave] = CanOpenSlave,
 ) -> tuple[CanOpenSlave, FaultLayer]:
-    """A drive with a fault layer between it and the bus; frames and time pass through the layer."""
+    """A drive with a fault layer between it and the bus; frames and time pass through the layer. make: the kind of drive."""
     layer = FaultLayer(faults, node_id)
-    slave = CanOpenSlave(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table, eds=eds)
+    slave = make(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table, eds=eds)
     layer.wire(
         send=send,
         handle=slave.on_frame,
@@ -299,13 +336,15 @@ def attach_to_wire(
     flash: Flash | None = None,
     table: TableForm | None = None,
     eds: Path = EDS,
+    make: Callable[..., CanOpenSlave] = CanOpenSlave,
 ) -> CanOpenSlave:
     """Put a drive on the simulated wire and boot it; its servo has to be attached to the clock before."""
     node = wire.add_node()
     faults = tuple(faults)
     slave, layer = with_faults(
-        servo, node_id, node.send, faults, parameters=parameters, flash=flash, table=table, eds=eds
+        servo, node_id, node.send, faults, parameters=parameters, flash=flash, table=table, eds=eds, make=make
     )
+    node.on_remote = slave.on_remote
     if faults:
         node.connect(layer.on_frame, layer.tick, layer.due_ns)
     else:
@@ -362,18 +401,23 @@ class Station:
         parameters: Mapping[tuple[int, int], int] | None,
         faults: Iterable[CanFault],
         table: TableForm | None = None,
+        make: Callable[..., CanOpenSlave] = CanOpenSlave,
     ) -> None:
         self.bus = bus
         self.clock = clock
-        self.slave, self.layer = with_faults(servo, node_id, self._send, faults, parameters=parameters, table=table)
+        self.slave, self.layer = with_faults(
+            servo, node_id, self._send, faults, parameters=parameters, table=table, make=make
+        )
         self.slave.boot(clock.now_ns())
 
     def _send(self, cob_id: int, data: bytes) -> None:
         self.bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
 
     def deliver(self, message: can.Message) -> None:
-        """Pass a data frame to the drive; other kinds are ignored."""
-        if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+        """Pass a frame to the drive; extended and error frames are ignored."""
+        if message.is_remote_frame and not message.is_extended_id:
+            self.slave.on_remote(message.arbitration_id, self.clock.now_ns())
+        elif not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
             self.layer.on_frame(message.arbitration_id, bytes(message.data), self.clock.now_ns())
 
     def bearable(self, now_ns: int) -> int:

@@ -7,13 +7,15 @@ the same, so any other bus object on the channel receives them; the switch of th
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
+from typing import Any
 
 import can
 from can.interfaces.virtual import VirtualBus
 
+from drivers.clock import NS_PER_S
 from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave, Station
 from sim_backends.canopen_faults import CanFault
 from sim_backends.clock import SimClock
@@ -35,15 +37,52 @@ class _Bus(VirtualBus):
                 listener.put(copied, timeout=timeout)
 
 
+class _Asking(can.broadcastmanager.ModifiableCyclicTaskABC):
+    """A remote frame, sent again and again in simulated time: node guarding asks in the time in which the node watches it."""
+
+    def __init__(self, bus: MasterBus, messages: Sequence[can.Message], period_s: float, clock: SimClock) -> None:
+        super().__init__(messages, period_s)
+        self._bus = bus
+        self._clock = clock
+        self._period_ns = max(1, round(period_s * NS_PER_S))
+        self._next_ns: int | None = None
+        clock.attach(self._advance, bearable=self._bearable)
+
+    def start(self) -> None:
+        self._next_ns = self._clock.now_ns() + self._period_ns
+
+    def stop(self) -> None:
+        self._next_ns = None
+
+    def _bearable(self, now_ns: int) -> int:
+        return SUPERVISION_NS if self._next_ns is None else max(1, min(SUPERVISION_NS, self._next_ns - now_ns))
+
+    def _advance(self, now_ns: int, _dt_s: float) -> None:
+        if self._next_ns is not None and self._next_ns <= now_ns:
+            self._next_ns = now_ns + self._period_ns
+            self._bus.send(self.messages[0])
+
+
 class MasterBus(_Bus):
     """The master's end. A `recv` that finds nothing lets the drives handle their frames, then looks once more.
 
     It never waits: without simulated time passing no other frame can come.
     """
 
-    def __init__(self, channel: str, drives: list[_Drive]) -> None:
+    def __init__(self, channel: str, drives: list[_Drive], clock: SimClock) -> None:
         super().__init__(channel)
         self._drives = drives
+        self._clock = clock
+
+    def _send_periodic_internal(
+        self, msgs: Sequence[can.Message] | can.Message, period: float, *args: Any, **kwargs: Any
+    ) -> Any:
+        messages = [msgs] if isinstance(msgs, can.Message) else list(msgs)
+        if not messages[0].is_remote_frame:
+            return super()._send_periodic_internal(msgs, period, *args, **kwargs)
+        task = _Asking(self, messages, period, self._clock)
+        task.start()
+        return task
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         del timeout
@@ -101,16 +140,17 @@ class DrivesInTurn:
         parameters: Mapping[tuple[int, int], int] | None = None,
         faults: Iterable[CanFault] = (),
         table: TableForm | None = None,
+        make: Callable[..., CanOpenSlave] = CanOpenSlave,
     ) -> CanOpenSlave:
-        """Put a drive on the bus and boot it; its servo has to be attached to the clock before."""
+        """Put a drive on the bus and boot it; its servo has to be attached to the clock before. make: the kind of drive."""
         bus = _Bus(self.channel)
-        station = Station(bus, self.clock, servo, node_id, parameters=parameters, faults=faults, table=table)
+        station = Station(bus, self.clock, servo, node_id, parameters=parameters, faults=faults, table=table, make=make)
         self._drives.append(_Drive(station, bus, self.clock))
         return station.slave
 
     def master(self) -> MasterBus:
         """The bus for a master, which closes it."""
-        return MasterBus(self.channel, self._drives)
+        return MasterBus(self.channel, self._drives, self.clock)
 
     def close(self) -> None:
         """Take the drives off the bus."""

@@ -23,6 +23,7 @@ from drivers.canopen.cia402 import (
 from drivers.drive import DriveState
 from sim_backends.canopen_dictionary import INVALID_VALUE, Dictionary, RefusedError
 from sim_backends.canopen_touch_probe import TouchProbeUnit
+from sim_backends.control_wires import Wires
 from sim_backends.servo import MotionMode, Servo
 
 PP, PV, HM, CSP, CSV, CST = 1, 3, 6, 8, 9, 10
@@ -86,6 +87,7 @@ class DriveProfile:
         self._lag_since_ns: int | None = None
         self._known_fault = 0
         self.probe = TouchProbeUnit(dictionary, servo)
+        self.wires = Wires()
         self._bind()
 
     def _bind(self) -> None:
@@ -99,6 +101,8 @@ class DriveProfile:
         od.on_read(0x6077, 0, lambda: servo.torque_actual_permille)
         od.on_read(0x60F4, 0, lambda: servo.following_error_counts)
         od.on_read(0x60FD, 0, self._digital_inputs)
+        od.on_write(0x60FE, 1, lambda value: self._switch_outputs(value, od.number(0x60FE, 2)))
+        od.on_write(0x60FE, 2, lambda value: self._switch_outputs(od.number(0x60FE, 1), value))
         od.on_write(0x6040, 0, self._write_controlword)
         od.on_write(0x6060, 0, self._write_mode)
         od.on_write(0x607A, 0, self._write_target_position)
@@ -146,7 +150,12 @@ class DriveProfile:
             | servo.positive_limit_switch << 1
             | servo.home_switch << 2
             | self.probe.inputs << 16
+            | self.wires.inputs
         )
+
+    def _switch_outputs(self, levels: int, mask: int) -> None:
+        """60FEh: only outputs that the mask enables follow sub-index 1."""
+        self.wires.outputs = levels & mask
 
     def statusword(self) -> int:
         """6041h as the drive shows it, defects included."""

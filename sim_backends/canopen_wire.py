@@ -25,10 +25,11 @@ _LOOK_NS = 10_000_000  # longest step of a waiting receiver when no frame is sch
 
 @dataclass(frozen=True)
 class Frame:
-    """One base-format data frame."""
+    """One base-format frame. remote: it asks for the data of its identifier."""
 
     cob_id: int
     data: bytes
+    remote: bool = False
 
 
 class Node:
@@ -38,6 +39,7 @@ class Node:
         self._wire = wire
         self.outgoing: deque[Frame] = deque()
         self.on_frame: OnFrame = lambda _cob_id, _data, _now_ns: None
+        self.on_remote: Callable[[int, int], None] = lambda _cob_id, _now_ns: None
         self.tick: Callable[[int], None] | None = None
         self.due_ns: Callable[[], int | None] = lambda: None
 
@@ -45,9 +47,9 @@ class Node:
         """Set the receiver of frames, the callback for advanced time, and the latest time at which it is needed."""
         self.on_frame, self.tick, self.due_ns = on_frame, tick, due_ns
 
-    def send(self, cob_id: int, data: bytes) -> None:
+    def send(self, cob_id: int, data: bytes, *, remote: bool = False) -> None:
         """Queue a frame; it is sent when the bus is free and no frame of higher priority waits."""
-        self.outgoing.append(Frame(cob_id, data))
+        self.outgoing.append(Frame(cob_id, data, remote))
         self._wire.pump()
 
 
@@ -135,7 +137,11 @@ class SimWire:
 
     def _deliver(self, senders: set[Node], frame: Frame, now_ns: int) -> None:
         for node in tuple(self._nodes):
-            if node not in senders:
+            if node in senders:
+                continue
+            if frame.remote:
+                node.on_remote(frame.cob_id, now_ns)
+            else:
                 node.on_frame(frame.cob_id, frame.data, now_ns)
 
     # -- time --------------------------------------------------------------------------------------------------------
@@ -208,7 +214,7 @@ class WirePort(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self._check()
-        self._node.send(msg.arbitration_id, bytes(msg.data))
+        self._node.send(msg.arbitration_id, bytes(msg.data), remote=msg.is_remote_frame)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next frame; simulated time advances by at most `timeout` seconds."""
@@ -254,7 +260,9 @@ class WirePort(can.BusABC):
                 if self._is_off():
                     continue
                 cob_id, data = task.message.arbitration_id, bytes(task.message.data)
-                self._node.send(cob_id, data)
+                self._node.send(cob_id, data, remote=task.message.is_remote_frame)
+                if task.message.is_remote_frame:
+                    continue
                 self._take(
                     cob_id, data, now_ns
                 )  # SocketCAN delivers its broadcast manager's frames to the sockets of this host

@@ -24,6 +24,7 @@ class LaserParameters:
     subdivision_nm: periodic error of the interpolation; reference_hz: frequency difference of the two-frequency head;
     latency_s, jitter_s: delay from a sample to its line at the reader, and its largest variation;
     angle_urad_per_unit: angle optics on axes 2 (pitch) and 3 (yaw), one unit of them; None: not fitted, lines of 8 numbers.
+    straightness_um_per_unit: straightness optics on axis 2 instead, one unit of them, signed; straightness_noise_um: per sample.
     """
 
     rate_hz: float = 50.0
@@ -40,6 +41,8 @@ class LaserParameters:
     subdivision_nm: float = 0.0
     reference_hz: float = 2.0e6
     angle_urad_per_unit: float | None = None
+    straightness_um_per_unit: float | None = None
+    straightness_noise_um: float = 0.05
     latency_s: float = 0.0
     jitter_s: float = 0.0
     sensors_fitted: bool = True

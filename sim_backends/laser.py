@@ -62,6 +62,7 @@ class SimulatedLaser:
         self._axis = axis
         self._faults = FaultSchedule(faults)
         self._garbage = random.Random(self.parameters.seed + 1)
+        self._optics = random.Random(self.parameters.seed + 3)
         self._start_ns = start_ns
         self._taken = 0
         self._sequence = 0
@@ -141,8 +142,13 @@ class SimulatedLaser:
             code,
             data,
         )
-        if p.angle_urad_per_unit is not None:
-            text += self._angles(p.angle_urad_per_unit, reference, lost=line.head or line.beam)
+        if p.straightness_um_per_unit is not None:
+            lateral_um = self._axis.lateral_um + self._optics.gauss(0.0, p.straightness_noise_um)
+            beside = (lateral_um / p.straightness_um_per_unit, 0.0)
+            text += self._beside(beside, reference, lost=line.head or line.beam)
+        elif p.angle_urad_per_unit is not None:
+            beside = (self._axis.pitch_urad / p.angle_urad_per_unit, self._axis.yaw_urad / p.angle_urad_per_unit)
+            text += self._beside(beside, reference, lost=line.head or line.beam)
         if line.half:
             text = text[: len(text) * 2 // 3]
         text += line.line_end
@@ -151,11 +157,10 @@ class SimulatedLaser:
         if not line.silent:
             self._line.put(text, time_ns)
 
-    def _angles(self, urad_per_unit: float, reference: int, *, lost: bool) -> bytes:
-        """Fields of axes 2 and 3: the table's pitch and yaw as their optics measure them."""
+    def _beside(self, beside: tuple[float, float], reference: int, *, lost: bool) -> bytes:
+        """Fields of axes 2 and 3: what their optics measure, in units of them."""
         text = b""
-        for index, urad in enumerate((self._axis.pitch_urad, self._axis.yaw_urad)):
-            units = urad / urad_per_unit
+        for index, units in enumerate(beside):
             nearest = round(units)
             change, self._angle_counts[index] = nearest - self._angle_counts[index], nearest
             phase = round((units - nearest) * 256.0) & 0x1FF

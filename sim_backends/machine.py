@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import os
 import tty
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 
 import can
 
 from drivers.clock import Clock
 from drivers.errors import InputError, LinkLostError
 from sim_backends.bench import Bench
-from sim_backends.canopen_drive import with_faults
+from sim_backends.canopen_drive import CanOpenSlave, with_faults
 from sim_backends.canopen_faults import CanFault
+from sim_backends.canopen_quirks import ProfiledSlave, machine_objects
+from sim_backends.canopen_strict import StrictSlave
+from sim_backends.drive_profiles import DriveProfileFile
+from sim_backends.maker_file import MakerFile
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer
 from sim_backends.modbus_faults import WireFault
@@ -43,9 +48,11 @@ def open_bus(interface: str, channel: str, bitrate: int | None) -> can.BusABC:
 
 
 class CanDrive:
-    """The bench's servo as a CANopen node; the thread that advances time handles the frames, so nothing is shared.
+    """The bench's servo as a CANopen node, with the objects of a maker's file (`canopen_strict`), or as a documented drive
+    (`canopen_quirks`), where one is given.
 
-    Use `serve` where that thread would sleep. Raises LinkLostError when the bus is lost.
+    The thread that advances time handles the frames, so nothing is shared. Use `serve` where that thread would sleep. Raises
+    LinkLostError when the bus is lost.
     """
 
     def __init__(
@@ -57,13 +64,26 @@ class CanDrive:
         *,
         faults: tuple[CanFault, ...] = (),
         table: TableForm | None = None,
+        maker: MakerFile | None = None,
+        profile: DriveProfileFile | None = None,
     ) -> None:
         self._bus = bus
         self._clock = bench.clock
         self._pace = pace
-        self.slave, self._layer = with_faults(
-            bench.servo, node_id, self._send, faults, parameters=bench.parameters.objects, table=table
-        )
+        lead_m = bench.parameters.plant.screw.lead_mm / 1000.0
+        if profile is not None:
+            make: Callable[..., CanOpenSlave] = partial(ProfiledSlave, profile=profile, maker=maker, lead_m=lead_m)
+            settings = machine_objects(profile, bench.parameters) if maker is None else {}
+            self.slave, self._layer = with_faults(
+                bench.servo, node_id, self._send, faults, parameters=settings, make=make
+            )
+        elif maker is None:
+            self.slave, self._layer = with_faults(
+                bench.servo, node_id, self._send, faults, parameters=bench.parameters.objects, table=table
+            )
+        else:
+            make = partial(StrictSlave, maker=maker, lead_m=lead_m)
+            self.slave, self._layer = with_faults(bench.servo, node_id, self._send, faults, make=make)
         bench.clock.attach(lambda now_ns, _dt_s: self._layer.tick(now_ns), bearable=self._bearable)
         self.slave.boot(bench.clock.now_ns())
 
@@ -89,7 +109,9 @@ class CanDrive:
             if message is None:
                 return
             self._pace.catch_up()
-            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+            if message.is_remote_frame and not message.is_extended_id:
+                self.slave.on_remote(message.arbitration_id, self._clock.now_ns())
+            elif not (message.is_extended_id or message.is_error_frame):
                 self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
             timeout_s = 0.0
 

@@ -8,6 +8,7 @@ them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from sim_backends.canopen_dictionary import (
@@ -81,6 +82,8 @@ _OBJECTS: tuple[tuple[int, str, int, int], ...] = (
     *((0x260A + 2 * place, "I", 0x60D1 + place, 0) for place in range(4)),
     *((0x2612 + place, "H", 0x60D5 + place, 0) for place in range(4)),
 )
+INPUTS, OUTPUTS = 32, 32
+"""General inputs, as discrete inputs 0 to 31, and general outputs, as coils 0 to 31."""
 _FIXED = (0x608F, 0x1018)  # read only over Modbus
 KEPT = (0x607C, 0x6091, 0x6092, 0x607D, 0x6065, 0x6067, 0x6072)  # objects in EEPROM, written on every change
 
@@ -120,7 +123,23 @@ class Cia402Registers:
         self.table = BlockTable(ERROR_MAP, lambda: servo.powered, self._um_counts)
         servo.table.follow(self.table.own)
         cells += self.table.map_cells()
-        self.banks: Mapping[Space, Bank] = {Space.HOLDING_REGISTERS: Bank(cells, gaps_readable=True)}
+        inputs = [Cell(bit, "?", partial(self._input, bit)) for bit in range(INPUTS)]
+        coils = [Cell(bit, "?", partial(self._output, bit), partial(self._switch, bit)) for bit in range(OUTPUTS)]
+        self.banks: Mapping[Space, Bank] = {
+            Space.HOLDING_REGISTERS: Bank(cells, gaps_readable=True),
+            Space.DISCRETE_INPUTS: Bank(inputs, gaps_readable=False),
+            Space.COILS: Bank(coils, gaps_readable=False),
+        }
+
+    def _input(self, bit: int) -> int:
+        return self.profile.wires.inputs >> bit & 1
+
+    def _output(self, bit: int) -> int:
+        return self.profile.wires.outputs >> bit & 1
+
+    def _switch(self, bit: int, level: Value) -> None:
+        wires = self.profile.wires
+        wires.outputs = wires.outputs & ~(1 << bit) | int(bool(level)) << bit
 
     def _um_counts(self) -> float:
         """Motor counts in a µm of travel, by 608Fh, 6091h and 6092h (whose feed is in µm)."""

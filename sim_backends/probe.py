@@ -50,25 +50,25 @@ class SimulatedProbe:
         present = [chip for chip in p.chips if chip.first_touch <= self.touches <= chip.last_touch]
         self._between_mm = sum(chip.thickness_mm * (1.0 - chip.give * rng.random()) for chip in present)
 
-    def pushed_mm(self, x_mm: float, y_mm: float, spindle_deg: float) -> float:
+    def pushed_mm(self, x_mm: float, y_mm: float, spindle_deg: float, z_mm: float = 0.0) -> float:
         """Overtravel of the ball beyond its signal at this position, mm; negative: no contact."""
         stylus = self.parameters.stylus
-        x, y, z = stylus.ball_mm((x_mm, y_mm, 0.0), math.radians(spindle_deg))
+        x, y, z = stylus.ball_mm((x_mm, y_mm, z_mm), math.radians(spindle_deg))
         ball = (x + self._play[0], y + self._play[1], z)
         nearest = min((solid.clearance_mm(ball) for solid in self.parameters.solids), default=math.inf)
         return stylus.radius_mm + self._between_mm - nearest - self._trigger_mm
 
-    def closed(self, x_mm: float, y_mm: float, spindle_deg: float) -> bool:
+    def closed(self, x_mm: float, y_mm: float, spindle_deg: float, z_mm: float = 0.0) -> bool:
         """Whether the probe signals there (mm, degrees), in the touch in progress or the next one."""
-        return self.pushed_mm(x_mm, y_mm, spindle_deg) >= 0.0
+        return self.pushed_mm(x_mm, y_mm, spindle_deg, z_mm) >= 0.0
 
-    def follow(self, x_mm: float, y_mm: float, spindle_deg: float) -> bool:
+    def follow(self, x_mm: float, y_mm: float, spindle_deg: float, z_mm: float = 0.0) -> bool:
         """Set the machine's present position (mm, degrees); whether the probe signals."""
         if abs(spindle_deg - self._angle_deg) > 1.0 or math.isnan(self._angle_deg):
             self._angle_deg = spindle_deg
             play = self.parameters.play_mm
             self._play = (self._rng.uniform(-play, play), self._rng.uniform(-play, play))
-        pushed_mm = self.pushed_mm(x_mm, y_mm, spindle_deg)
+        pushed_mm = self.pushed_mm(x_mm, y_mm, spindle_deg, z_mm)
         self.deepest_mm = max(self.deepest_mm, pushed_mm)
         if pushed_mm >= 0.0 and not self._touching:
             self._touching = True

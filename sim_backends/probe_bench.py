@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
+from sim_backends.control_wires import SimulatedControl, Wires
 from sim_backends.probe import ProbeParameters, SimulatedProbe
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import ServoParameters, SimulatedServo
@@ -45,7 +46,7 @@ class AxisOfBench:
 
 
 class ProbeBench:
-    """axes: those of "x", "y" and "spindle" that the machine has. Absolute encoders: every servo knows its position.
+    """axes: those of "x", "y", "z" and "spindle" that the machine has. Absolute encoders: every servo knows its position.
 
     spindle_sense: +1 where a rising position turns the spindle counter-clockwise, −1 where it turns it clockwise; normally_closed: the
     inputs are active without contact.
@@ -70,6 +71,7 @@ class ProbeBench:
         self.probe = SimulatedProbe(probe)
         self.servos: dict[str, SimulatedServo] = {}
         self._units: list[tuple[ProbeLatch, int]] = []
+        self.control: SimulatedControl | None = None
         for name, axis in axes.items():
             servo = SimulatedServo(BareShaft(), axis.servo)
             servo.homed = True
@@ -87,9 +89,11 @@ class ProbeBench:
         scaling = self.axes[name].scaling
 
         def closed(position_counts: int) -> bool:
-            places = {other: self.place(other) for other in ("x", "y", "spindle") if other != name}
+            places = {other: self.place(other) for other in ("x", "y", "z", "spindle") if other != name}
             places[name] = scaling.load_mm(position_counts)
-            return self.probe.closed(places["x"], places["y"], self._sense * places["spindle"]) != self._idle
+            return (
+                self.probe.closed(places["x"], places["y"], self._sense * places["spindle"], places["z"]) != self._idle
+            )
 
         return closed
 
@@ -97,6 +101,13 @@ class ProbeBench:
         """Wire the probe to an input of an axis's drive."""
         unit.attach(number, self.contact(name))
         self._units.append((unit, number))
+
+    def give_codes_at(self, wires: Wires) -> None:
+        """Connect the control, if there is one, to the terminals of a drive."""
+        if self.control is not None:
+            self.control.wires = wires
+            self.control.tick(self.clock.now_ns())
+            self.clock.attach(self.control.tick, bearable=self.control.bearable)
 
     def watch_probe(self) -> None:
         """From now on the probe follows the machine's position, and every input the contact as the other axes move."""
@@ -108,7 +119,9 @@ class ProbeBench:
         if counts == self._seen_counts:
             return
         self._seen_counts = counts
-        signals = self.probe.follow(self.place("x"), self.place("y"), self._sense * self.place("spindle"))
+        signals = self.probe.follow(
+            self.place("x"), self.place("y"), self._sense * self.place("spindle"), self.place("z")
+        )
         level = signals != self._idle
         for unit, number in self._units:
             if bool(unit.inputs >> number - 1 & 1) != level:

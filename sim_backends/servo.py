@@ -70,6 +70,7 @@ class SimulatedServo:
         self._homing_offset = 0
         self._now_ns = 0
         self.schedule(faults)
+        self._encoder_rng = random.Random(p.seed + 1)
         self._noise_ns = -1
         self._noise = 0.0
         self._decay_dt_s = -1.0
@@ -86,8 +87,9 @@ class SimulatedServo:
 
     @property
     def position_actual_counts(self) -> int:
-        """Actual position in the shown frame, counts."""
-        return round(self._actual - self._frame)
+        """Actual position in the shown frame, counts, with the encoder's noise."""
+        noise = self.parameters.encoder_noise_counts
+        return round(self._actual - self._frame + (self._encoder_rng.gauss(0.0, noise) if noise else 0.0))
 
     @property
     def velocity_actual_counts_s(self) -> int:

@@ -13,8 +13,8 @@ class ServoParameters:
 
     position_gain_per_s and feed_forward (0…1) make the lag (1 − feed_forward)·v/gain; the window and time-outs supervise it.
     home_switch_counts: the switch is active below. switch_spread_counts: standard deviation of the switching points, drawn anew for
-    each homing. Torque parts: viscous in 0.1 % per rev/s, inertia in 0.1 % per rev/s²; the current
-    limit ends them all at peak_torque_permille.
+    each homing. encoder_noise_counts: standard deviation of the position shown. Torque parts: viscous in 0.1 % per rev/s, inertia in
+    0.1 % per rev/s²; the current limit ends them all at peak_torque_permille.
     """
 
     counts_per_rev: int = 1_000_000
@@ -43,6 +43,7 @@ class ServoParameters:
     cogging_permille: float = 0.6
     cogging_per_rev: int = 8
     torque_noise_permille: float = 1.0
+    encoder_noise_counts: float = 0.0
     peak_torque_permille: float = 3000.0
     seed: int = 7
 

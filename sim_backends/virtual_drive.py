@@ -27,6 +27,7 @@ from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import TouchProbe
 from sim_backends.clock import SimClock
+from sim_backends.control_wires import Wires
 from sim_backends.own_table import TableForm
 from sim_backends.probe_latch import ProbeLatch
 from sim_backends.servo import Servo
@@ -70,6 +71,7 @@ class VirtualDrive(ServoDrive):
         self._running = False  # a velocity run is in progress
         self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         self.probe = ProbeLatch(servo)
+        self.wires = Wires()
         if isinstance(clock, SimClock):  # after the servo, which is attached before
             clock.attach(lambda now_ns, _dt_s: self.probe.tick(now_ns), bearable=lambda _now_ns: _IDLE_STEP_NS)
         self._parameters = VirtualParameters(name, scaling, self.settings)

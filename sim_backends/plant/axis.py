@@ -24,12 +24,14 @@ class FeedAxis:
     """The true state of one axis.
 
     `step` is exact for motions that do not reverse within it. `load_kg` and `other_axis_mm` are inputs that may be set at any time.
+    `across`: the axis of the same machine at right angles to this one; how each of them leaves its line shows in the other's position.
     """
 
     def __init__(self, parameters: PlantParameters, motor_rev: float = 0.0) -> None:
         rng = random.Random(parameters.seed)
         self.load_kg = 0.0
         self.other_axis_mm = 0.0
+        self.across: FeedAxis | None = None
         self.time_s = 0.0
         self.velocity_mm_s = 0.0
         self._loaded_kg = 0.0
@@ -124,7 +126,18 @@ class FeedAxis:
             + p.slip.error_um(self.time_s)
             + self.thermal.head_drift_um
         )
-        return nut_mm + self.thermal.expansion_mm(nut_mm) + error_um / UM_PER_MM
+        carried_um = 0.0 if self.across is None else self.across.straightness_um
+        return nut_mm + self.thermal.expansion_mm(nut_mm) + (error_um + carried_um) / UM_PER_MM
+
+    @property
+    def straightness_um(self) -> float:
+        """How far the table is from its straight way now, along + of the axis at right angles, µm."""
+        return self.parameters.guideway.straightness_um.value(self.reversal.state.nut_mm)
+
+    @property
+    def lateral_um(self) -> float:
+        """Where the measured point is across this axis, µm, with the axis at right angles, which may move it, where there is one."""
+        return self.straightness_um if self.across is None else self.across.position_mm * UM_PER_MM
 
     @property
     def error_um(self) -> float:

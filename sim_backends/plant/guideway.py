@@ -13,13 +13,15 @@ from sim_backends.plant.shapes import SmoothShape
 
 @dataclass(frozen=True)
 class Guideway:
-    """Angular errors of the table and the arms at which they show: error = pitch·arm_z − yaw·arm_y (Abbe).
+    """Angular errors of the table and the arms at which they show: error = pitch·arm_z − yaw·arm_y (Abbe); and how it leaves the line.
 
     pitch_urad, yaw_urad: shapes over the position; arms in mm from the measuring line to the point that matters.
+    straightness_um: how far the table is from a straight way, along + of the axis at right angles, over the position
     """
 
     pitch_urad: SmoothShape = field(default_factory=SmoothShape)
     yaw_urad: SmoothShape = field(default_factory=SmoothShape)
+    straightness_um: SmoothShape = field(default_factory=SmoothShape)
     arm_z_mm: float = 0.0
     arm_y_mm: float = 0.0
 

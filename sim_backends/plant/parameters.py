@@ -6,13 +6,14 @@ Every term is zero unless requested; random terms are drawn from the seed, so th
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sim_backends.plant.ambient import AmbientParameters
 from sim_backends.plant.drive_train import DriveTrain
 from sim_backends.plant.guideway import CrossAxis, Guideway, LoadDeflection, MountSlip, VelocityLag
 from sim_backends.plant.hysteresis import Backlash, LostMotion
 from sim_backends.plant.screw import Screw, typical_screw
+from sim_backends.plant.shapes import SmoothShape
 from sim_backends.plant.thermal import ThermalParameters
 
 
@@ -115,3 +116,9 @@ def worn_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> Pla
         friction=Friction(table_permille=0.0),
         drive_train=DriveTrain(),
     )
+
+
+def bent_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
+    """A geometric axis whose guideway leaves the straight line by 12 µm to either side."""
+    shape = SmoothShape.random(random.Random(f"straightness {seed}").getrandbits(32), 12.0, length_mm)
+    return replace(geometric_axis(seed, length_mm, lead_mm), guideway=Guideway(straightness_um=shape))

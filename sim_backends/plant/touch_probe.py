@@ -1,4 +1,4 @@
-"""A probe's ball and a block's face or a bore, as vectors: the geometry on which the contact depends.
+"""A probe's ball and faces, a boss or a bore, as vectors: the geometry on which the contact depends.
 
 Frames: machine mm (x, y across the spindle axis, z along it), and the spindle's own, which coincides with the machine's at 0°.
 Computed as the distance between a sphere and a solid, independent of the formula by which a run-out is computed from contacts.
@@ -66,6 +66,39 @@ class Face:
         )
         clearance_mm = sum(n * (p - q) for n, p, q in zip(normal, point_mm, self.point_mm, strict=True))
         return clearance_mm if clearance_mm > -self.depth_mm else math.inf
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A plane face along the spindle axis through a point, whose outward normal has a bearing in the xy plane (0: +x, 90: +y).
+
+    It reaches half_width_mm to both sides of the point, and depth_mm into the material; its top edge is at top_mm of z.
+    """
+
+    point_mm: Vector
+    bearing_deg: float
+    half_width_mm: float = 20.0
+    depth_mm: float = 30.0
+    top_mm: float = math.inf
+
+    def clearance_mm(self, point_mm: Vector) -> float:
+        outward = complex(math.cos(math.radians(self.bearing_deg)), math.sin(math.radians(self.bearing_deg)))
+        away = complex(point_mm[0] - self.point_mm[0], point_mm[1] - self.point_mm[1]) * outward.conjugate()
+        if abs(away.imag) > self.half_width_mm or away.real < -self.depth_mm:
+            return math.inf
+        above_mm = point_mm[2] - self.top_mm
+        return max(away.real, above_mm) if above_mm < 0.0 or away.real < 0.0 else math.hypot(away.real, above_mm)
+
+
+@dataclass(frozen=True)
+class Boss:
+    """A cylindrical boss along z."""
+
+    point_mm: Vector
+    radius_mm: float
+
+    def clearance_mm(self, point_mm: Vector) -> float:
+        return math.hypot(point_mm[0] - self.point_mm[0], point_mm[1] - self.point_mm[1]) - self.radius_mm
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,8 @@ def test_map_and_drive_have_the_same_addresses(make: Any) -> None:
     for first in table.columns.values():
         end = first.span.start + table.description.points * first.span.count
         mapped[_SPACES[first.table.value]].update(range(first.span.start, end))
+    if make is _cia402:  # its terminals are no registers of the map: a machine file names them by address
+        mapped |= {Space.DISCRETE_INPUTS: set(range(32)), Space.COILS: set(range(32))}
     assert mapped == {space: set(bank.addresses) for space, bank in face.banks.items()}
 
 
