@@ -11,31 +11,38 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.noise.thin import AllRows
-from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, RivalFound
-from hil.diagnosis.search.candidates import BLIND
+from hil.diagnosis.campaign import AllRows, CampaignRows
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.noise.repeats import PureError, pure_error
+from hil.diagnosis.policy import policy
+from hil.diagnosis.remainder import LeftOver, left_over
+from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
 from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of
-from hil.diagnosis.search.fit import joint_fit
-from hil.diagnosis.search.judge import ACCEPTED_FROM
-from hil.diagnosis.search.select import structure_rms
+from hil.diagnosis.search.fit import grid_choices, joint_fit
+from hil.diagnosis.search.rank import score_choices
+from hil.diagnosis.search.select import drop, structure_rms
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
-from hil.diagnosis.verdict.held_out import ONCE, HeldOut, held_out, improves_held_out
+from hil.diagnosis.verdict.held_out import (
+    ONCE,
+    HeldOut,
+    held_out,
+    improves_held_out,
+    is_below_noise,
+    on_few_rows,
+    suspected_note,
+    unproven_choice,
+)
 from hil.diagnosis.verdict.offer import offered
-from hil.diagnosis.verdict.suspected import is_below_noise, suspected_note, unproven_choice
-from hil.effects import ALL, Effect, Estimate, Term
+from hil.effects import ALL, Effect, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
+from hil.effects.warming import is_about_a_point, is_since_start
 from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
-
-TEMPERATURE = 2.0
-"""Divisor of the log odds between effects before they become confidences, since no form is exactly right."""
-LEAST_CONFIDENCE = 0.02
-"""Confidence below which a rival is not listed."""
 
 
 def diagnose(
@@ -58,28 +65,40 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     chosen = choose(problem)
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
+    few = on_few_rows(chosen)
+    if few:
+        chosen = refitted_without(chosen, few)
+    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.hits)
+    structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
+    misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
+    left = tuple(one for one in left if one not in misfits)
+    if left:
+        chosen = beside_the_rest(chosen, left)
+    unexplained = unexplained or bool(left)
     noise = chosen.last.noise
-    floor = chosen.fit.white_um * math.hypot(1.0, noise.ar)
+    parts = _noise_parts(chosen.fit.white_um, noise)
     found = _findings(chosen, campaign.columns)
-    below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, floor)}
+    below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
     findings = tuple(finding for finding in found if finding.effect not in below_noise)
     if below_noise:
         chosen = refitted_without(chosen, below_noise)
     doubtful = {finding.effect: finding.term for finding in findings if finding.doubtful}
     unexplained = unexplained or bool(doubtful)
-    structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, noise) if unexplained else ()
-    suspected = None if dropped or below_noise or unexplained else unproven_choice(problem, chosen)
+    structures = structures if unexplained else ()
+    suspected = None if dropped or few or below_noise or unexplained else unproven_choice(problem, chosen)
     extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
-    dof = max(len(campaign) - problem.free.linear.table.table_width, 4)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
+    known_um = np.sum([term.error_um(rows.columns) for term in extended.found], axis=0)
+    floor = pure_error(rows.columns, rows.error_um - known_um)
     found_out = Diagnosis(
-        noise_floor=Estimate(floor, floor / math.sqrt(2 * dof)),
+        pure_error=floor,
+        noise=parts,
         declared=base,
         extended=extended.extended,
         findings=findings,
         unexplained=unexplained,
-        carriers=tuple(_carriers(chosen, doubtful, structures, campaign)) if unexplained else (),
+        carriers=tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else (),
         blind=_blind(problem),
         before_um=left_out.before,
         after_um=left_out.after,
@@ -89,13 +108,54 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         recommended=after.rms_um < alone.rms_um,
         notes=(
             *_notes(records, campaign, dropped, after, alone),
+            *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
             *map(suspected_note, below_noise.values()),
+            *(_misfit_note(one) for one in misfits),
+            *_course_notes(chosen),
+            *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, len(campaign), _held(problem, noise)),
             *(_suspicion(term) for term in extended.found if suspected is not None),
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
-    told = offered(found_out, structures, left_out, fitted_um, alone)
+    told = offered(found_out, structures, left_out, fitted_um, alone, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
+
+
+def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
+    rows = -1.0 / math.log(noise.rho) if 0.0 < noise.rho < 1.0 and noise.ar else 0.0
+    return NoiseParts(white_um, white_um * noise.ar, rows, white_um * noise.offset)
+
+
+def _held(problem: Problem, noise: Noise) -> float:
+    """Degrees of freedom that the table takes: the trace of its projection."""
+    table = problem.free.linear.table
+    w = table.table_width
+    gram = table.stacked[:, :w].T @ table.stacked[:, :w]
+    return float(np.trace(np.linalg.solve(gram + np.diag(table.ridge(noise)[:w]) + 1e-9 * np.eye(w), gram)))
+
+
+def beyond_noise(
+    floor: PureError | None, parts: NoiseParts, held_out_um: float, rows: int, table: float
+) -> Iterator[str]:
+    """A note where the rows that were left out, or those that were fitted, vary by more than the noise explains.
+
+    held_out_um: RMS of the residual of rows left out, of which the table took `table` degrees of freedom
+    """
+    least_um = parts.white_um if floor is None else floor.std_um.value
+    dof = rows if floor is None else floor.dof
+    limit = float(f_distribution.ppf(1.0 - policy().silent, rows, dof))
+    explained_um = math.hypot(least_um, parts.memory_um, parts.run_offset_um)
+    predicted_um = explained_um * math.sqrt(1.0 + 2.0 * table / max(rows - table, 1.0))
+    if held_out_um > predicted_um * math.sqrt(limit):
+        yield (
+            f"on rows left out {held_out_um:.3g} µm RMS remain, and noise, its memory and the offsets of the runs explain"
+            f" {predicted_um:.3g} µm: something that does not repeat from run to run is not in the model"
+        )
+    if floor is not None and parts.white_um > floor.std_um.value * math.sqrt(limit):
+        yield (
+            f"from row to row {parts.white_um:.3g} µm remain, and repeats differ by {floor.std_um} µm ({floor.dof} degrees of"
+            " freedom): what is left beside the model is more than noise"
+        )
 
 
 def _notes(
@@ -124,17 +184,71 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
     effects dropped.
     """
     last = chosen.last
-    sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(ACCEPTED_FROM))}
+    sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(policy().accepted_from))}
     kept = tuple(c for c in last.choices if c.effect.id in sure or improves_held_out(left_out.gain[c.effect.id]))
     hits = chosen.hits
     unexplained = bool(hits) and (
-        max(hit.gain for hit in hits) > ACCEPTED_FROM or improves_held_out(left_out.structure)
+        max(hit.gain for hit in hits) > policy().accepted_from or improves_held_out(left_out.structure)
     )
     unexplained = unexplained or last.memory is not None
     if len(kept) == len(last.choices):
         return chosen, unexplained, ()
     dropped = tuple(dict.fromkeys(c.effect.id for c in last.choices if c not in kept))
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
+
+
+def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
+    """The fit again beside what is left, without the terms that the records do not require beside that."""
+    last = chosen.last
+    for one in left:
+        last.searcher.add_nuisance(one.extra)
+    last.searcher.limit_outliers(chosen.kept, last.noise)
+    kept = drop(last.searcher, chosen.kept, last.noise)
+    noise = last.searcher.fit_noise(kept, last.noise)
+    last.searcher.limit_outliers(kept, noise)
+    selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
+    return replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise))
+
+
+def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
+    """Whether what is left is small and of an effect's own columns: its form is not quite the machine's."""
+    shared = {"target_mm", "direction", campaign.survey.time_column}
+    return any(
+        set(left.columns) <= shared | set(term.needs)
+        and left.rms.value < policy().shape * float(np.std(term.error_um(campaign.columns)))
+        for term in chosen.fit.found
+    )
+
+
+def _misfit_note(left: LeftOver) -> str:
+    return f"{left.rms} µm RMS along {' × '.join(left.columns)} are left of an effect that was found: its form is not quite this"
+
+
+def _course_notes(chosen: Chosen) -> Iterator[str]:
+    """A note for each effect that follows a measured temperature where a course of the time since the start fits as well."""
+    last = chosen.last
+    kept = chosen.kept
+    survey = last.searcher.linear.campaign.survey
+    for i, choice in enumerate(kept):
+        name = choice.form.inputs[0] if choice.form.inputs else ""
+        courses = [
+            course
+            for form in choice.effect.forms(survey)
+            if name in survey.temperatures
+            and is_since_start(form)
+            and is_about_a_point(form) == is_about_a_point(choice.form)
+            for course in grid_choices(choice.effect, form)
+        ]
+        if not courses:
+            continue
+        projection = last.searcher.projection(last.noise, last.searcher.extra([*kept[:i], *kept[i + 1 :]]))
+        gains, _ = score_choices(projection, [choice, *courses])
+        behind = float(gains[0]) - choice.form.log_odds - float(np.max(gains[1:] - courses[0].form.log_odds))
+        if behind < policy().as_well:
+            yield (
+                f"{choice.effect.id} follows {name}, and a course of the time since the start fits these rows as well (log odds"
+                f" {behind:.1f}): the correction follows the temperature, which was measured; another warm-up tells the two apart"
+            )
 
 
 def refitted_without(chosen: Chosen, effects: Collection[str]) -> Chosen:
@@ -146,7 +260,8 @@ def refitted_without(chosen: Chosen, effects: Collection[str]) -> Chosen:
 def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, ...]:
     findings: list[Finding] = []
     named: set[str] = set()
-    for term in chosen.fit.found:
+    free = {choice.effect.id for choice in chosen.selections[0].choices}
+    for term in sorted(chosen.fit.found, key=lambda one: -float(np.std(one.error_um(columns)))):
         effect = term.effect
         if effect.id in named:
             continue
@@ -155,11 +270,25 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, .
         rivals = [
             RivalFound(name, weight, _separate_by(effect, name))
             for name, weight in weights.items()
-            if name != effect.id and weight > LEAST_CONFIDENCE
+            if name != effect.id and weight > policy().least_confidence
         ]
-        rms = float(np.std(term.error_um(columns)))
-        findings.append(Finding(term, weights.get(effect.id, 1.0), effect.explain(term), tuple(rivals), rms))
+        confidence = weights.get(effect.id, 1.0)
+        mine = [one for one in chosen.fit.found if one.effect.id == effect.id and one is not term]
+        more = tuple(sorted(mine, key=lambda one: -float(np.std(one.error_um(columns)))))
+        of_rows = np.sum([one.error_um(columns) for one in (term, *more)], axis=0)
+        rms, peak = float(np.std(of_rows)), float(np.max(np.abs(of_rows - np.mean(of_rows))))
+        std = rms * _unsure_of_size(chosen, effect.id, of_rows) if more else rms_of_term(term, columns).std
+        findings.append(Finding(term, confidence, tuple(rivals), rms, std, peak, more, effect.id in free))
     return tuple(sorted(findings, key=lambda f: -f.rms_um))
+
+
+def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:
+    """Relative standard uncertainty of the size of a course of the rows (n,), µm, beside table and other effects, its form given."""
+    last = chosen.last
+    others = [choice for choice in chosen.kept if choice.effect.id != effect]
+    projection = last.searcher.projection(last.noise, last.searcher.extra(others))
+    normal, _ = projection.normal(of_rows[:, None])
+    return chosen.fit.white_um / math.sqrt(max(float(normal[0, 0]), 1e-300))
 
 
 def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
@@ -173,7 +302,7 @@ def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
                 odds = {r.effect: r.evidence - top for r in stage.ranking}
                 if effect in selected.foreign:
                     odds[OUTSIDE] = selected.foreign[effect].log_odds
-                raw = {name: math.exp(max(value / TEMPERATURE, -40.0)) for name, value in odds.items()}
+                raw = {name: math.exp(max(value / policy().temperature, -40.0)) for name, value in odds.items()}
                 total = sum(raw.values())
                 return {name: value / total for name, value in raw.items()}
     return {}
@@ -204,12 +333,21 @@ def _separate_by(effect: Effect, rival: str) -> str:
 
 
 def _carriers(
-    chosen: Chosen, doubtful: Mapping[str, Term], structures: Sequence[StructureEstimate], campaign: CampaignRows
+    chosen: Chosen,
+    doubtful: Mapping[str, Term],
+    structures: Sequence[StructureEstimate],
+    left: Sequence[LeftOver],
+    campaign: CampaignRows,
 ) -> Iterator[Carrier]:
-    """doubtful: the terms of findings that a cause outside the catalogue explains better than their own effect."""
+    """doubtful: the terms of findings that a cause outside the catalogue explains better than their own effect
+
+    What is left of any form counts before the structures, which were found on the way and are in it.
+    """
     last = chosen.last
-    sizes_um = sizes(last.searcher, chosen.hits, chosen.kept, last.noise)
-    for structure, size_um in zip(structures, sizes_um, strict=True):
+    for one in left:
+        yield Carrier(one.columns, one.rms, one.probability, one.equivalent)
+    sizes_um = () if left else sizes(last.searcher, chosen.hits, chosen.kept, last.noise)
+    for structure, size_um in zip(() if left else structures, sizes_um, strict=True):
         yield Carrier(structure.columns, size_um, structure.probability)
     for selected in chosen.selections:
         for effect, foreign_structure in selected.foreign.items():
@@ -226,5 +364,5 @@ def _blind(problem: Problem) -> tuple[Blind, ...]:
     return tuple(
         Blind(name, f"only {100 * share:.2g} % of it is left beside the table")
         for name, share in problem.visible.items()
-        if share < BLIND and name not in seen
+        if share < policy().blind and name not in seen
     )

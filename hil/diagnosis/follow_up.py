@@ -1,6 +1,7 @@
 """A diagnosis with all its rivals, those that the records show and those hidden in them, and the measurement that
 separates each.
 
+`diagnosed` is the only way from records to a verdict: command, screen, loop and demo call it with all columns of the rows.
 `hil.diagnosis.verdict.hypotheses` weighs the causes, `hil.diagnosis.next.next_measurement` the runs.
 """
 
@@ -13,13 +14,17 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
-from hil.diagnosis.next.next_measurement import LEAST, Outlook, Prospect, outlook
+from hil.diagnosis.campaign import columns_of
+from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.next.next_measurement import Outlook, Prospect, outlook
 from hil.diagnosis.next.planned_run import Means, PlannedRun
+from hil.diagnosis.policy import policy
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
 from hil.diagnosis.verdict.hypotheses import weigh
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
-from hil.records.rows import Records
+from hil.effects.user_effects import check_on
+from hil.records.rows import UM_PER_MM, Records
 
 MOST_ROWS = 3000
 """Rows beyond which runs are left out of the weighing: rivals differ in form, which more rows do not change."""
@@ -70,6 +75,33 @@ class FollowUp:
         }
 
 
+def diagnosed(
+    records: Records,
+    declared: Model | None,
+    effects: Sequence[Effect] = ALL,
+    *,
+    means: Means | None = None,
+    pitches_mm: tuple[float, ...] = (),
+    non_parametric: bool = False,
+    made: Sequence[str] = (),
+    seed: int = 0,
+) -> FollowUp:
+    """Diagnoses records, weighs the rivals of what is found, and finds the next measurement.
+
+    declared: the model in force, None: a table fitted from the records; means: of the axis, None: as far as the records show them,
+    with periods of its mechanics in pitches_mm; non_parametric: also correct the unexplained part; made, seed: as in `follow_up`
+    Raises InputError for records that cannot be diagnosed, and where a correction without a cause is refused.
+    """
+    check_on(effects, records.columns)
+    diagnosis = diagnose(records, declared, effects=effects)
+    if non_parametric:
+        if isinstance(diagnosis.non_parametric, str):
+            raise InputError(f"--non-parametric is refused: {diagnosis.non_parametric}")
+        diagnosis = diagnosis.non_parametric
+    known = means_of_records(records, pitches_mm) if means is None else means
+    return follow_up(diagnosis, records, declared, known, effects=effects, made=made, seed=seed)
+
+
 def follow_up(
     diagnosis: Diagnosis,
     records: Records,
@@ -95,11 +127,10 @@ def follow_up(
         if index >= MOST_FINDINGS:
             findings.append(finding)
             continue
-        beside = [other.term for other in diagnosis.findings if other is not finding]
+        beside = [term for other in diagnosis.findings if other is not finding for term in other.terms]
         try:
-            look = outlook(
-                sample, declared, means, effects=effects, beside=beside, persons=persons, made=made, seed=seed
-            )
+            rows, base = _against(finding, sample, declared)
+            look = outlook(rows, base, means, effects=effects, beside=beside, persons=persons, made=made, seed=seed)
         except InputError:  # too few rows to weigh anything
             findings.append(finding)
             continue
@@ -125,11 +156,24 @@ def ruled_out(
     if asked.finding is None:
         return set()
     finding = asked.finding
-    beside = [other.term for other in asked.diagnosis.findings if other is not finding]
-    weight = {cause.id: cause.weight for cause in weigh(thinned(records), declared, effects, beside)}
+    beside = [term for other in asked.diagnosis.findings if other is not finding for term in other.terms]
+    rows, base = _against(finding, thinned(records), declared)
+    weight = {cause.id: cause.weight for cause in weigh(rows, base, effects, beside)}
     suspects = {finding.effect, *(rival.effect for rival in finding.rivals if rival.effect in weight)}
-    left = {name for name in suspects if weight.get(name, 0.0) >= LEAST}
+    left = {name for name in suspects if weight.get(name, 0.0) >= policy().least_confidence}
     return suspects - left if left else set()
+
+
+def _against(finding: Finding, records: Records, declared: Model | None) -> tuple[Records, Model | None]:
+    """Rows and model against which the rivals of a finding are weighed: as it was found.
+
+    What varies beside any table is weighed beside a table fitted from the rows, without the declared terms. Raises InputError where a
+    declared term lacks a column.
+    """
+    if declared is None or not finding.beside_any_table:
+        return records, declared
+    known_um = sum((term.error_um(columns_of(records)) for term in declared.terms), np.zeros(len(records)))
+    return records.with_column("measured_mm", records["measured_mm"] - known_um / UM_PER_MM), None
 
 
 def _with_rivals(finding: Finding, look: Outlook) -> Finding:

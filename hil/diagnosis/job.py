@@ -9,19 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import InputError
 from hil.app.report.data import NamedCampaign
 from hil.app.report.views import View, finding_view, position_view
+from hil.app.terminal.records_input import read_parts
 from hil.axis.axis_file import AxisConfig
-from hil.diagnosis import Diagnosis, diagnose
-from hil.diagnosis.follow_up import FollowUp, follow_up, means_of_records
+from hil.diagnosis import Diagnosis
+from hil.diagnosis.follow_up import FollowUp, diagnosed
 from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.stored import sources
-from hil.effects import Effect
-from hil.effects.model import Model
-from hil.effects.user_effects import attributing_errors, catalogue_with, check_on
-from hil.records.files import read_text, replace_file
-from hil.records.rows import Floats, Records, concatenate, parse_csv
+from hil.diagnosis.verdict.hypotheses import joined
+from hil.effects.user_effects import attributing_errors, catalogue_with
+from hil.records.files import replace_file
+from hil.records.rows import Floats, Records
 
 MOST_POINTS = 1200
 """Most points of one plotted curve."""
@@ -34,33 +33,19 @@ def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
     """Diagnoses passes of one campaign together, as `hil diagnose` does, and writes the result. Raises InputError."""
     effects = catalogue_with()
     with attributing_errors(effects):
-        records = concatenate([parse_csv(read_text(path), path) for path in paths])
+        records = read_passes(paths)
         follow = diagnosed(records, None, effects, pitches_mm=(axis.scaling.feed_mm_per_shaft_rev,))
     form = {**shown_diagnosis(follow, records), "sources": sources(paths)}
     replace_file(out, (json.dumps(form) + "\n").encode())
 
 
-def diagnosed(
-    records: Records,
-    declared: Model | None,
-    effects: Sequence[Effect],
-    *,
-    pitches_mm: tuple[float, ...] = (),
-    non_parametric: bool = False,
-) -> FollowUp:
-    """Diagnoses records, and finds the next measurement.
+def read_passes(paths: Sequence[str | Path], runs: tuple[int, ...] | None = None) -> Records:
+    """The rows of all files for a diagnosis: a column that a person sets and a file lacks had its first known level there.
 
-    declared: the model in force, None: a table fitted from the records; pitches_mm: periods of the axis's mechanics;
-    non_parametric: also correct the unexplained part
-    Raises InputError for records that cannot be diagnosed, and where a correction without a cause is refused.
+    Raises InputError as `read_parts`.
     """
-    check_on(effects, records.columns)
-    diagnosis = diagnose(records, declared, effects=effects)
-    if non_parametric:
-        if isinstance(diagnosis.non_parametric, str):
-            raise InputError(f"--non-parametric is refused: {diagnosis.non_parametric}")
-        diagnosis = diagnosis.non_parametric
-    return follow_up(diagnosis, records, declared, means_of_records(records, pitches_mm), effects=effects)
+    parts = read_parts(paths, runs)
+    return parts[0] if len(parts) == 1 else joined(parts)
 
 
 def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
@@ -87,7 +72,7 @@ def _along_position(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
     """Curves of the effects over position, evaluated between the rows too; {} where an effect reads more than position
     and direction.
     """
-    terms = [finding.term for finding in diagnosis.findings]
+    terms = [term for finding in diagnosis.findings for term in finding.terms]
     if not terms or any(set(term.needs) - {"target_mm", "direction"} for term in terms):
         return {}
     x = np.linspace(np.min(records.target_mm), np.max(records.target_mm), MOST_POINTS)

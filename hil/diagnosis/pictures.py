@@ -65,7 +65,7 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
     shown = np.arange(0, len(records), -(-len(records) // MOST_POINTS))
     findings = []
     for finding, plain in zip(diagnosis.findings, form["findings"], strict=True):
-        effect_um = finding.term.error_um(columns)
+        effect_um = np.sum([term.error_um(columns) for term in finding.terms], axis=0)
         effect_um = effect_um - np.mean(effect_um)
         name = _column(finding.term.needs, columns)
         plot = {

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.diagnosis.noise.repeats import PureError
 from hil.effects import Action, Estimate, Term
 from hil.effects.model import Model
 from hil.effects.non_parametric import without_cause
@@ -34,14 +37,42 @@ class RivalFound:
 class Finding:
     """An effect the declared model lacks.
 
-    confidence: share of the weight among all causes, 0 … 1; rms_um: of the effect over the rows of the campaign
+    confidence: share of the weight among all causes, 0 … 1
+    rms_um, rms_std_um, peak_um: what the effect contributes to these rows about its mean: RMS, its standard uncertainty, largest
+    more: further terms of the same effect
+    beside_any_table: it was found beside a table fitted from the rows; else only because the declared table lacks it
     """
 
     term: Term
     confidence: float
-    explanation: str
     rivals: tuple[RivalFound, ...] = ()
     rms_um: float = 0.0
+    rms_std_um: float = 0.0
+    peak_um: float = 0.0
+    more: tuple[Term, ...] = ()
+    beside_any_table: bool = True
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """All terms of the effect."""
+        return (self.term, *self.more)
+
+    @property
+    def summed(self) -> bool:
+        """Whether several terms are one course, of which only the sum is determined: then no parameter is stated but its size."""
+        return bool(self.more) and not self.term.effect.several
+
+    @property
+    def explanation(self) -> str:
+        """The cause in a sentence with figures."""
+        if not self.summed:
+            return " ".join(term.effect.explain(term) for term in self.terms)
+        size = Estimate(self.rms_um, self.rms_std_um)
+        return (
+            f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)} that no single form of the catalogue"
+            f" has, {size} µm RMS over these rows and {self.peak_um:.3g} µm at most; of its {len(self.terms)} parts only the"
+            " sum is determined."
+        )
 
     @property
     def effect(self) -> str:
@@ -60,8 +91,8 @@ class Finding:
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """The effect's parameters by name."""
-        return self.term.parameters
+        """The effect's parameters by name, as far as the rows determine them."""
+        return {"rms_um": Estimate(self.rms_um, self.rms_std_um)} if self.summed else self.term.parameters
 
 
 @dataclass(frozen=True)
@@ -69,20 +100,23 @@ class Carrier:
     """Columns that an unexplained residual follows, and the probability of as much in noise.
 
     rms: of the part that follows them over the rows, µm: as far as a smooth function of the columns represents it,
-    beside table and effects
+    beside table and effects; equivalent: columns that moved together with one of these, so that either may carry it
     """
 
     columns: tuple[str, ...]
     rms: Estimate
     probability: float
+    equivalent: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return f"{' × '.join(self.columns)} ({self.rms} µm RMS)"
+        named = (" or equivalent ".join((name, *self.equivalent.get(name, ()))) for name in self.columns)
+        return f"{' × '.join(named)} ({self.rms} µm RMS)"
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {
             "columns": list(self.columns),
+            "or_equivalent": {name: list(alike) for name, alike in self.equivalent.items()},
             "rms_um": self.rms.value,
             "rms_std_um": self.rms.std,
             "probability": self.probability,
@@ -103,6 +137,33 @@ class Figures:
 
 
 @dataclass(frozen=True)
+class NoiseParts:
+    """The noise as its model has it, standard deviations in µm: from row to row, with memory (over `memory_rows` rows), and of
+    the offsets of the runs. A cause that nothing explains is in these figures; it is not in the pure error.
+    """
+
+    white_um: float
+    memory_um: float
+    memory_rows: float
+    run_offset_um: float
+
+    @property
+    def within_run_um(self) -> float:
+        """Within a run, all together."""
+        return math.hypot(self.white_um, self.memory_um)
+
+    def to_json(self) -> dict[str, float]:
+        """Plain values."""
+        return {
+            "white_um": self.white_um,
+            "memory_um": self.memory_um,
+            "memory_rows": self.memory_rows,
+            "run_offset_um": self.run_offset_um,
+            "within_run_um": self.within_run_um,
+        }
+
+
+@dataclass(frozen=True)
 class Blind:
     """An effect this campaign cannot show, and why."""
 
@@ -114,7 +175,7 @@ class Blind:
 class Diagnosis:
     """The result.
 
-    noise_floor: repeatability of the machine and instrument, standard deviation in µm with its uncertainty
+    pure_error: the noise floor, from true repeats; None where the records have none; noise: as the model has it
     declared: the model before (fitted from the records or given); extended: with the effects found, refitted jointly
     before_um, after_um: held-out residual of each row with either model, shape (n,)
     setup_um: after, with the instrument effects removed too
@@ -123,7 +184,8 @@ class Diagnosis:
     there is none
     """
 
-    noise_floor: Estimate
+    pure_error: PureError | None
+    noise: NoiseParts
     declared: Model
     extended: Model
     findings: tuple[Finding, ...]
@@ -152,9 +214,13 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object of `hil diagnose`, plain values."""
+        floor = self.pure_error
         return {
-            "noise_floor_um": self.noise_floor.value,
-            "noise_floor_std_um": self.noise_floor.std,
+            "noise_floor_um": None if floor is None else floor.std_um.value,
+            "noise_floor_std_um": None if floor is None else floor.std_um.std,
+            "noise_floor_dof": 0 if floor is None else floor.dof,
+            "noise_floor_from": None if floor is None else floor.how,
+            "noise": self.noise.to_json(),
             "declared": self.declared.declared,
             "findings": [_finding(finding) for finding in self.findings],
             "unexplained": self.unexplained,
@@ -186,6 +252,8 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "action": finding.action.value,
         "explanation": finding.explanation,
         "rms_um": finding.rms_um,
+        "rms_std_um": finding.rms_std_um,
+        "peak_um": finding.peak_um,
         "rivals": [
             {"effect": r.effect, "confidence": r.confidence, "separate_by": r.separate_by} for r in finding.rivals
         ],

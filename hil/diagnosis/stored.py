@@ -22,6 +22,12 @@ def measurement_of(stem: str) -> str:
     return stem if match is None else match[1]
 
 
+def pass_number(stem: str) -> int:
+    """Number of a pass within its measurement, 0 for one that has none."""
+    name = measurement_of(stem)
+    return 0 if name == stem else int(stem.removeprefix(f"{name}-"))
+
+
 def stored_beside(paths: Sequence[Path]) -> Path:
     """Path of the diagnosis of these passes of one campaign."""
     return paths[0].parent / f"{measurement_of(paths[0].stem)}{STORED}"

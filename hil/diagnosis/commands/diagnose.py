@@ -11,11 +11,11 @@ from hil.app.terminal.records_input import (
     add_records_argument,
     read_effects,
     read_model,
-    read_records,
 )
 from hil.axis.axis_file import load_axis
 from hil.diagnosis import Diagnosis
-from hil.diagnosis.job import diagnosed
+from hil.diagnosis.follow_up import diagnosed
+from hil.diagnosis.job import read_passes
 from hil.diagnosis.pictures import with_plots
 from hil.effects.user_effects import attributing_errors
 from hil.records.files import replace_file
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     effects = read_effects(args.effects)
     with attributing_errors(effects):
         declared = read_model(args.model, effects) if args.model else None
-        records = read_records(args.records, args.runs)
+        records = read_passes(args.records, args.runs)
         try:
             follow = diagnosed(
                 records, declared, effects, pitches_mm=_pitches(args.axis), non_parametric=args.non_parametric
@@ -91,12 +91,24 @@ def _pitches(axis: str | None) -> tuple[float, ...]:
     return () if axis is None else (load_axis(axis).scaling.feed_mm_per_shaft_rev,)
 
 
+def floor_text(diagnosis: Diagnosis) -> str:
+    """The pure error with its degrees of freedom, beside the noise as the model has it."""
+    parts, floor = diagnosis.noise, diagnosis.pure_error
+    known = (
+        "no true repeats" if floor is None else f"{floor.std_um} µm from {floor.how}, {floor.dof} degrees of freedom"
+    )
+    return (
+        f"{known}; in the model {parts.white_um:.3g} µm from row to row, {parts.memory_um:.3g} µm with memory,"
+        f" {parts.run_offset_um:.3g} µm from run to run"
+    )
+
+
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Prints the result on standard output."""
     before, after = diagnosis.before, diagnosis.after
     print_facts(
         {
-            "noise floor": f"{diagnosis.noise_floor} µm",
+            "noise floor": floor_text(diagnosis),
             "declared": ", ".join(diagnosis.declared.declared),
             "before": f"{before.rms_um:.3f} µm RMS, {before.peak_um:.3f} µm at most (held out, {diagnosis.held_out})",
             "after": f"{after.rms_um:.3f} µm RMS, {after.peak_um:.3f} µm at most",

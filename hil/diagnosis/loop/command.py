@@ -152,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
             {
                 "axis": axis.name,
                 "stages": stages,
-                "diagnosis": loop.turn.diagnosis.to_json() if loop.turn.follow is None else loop.turn.follow.to_json(),
+                "diagnosis": loop.turn.follow.to_json(),
                 "further": [run.describe() for run in loop.turn.further],
                 "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
                 "latency": _measured_latency(loop),
@@ -205,8 +205,6 @@ def print_runs(turn: Turn) -> None:
     for run in turn.further:
         print(f"measured to tell causes apart: {run.describe()}")
     follow = turn.follow
-    if follow is None:
-        return
     for finding in follow.diagnosis.findings:
         if finding.effect in follow.undecided:
             for rival in finding.rivals:

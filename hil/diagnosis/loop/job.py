@@ -13,7 +13,6 @@ from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.app.report.views import label_of
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import SealedStore
-from hil.diagnosis.follow_up import FollowUp
 from hil.diagnosis.job import shown_diagnosis
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, Looped, loop_plan
 from hil.diagnosis.loop.jobs.stored import turn_is_good
@@ -105,8 +104,7 @@ def run_loop(
     loop = close_loop(machine.session, campaign, axis.correction, save, listener, turning=turning)
     for name, turn in (("before", loop.turn), ("motion-before", loop.in_motion)):
         if turn is not None:
-            follow = turn.follow or FollowUp(turn.diagnosis, None, None, ())
-            campaign.write(f"{name}{STORED}", json.dumps(shown_diagnosis(follow, turn.diagnosed)).encode())
+            campaign.write(f"{name}{STORED}", json.dumps(shown_diagnosis(turn.follow, turn.diagnosed)).encode())
     campaign.finish()
     return loop
 
@@ -146,8 +144,8 @@ def loop_stages(loop: Loop) -> dict[str, dict[str, Any]]:
 
 def loop_is_good(loop: Loop) -> bool:
     """Everything is explained, no measurement waits for a person, and the axis measured no worse than before."""
-    follow = loop.turn.follow
-    waits = follow is not None and follow.run is not None and bool(follow.run.person)
+    run = loop.turn.follow.run
+    waits = run is not None and bool(run.person)
     turns = [loop.turn] if loop.in_motion is None else [loop.turn, loop.in_motion]
     return not waits and all(_turn_is_good(turn) for turn in turns)
 
@@ -155,4 +153,4 @@ def loop_is_good(loop: Loop) -> bool:
 def _turn_is_good(turn: Turn) -> bool:
     before, after = error_figures(turn.before)["rms_um"], error_figures(turn.after)["rms_um"]
     found = turn.diagnosis
-    return turn_is_good(before, after, found.noise_floor.value, unexplained=found.unexplained)
+    return turn_is_good(before, after, found.noise.within_run_um, unexplained=found.unexplained)

@@ -28,9 +28,10 @@ from hil.calibration.latency import dated
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet
 from hil.diagnosis import Diagnosis, diagnose
-from hil.diagnosis.follow_up import FollowUp, follow_up, ruled_out
+from hil.diagnosis.follow_up import FollowUp, diagnosed, follow_up, ruled_out
 from hil.diagnosis.loop.next_run import means_of, measure_run
 from hil.diagnosis.next.planned_run import PlannedRun
+from hil.diagnosis.policy import policy
 from hil.diagnosis.verdict.hypotheses import joined
 from hil.effects import ALL, Effect
 from hil.effects.base import Term
@@ -93,8 +94,13 @@ def issuable(session: AxisSession, records: Records) -> Records:
 
     An effect that reads such a column could be fitted, but not put into force.
     """
-    known = {*session.known(), *REQUIRED, "command_mm", "since_reversal_mm", "stroke_mm"}
+    known = issuable_columns(session)
     return Records.of({name: values for name, values in records.columns.items() if name in known})
+
+
+def issuable_columns(session: AxisSession) -> set[str]:
+    """Names of the columns that are known when a set-point is issued, and of those that every record has."""
+    return {*session.known(), *REQUIRED, "command_mm", "since_reversal_mm", "stroke_mm"}
 
 
 Store = Callable[[Compensation], None]
@@ -103,8 +109,6 @@ Consent = Callable[[PlannedRun], bool]
 
 MOST_RUNS = 2
 """Most further measurements in one turn."""
-SURE = 0.95
-"""Confidence of the first finding from which no further run is made."""
 
 
 @dataclass(frozen=True)
@@ -132,17 +136,21 @@ class Turn:
     before: explored with the old compensation in force; after: explored again with the extended one
     diagnosed: the rows of the diagnosis, those before and those of the further runs
     further: runs made to separate causes; follow: the last diagnosis with the remaining rivals and what would separate
-    them, None where rivals were not examined; latency: of the instrument, where it was measured for this turn
+    them; latency: of the instrument, where it was measured for this turn
     """
 
     before: Records
-    diagnosis: Diagnosis
+    follow: FollowUp
     extended: Compensation
     after: Records
     diagnosed: Records
     further: tuple[PlannedRun, ...] = ()
-    follow: FollowUp | None = None
     latency: Latency | None = None
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The verdict, with all its rivals."""
+        return self.follow.diagnosis
 
 
 @dataclass(frozen=True)
@@ -199,14 +207,15 @@ def turn_loop(
     how = turning or Turning()
     runs = [how.plan or plan_runs(session, how.exploration, seed) for seed in (1, 2)]
     before = explore(session, campaign, "before", runs[0], listener)
-    diagnosis, rows, further, follow = _decide(session, campaign, before, how, listener)
+    follow, rows, further = decide(session, campaign, before, how, listener)
+    correction = correction_of(session, follow.diagnosis, rows, effects=how.effects, computing=how.computing)
     extended = session.compensation or Compensation(tables)
-    if diagnosis.recommended:
-        extended = bounded(session, diagnosis.extended, tables, rows)
+    if correction.recommended:
+        extended = bounded(session, correction.extended, tables, rows)
         store(extended)
     session.compensation = extended
     after = explore(session, campaign, "after", runs[1], listener)
-    return Turn(before, diagnosis, extended, after, rows, further, follow)
+    return Turn(before, follow, extended, after, rows, further)
 
 
 def turn_in_motion(
@@ -231,27 +240,55 @@ def turn_in_motion(
     passes = [plan_passes(session, how, seed) for seed in (1, 2)]
     before = measure_in_motion(session, campaign, "motion-before", passes[0], how=how, listener=listener)
     listener(Event("diagnose"))
-    rows = issuable(session, before)
-    diagnosis = computing(session, partial(diagnose, rows, model_of(compensation), effects=effects))
+    declared = model_of(compensation)
+    follow = unasked(computing(session, partial(diagnosed, before, declared, effects, means=means_of(session))))
     extended = compensation
-    if diagnosis.recommended:
-        extended = bounded(session, diagnosis.extended, compensation.tables, rows)
+    correction = correction_of(
+        session, follow.diagnosis, before, declared=declared, effects=effects, computing=computing
+    )
+    if correction.recommended:
+        extended = bounded(session, correction.extended, compensation.tables, before)
         store(extended)
     session.compensation = extended
     after = measure_in_motion(session, campaign, "motion-after", passes[1], how=how, listener=listener)
-    return Turn(before, diagnosis, extended, after, rows, latency=latency)
+    return Turn(before, follow, extended, after, before, latency=latency)
 
 
-def _decide(
+def unasked(follow: FollowUp) -> FollowUp:
+    """The verdict with its rivals, where no further measurement was asked for."""
+    return replace(follow, finding=None, prospect=None)
+
+
+def correction_of(
+    session: AxisSession,
+    diagnosis: Diagnosis,
+    rows: Records,
+    *,
+    declared: Model | None = None,
+    effects: Sequence[Effect],
+    computing: Computing,
+) -> Diagnosis:
+    """The diagnosis whose extended model goes into force: that of the verdict itself.
+
+    Where an effect of the verdict reads a column that is not known when a set-point is issued, it is a diagnosis of the other columns;
+    the verdict stays that of all.
+    """
+    known = issuable_columns(session)
+    if all(name in known for term in diagnosis.extended.terms for name in term.needs):
+        return diagnosis
+    return computing(session, partial(diagnose, issuable(session, rows), declared, effects=effects))
+
+
+def decide(
     session: AxisSession, campaign: Campaign, before: Records, how: Turning, listener: Listener
-) -> tuple[Diagnosis, Records, tuple[PlannedRun, ...], FollowUp | None]:
+) -> tuple[FollowUp, Records, tuple[PlannedRun, ...]]:
     """Diagnoses; while a run can separate remaining causes, makes the run and diagnoses all rows together.
 
     Rows of unlike campaigns weigh differently on every cause, so a new search over all of them could change its result
     without reason. The question of a run is therefore decided first, by the weights of just the causes it was to
     separate; rejected causes are excluded from the next search.
     """
-    parts = [issuable(session, before)]
+    parts = [before]
     means = means_of(session)
     effects = tuple(how.effects)
     computing = partial(how.computing, session)
@@ -259,23 +296,23 @@ def _decide(
     while True:
         listener(Event("diagnose"))
         rows = joined(parts) if further else parts[0]
-        diagnosis = computing(partial(diagnose, rows, effects=effects))
-        if how.most_further == 0:
-            return diagnosis, rows, (), None
         refused = [run.name for run in further]
-        weighing = partial(follow_up, diagnosis, rows, None, means, effects=effects, seed=len(further))
-        follow = asked = computing(partial(weighing, made=refused))
-        run = asked.run if len(further) < how.most_further and _in_doubt(diagnosis) else None
+        examining = partial(diagnosed, rows, None, effects, means=means, made=refused, seed=len(further))
+        follow = asked = computing(examining)
+        if how.most_further == 0:
+            return unasked(follow), rows, ()
+        weighing = partial(follow_up, follow.diagnosis, rows, None, means, effects=effects, seed=len(further))
+        run = asked.run if len(further) < how.most_further and _in_doubt(follow.diagnosis) else None
         while run is not None and run.person and not (how.consent is not None and how.consent(run)):
             refused.append(run.name)
             asked = computing(partial(weighing, made=refused, persons=how.consent is not None))
             run = asked.run
         if run is None:
-            return follow.diagnosis, rows, tuple(further), follow
+            return follow, rows, tuple(further)
         further.append(run)
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
-        parts.append(issuable(session, measured))
+        parts.append(measured)
         gone = computing(partial(ruled_out, asked, joined(parts), None, effects=effects))
         effects = tuple(effect for effect in effects if effect.id not in gone)
 
@@ -286,4 +323,4 @@ def _in_doubt(diagnosis: Diagnosis) -> bool:
     A small further finding in doubt does not justify a run, since rows of another kind affect everything fitted to all
     of them together.
     """
-    return bool(diagnosis.findings) and diagnosis.findings[0].confidence < SURE
+    return bool(diagnosis.findings) and diagnosis.findings[0].confidence < policy().decided

@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
 from hil.diagnosis.verdict.hypotheses import unseen_causes
 from hil.effects import ALL, Effect, Form
@@ -30,8 +31,6 @@ LEAST_REPEATS = 8
 """Degrees of freedom of the noise floor below which it is uncertain by more than a quarter."""
 NEAR_MM = 0.02
 """Targets closer than this are one target repeated."""
-BLIND = 0.01
-"""Share of an effect's norm beside the table below which the campaign cannot show it."""
 ALIKE = 0.95
 """Canonical correlation above which two effects cannot be separated."""
 IN_STEP = 0.9
@@ -87,7 +86,7 @@ def check_campaign(
         repeats = repeats_of(campaign)
         projection = _projection(campaign)
         parts = {effect.id: _parts(campaign, projection, effect) for effect in effects}
-        visible = tuple(name for name, part in parts.items() if part is not None and part.share >= BLIND)
+        visible = tuple(name for name, part in parts.items() if part is not None and part.share >= policy().blind)
         gaps = [
             *_repeat_gap(repeats),
             *_pitch_gaps(campaign, pitches_mm or COMMON_MM, pitches_mm),
@@ -134,7 +133,7 @@ def _parts(campaign: CampaignRows, projection: Projection, effect: Effect) -> _P
             columns = choice.columns(campaign)
             rest, share = _beside(projection, columns)
             best = max(best, share)
-            if share >= BLIND and not form.shrunk:
+            if share >= policy().blind and not form.shrunk:
                 kept.append((form, rest))
     return _Part(best, tuple(kept)) if forms else None
 
@@ -188,7 +187,7 @@ def _order_gap(campaign: CampaignRows) -> list[Gap]:
 
 
 def _blind_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
-    shares = {name: part.share for name, part in parts.items() if part is not None and part.share < BLIND}
+    shares = {name: part.share for name, part in parts.items() if part is not None and part.share < policy().blind}
     if not shares:
         return []
     what = f"{', '.join(shares)}: at most {100 * max(shares.values()):.1g} % of each is left beside the table, which takes it in"
@@ -200,7 +199,7 @@ def _missing_gaps(campaign: CampaignRows, effects: Sequence[Effect], parts: dict
     wanted: dict[str, dict[str, None]] = {}
     for unseen in unseen_causes(campaign, effects):
         part = parts[unseen.effect.id]
-        if part is None or part.share < BLIND:
+        if part is None or part.share < policy().blind:
             wanted.setdefault(unseen.effect.id, {})[unseen.column] = None
     moving = replace(
         campaign.survey, varying=campaign.survey.varying | {MOTION}, mean={**campaign.survey.mean, MOTION: 1.0}

@@ -18,15 +18,12 @@ from threadpoolctl import threadpool_limits
 from hil.diagnosis.next.continuation import Continuation
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means, PlannedRun
+from hil.diagnosis.policy import policy
 from hil.diagnosis.verdict.hypotheses import Hypothesis, weigh
 from hil.effects import ALL, Effect, Term
 from hil.effects.model import Model
 from hil.records.rows import Records
 
-DECIDED = 0.95
-"""Weight of a cause from which no further measurement is made."""
-LEAST = 0.02
-"""Weight below which a cause no longer counts as a rival."""
 ENOUGH = 30.0
 """Discrimination Σ(f₁ - f₂)²/σ² beyond which two causes are separated and more has no value."""
 WORTHLESS = 6.0
@@ -59,12 +56,12 @@ class Outlook:
     @property
     def decided(self) -> bool:
         """One cause has enough weight."""
-        return bool(self.causes) and self.causes[0].weight >= DECIDED
+        return bool(self.causes) and self.causes[0].weight >= policy().decided
 
     @property
     def rivals(self) -> tuple[Hypothesis, ...]:
-        """Every cause of at least `LEAST` weight, the likeliest first."""
-        return tuple(cause for cause in self.causes if cause.weight >= LEAST)
+        """Every cause of at least the least weight, the likeliest first."""
+        return tuple(cause for cause in self.causes if cause.weight >= policy().least_confidence)
 
     @property
     def best(self) -> Prospect | None:
@@ -98,8 +95,8 @@ def outlook(
     """
     with threadpool_limits(1, "blas"):
         causes = weigh(records, declared, effects, beside)
-        left = [cause for cause in causes if cause.weight >= LEAST]
-        if len(left) < 2 or left[0].weight >= DECIDED:
+        left = [cause for cause in causes if cause.weight >= policy().least_confidence]
+        if len(left) < 2 or left[0].weight >= policy().decided:
             return Outlook(causes, ())
         runs = feasible_runs(means, first_run=int(np.max(records.run)) + 1, seed=seed)
         runs = tuple(run for run in runs if (persons or not run.person) and run.name not in made)

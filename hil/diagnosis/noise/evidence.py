@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,29 +24,31 @@ from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dtrtri
 
 from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.policy import policy
 from hil.diagnosis.table import Shape, ShapeColumns, SplineShape
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.floating]
 Ints = NDArray[np.int64]
+Precision = TypeVar("Precision", np.float64, np.float32)
 
-MOST_OFFSET = 0.8
-"""Bound of the run offsets, in white standard deviations; a larger one is an effect, not noise."""
-PRIOR_OFFSET = 0.35
-"""Scale of the half-normal prior on the run offsets, in white standard deviations."""
 
 VARIANCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Variance ratios tried for a random effect of unit columns."""
 
 
+LONG_FROM = 0.8
+"""Correlation from one row to the next above which memory is long."""
+
+
 def prior_scale(rho: float) -> float:
     """Scale of the half-normal prior on `ar`: strong noise of long correlation is drift, and so an effect."""
-    return 1.2 if rho <= 0.8 else 0.35
+    return policy().short_memory if rho <= LONG_FROM else policy().long_memory
 
 
 def log_prior(ar: float, rho: float, offset: float) -> float:
     """Log prior of the parameters of a noise model, up to a constant."""
-    return -0.5 * (ar / prior_scale(rho)) ** 2 - 0.5 * (offset / PRIOR_OFFSET) ** 2
+    return -0.5 * (ar / prior_scale(rho)) ** 2 - 0.5 * (offset / policy().prior_offset) ** 2
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,16 @@ class TableColumns:
     offset: Floats
 
     @classmethod
-    def of(cls, campaign: CampaignRows, shape: Shape) -> TableColumns:
-        """The columns of a table shape at a campaign's rows."""
-        return cls(shape.columns(campaign.x, campaign.d), run_columns(campaign))
+    def of(cls, campaign: CampaignRows, shape: Shape, scale: Floats | None = None) -> TableColumns:
+        """The columns of a table shape at a campaign's rows, over the scale of each row's noise (n,) where it is given."""
+        columns, offset = shape.columns(campaign.x, campaign.d), run_columns(campaign)
+        if scale is None:
+            return cls(columns, offset)
+        s = scale[:, None]
+        return cls(
+            ShapeColumns(columns.free / s, columns.even / s, columns.odd / s, columns.given / s),
+            np.asarray(offset / s),
+        )
 
     @cached_property
     def stacked(self) -> Floats:
@@ -148,13 +158,14 @@ class Whitened:
         self.table = self.whiten(table.stacked)
         self.gram = self.table.T @ self.table
 
-    def whiten(self, columns: Floats) -> Floats:
-        """Columns (n, …) transformed so that the noise is white."""
+    def whiten(self, columns: NDArray[Precision]) -> NDArray[Precision]:
+        """Columns (n, …) transformed so that the noise is white; single precision stays single."""
         if self.ar == 0.0:
             return columns
-        out = np.empty_like(columns, dtype=np.float64)
+        out = np.empty_like(columns)
         for start, stop in pairwise(self._bounds):
-            out[start:stop] = self._inverse[int(stop - start)] @ columns[start:stop]
+            inverse = self._inverse[int(stop - start)].astype(columns.dtype, copy=False)
+            out[start:stop] = inverse @ columns[start:stop]
         return out
 
     def colour(self, white: Floats) -> Floats:
@@ -351,12 +362,15 @@ def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple
 
 
 class LinearCampaign:
-    """A campaign as a linear model: the shape of its table, its columns, and the whitenings made so far."""
+    """A campaign as a linear model: the shape of its table, its columns, and the whitenings made so far.
 
-    def __init__(self, campaign: CampaignRows, shape: Shape | None = None) -> None:
+    scale: relative standard deviation of each row's noise, (n,); errors and columns beside the table are to be given over it
+    """
+
+    def __init__(self, campaign: CampaignRows, shape: Shape | None = None, scale: Floats | None = None) -> None:
         self.campaign = campaign
         self.shape: Shape = SplineShape(campaign.basis) if shape is None else shape
-        self.table = TableColumns.of(campaign, self.shape)
+        self.table = TableColumns.of(campaign, self.shape, scale)
         self._whitened: dict[tuple[float, float], Whitened] = {}
 
     @property

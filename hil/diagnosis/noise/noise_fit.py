@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 
-from hil.diagnosis.noise.evidence import MOST_OFFSET, Extra, LinearCampaign, Noise, log_prior
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, log_prior
+from hil.diagnosis.policy import policy
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +71,7 @@ class Profile:
         values = v.tolist()
         even = math.exp(min(max(values.pop(0), -20.0), 20.0)) if self.smooth else self.start.even
         odd = math.exp(min(max(values.pop(0), -20.0), 20.0)) if self.smooth_odd else self.start.odd
-        offset = min(math.exp(max(values.pop(0), -6.0)), MOST_OFFSET) if self.offsets else self.start.offset
+        offset = min(math.exp(max(values.pop(0), -6.0)), policy().most_offset) if self.offsets else self.start.offset
         return even, odd, offset
 
     def log_evidence(self, v: Floats) -> float:

@@ -34,19 +34,32 @@ UNITS = {
 """Unit by the end of a parameter's name, longer ends first."""
 
 
+BOUND = re.compile(r"(least|most)_(.+)")
+"""A parameter of which the rows determine only a bound."""
+
+
 def sentence(t: Texts, finding: ShownFinding) -> str:
     """The finding in one sentence, with figures and units."""
     form = re.sub(r"\W+", "_", finding.form)
-    keys = [f"explain.{finding.effect}.{last}" for last in (form, "any")]
+    known = {name for name, _, _ in finding.parameters}
+    effect = "summed" if known == {"rms_um"} else finding.effect
+    keys = [f"explain.{effect}.{last}" for last in (form, "any")]
     key = next((one for one in keys if finding.form and one in t), None)
     if key is None:
         return finding.explanation
     inputs = [t.said(name) for name in finding.inputs]
     places: dict[str, str] = {"input": inputs[0] if inputs else "–", "inputs": " · ".join(inputs)}
     places["rms"] = t.estimate(finding.rms_um, None, "µm")
+    bounds: dict[str, list[str]] = {}
     for name, value, std in finding.parameters:
         stem, unit = _split(t, name)
+        if match := BOUND.fullmatch(stem):
+            bounds.setdefault(match[2], []).append(t(f"bound.{match[1]}", value=t.estimate(value, None, unit)))
         places[stem] = t.estimate(value, std, unit)
+    places |= {stem: ", ".join(parts) for stem, parts in bounds.items()}
+    if "amount_at_shortest_travel" in places:
+        seen, travel = places["amount_at_shortest_travel"], places["shortest_travel"]
+        places["amount"] = t("bound.at_travel", amount=seen, travel=travel)
     asked = {place for _, place, _, _ in Formatter().parse(t(key)) if place}
     return t(key, **places) if asked <= set(places) else finding.explanation
 
@@ -54,6 +67,9 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
 def parameter(t: Texts, name: str) -> str:
     """A parameter as a heading, such as "Period, mm"; one of a user's own effect by its own name."""
     stem, unit = _split(t, name)
+    if (bound := BOUND.fullmatch(stem)) and f"parameter.{bound[2]}" in t:
+        said = t(f"parameter.{bound[1]}", of=t(f"parameter.{bound[2]}"))
+        return f"{said}, {unit}" if unit else said
     match = re.fullmatch(r"(.+)_(\d+)", stem)
     key, number = (f"parameter.{match[1]}", match[2]) if match else (f"parameter.{stem}", "")
     if key not in t:

@@ -85,7 +85,11 @@ def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
     if (floor := value_of(diagnosis, "noise_floor_um")) is not None:
         spread = value_of(diagnosis, "noise_floor_std_um")
         plus = f" ± {markup.number(spread)}" if spread is not None else ""
-        facts.append(f"Noise floor from repeats: {markup.number(floor)}{plus} µm.")
+        dof = value_of(diagnosis, "noise_floor_dof")
+        freedom = f" ({dof:.0f} degrees of freedom)" if dof else ""
+        facts.append(f"Noise floor from repeats: {markup.number(floor)}{plus} µm{freedom}.")
+    elif (within := value_of(object_of(diagnosis.get("noise")), "within_run_um")) is not None:
+        facts.append(f"No true repeats; the model's noise within a run is {markup.number(within)} µm.")
     if declared := list_of(diagnosis.get("declared")):
         facts.append(f"Declared model: {', '.join(map(str, declared))}.")
     if held_out:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Projection, Whitened, bayes_factor, evidence_of_random
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import Choice, grid_choices
 from hil.effects import Effect, Form
 
@@ -25,8 +26,6 @@ MOST_BYTES = 120_000_000
 """Most bytes of whitened candidates that are cached."""
 NOTHING = 1e-24
 """Squared norm below which a column counts as zero; single precision could not divide by it."""
-BLIND = 0.01
-"""Share of a candidate's norm that must remain beside the table for the campaign to show it."""
 
 
 @dataclass(frozen=True)
@@ -177,10 +176,11 @@ class Scores:
     variance: Floats
 
 
-def score(projection: Projection, stack: Stack, *, blind: float = BLIND) -> Scores:
+def score(projection: Projection, stack: Stack, *, blind: float | None = None) -> Scores:
     """Scores every block by itself beside the projected columns. A block with less than `blind` of its norm remaining
-    gets -inf.
+    gets -inf; None: the policy's.
     """
+    blind = policy().blind if blind is None else blind
     blocks = stack.blocks
     w = stack.w
     cross = stack.cross

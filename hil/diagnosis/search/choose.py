@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import fit_noise
-from hil.diagnosis.search.candidates import BLIND, Candidates, enumerate_candidates, score
+from hil.diagnosis.policy import policy
+from hil.diagnosis.search.candidates import Candidates, enumerate_candidates, score
 from hil.diagnosis.search.fit import Choice, JointFit, Known, Setting, start_noise, static_part
 from hil.diagnosis.search.judge import FoldJudge, FoldStructureSearch, Hit, NullJudge, StructureSearch
 from hil.diagnosis.search.searcher import FULL, LIGHT, Searcher
@@ -57,7 +58,8 @@ def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Mode
     catalogue = structures(campaign)
     n = len(campaign)
     linear = LinearCampaign(campaign)
-    error = campaign.error_um if declared is None else campaign.error_um - declared.error_um(campaign.columns)
+    terms = () if declared is None else declared.terms
+    error = campaign.error_um - sum((term.error_um(campaign.columns) for term in terms), np.zeros(n))
     plain = fit_noise(linear, error, Extra.none(n), start_noise(campaign), correlations=((0.0, 0.0),))
     projection = linear.projection(plain, error)
     share = score(projection, candidates.stack(projection.whitened)).visible
@@ -66,9 +68,10 @@ def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Mode
         free = Setting(linear, error, Known.none(n))
         return Problem(campaign, free, candidates, catalogue, plain, visible, seed)
     noise_um = float(np.sqrt(projection.solve(np.zeros((n, 0))).variance))
+    lacking_um = campaign.error_um - declared.error_um(campaign.columns)
     known = Known.of(declared, campaign, noise_um)
     shape = DeclaredShape.of(declared.table, noise_um)
-    lacking = [e for e in effects if e.static or visible.get(e.id, 0.0) < BLIND]
+    lacking = [e for e in effects if e.static or visible.get(e.id, 0.0) < policy().blind]
     return Problem(
         campaign,
         Setting(linear, error, known),
@@ -78,7 +81,7 @@ def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Mode
         visible,
         seed,
         declared,
-        Setting(LinearCampaign(campaign, shape), error, known),
+        Setting(LinearCampaign(campaign, shape), lacking_um, known),
         enumerate_candidates(campaign, lacking),
         static_structures(campaign),
     )
@@ -157,8 +160,7 @@ def _fold_structure_search(catalogue: Catalogue, whole: Chosen, step: int) -> Fo
 
 def _second(problem: Problem, given: Setting, static: Candidates, first: Selected, out: Mask | None) -> Searcher:
     """The searcher against the declared table, with the part of the found effects that it may have absorbed."""
-    columns = first.searcher.extra(first.choices).free
-    setting = replace(given, static=static_part(problem.free.linear, columns))
+    setting = replace(given, static=static_part(problem.free.linear, first.choices))
     searcher = Searcher(setting, static, out, LIGHT if out is not None else FULL)
     searcher.nuisance = first.searcher.nuisance
     return searcher

@@ -14,6 +14,7 @@ from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projectio
 from hil.diagnosis.noise.noise_fit import fit_noise
 from hil.diagnosis.table import SplineShape, StaticPart
 from hil.effects import Action, Effect, Form, Term
+from hil.effects.base import slopes_of
 from hil.effects.model import Model, PitchTable
 from hil.records.rows import Records
 
@@ -21,6 +22,10 @@ Floats = NDArray[np.float64]
 
 START_ROUGHNESS = 300.0
 """Variance ratio of the table's roughness at which a noise fit starts."""
+ABSORBING = ((START_ROUGHNESS, 0.0), (START_ROUGHNESS, 1.0), (1.0, 0.0), (1e-3, 0.0))
+"""(roughness, run offset) of the tables that a declared one may be: rough with offsets and without, smooth, a straight line."""
+SAME_PART = 0.02
+"""Singular value, over the largest, below which two of them have absorbed the same."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,10 @@ class Choice:
 
     @property
     def log_prior(self) -> float:
-        """Log prior odds of its parameters."""
-        return sum(p.log_prior(value) for p, value in zip(self.form.nonlinear, self.theta, strict=True))
+        """Log prior odds of its form and parameters."""
+        return self.form.log_odds + sum(
+            p.log_prior(value) for p, value in zip(self.form.nonlinear, self.theta, strict=True)
+        )
 
     def as_term(self, coefficients: Floats, covariance: Floats | None = None) -> Term:
         """The term with coefficients (k,), and the covariance (k + t, k + t) of coefficients and parameters where it is
@@ -271,7 +278,7 @@ def _terms(
             at_free += width
     if posterior is None:
         return [choice.as_term(part) for choice, part in zip(choices, parts, strict=True)]
-    slopes = [_slopes(campaign, choice, part) for choice, part in zip(choices, parts, strict=True)]
+    slopes = [slopes_of(campaign.columns, choice, part) for choice, part in zip(choices, parts, strict=True)]
     normal, _ = projection.normal(np.hstack([np.zeros((len(campaign), 0)), *(extra.free for extra in extras), *slopes]))
     covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) * solution.variance
     terms: list[Term] = []
@@ -290,24 +297,30 @@ def _terms(
     return terms
 
 
-def static_part(linear: LinearCampaign, columns: Floats) -> StaticPart | None:
-    """The part of some columns (n, q) that the table of a free setting can hold; None without columns."""
-    if not columns.shape[1] or not isinstance(linear.shape, SplineShape):
+PITCH_SHAPE = "pitch_shape"
+
+
+def static_part(linear: LinearCampaign, choices: Sequence[Choice]) -> StaticPart | None:
+    """What a declared table may have absorbed of some choices, as orthogonal columns; None without choices.
+
+    Of one that varies besides position and direction: its parts in a table of these rows, however smooth that was fitted and with
+    run offsets or without. Of a static one only its part in a rough table: the rest of it is in any table of its kind. Of a pitch
+    shape nothing: it is a table itself, and it and its share would grow without bound against each other.
+    """
+    free = [choice for choice in choices if not choice.form.shrunk and choice.effect.id != PITCH_SHAPE]
+    if not free or not isinstance(linear.shape, SplineShape):
         return None
-    smooth = Noise(even=START_ROUGHNESS, odd=START_ROUGHNESS)
     w = linear.table.table_width
-    coefficients = [linear.projection(smooth, column).solve(columns[:, :0]).table[:w] for column in columns.T]
-    return StaticPart(linear.shape, np.column_stack(coefficients))
-
-
-def _slopes(campaign: CampaignRows, choice: Choice, coefficients: Floats) -> Floats:
-    """Derivative of the effect's error to its non-linear parameters, shape (n, t)."""
-    out = np.zeros((len(campaign), len(choice.theta)))
-    for i, value in enumerate(choice.theta):
-        step = 1e-4 * max(abs(value), 1e-9)
-        sides = []
-        for shifted in (value + step, value - step):
-            theta = (*choice.theta[:i], shifted, *choice.theta[i + 1 :])
-            sides.append(choice.effect.basis(choice.form, theta, campaign.columns) @ coefficients)
-        out[:, i] = (sides[0] - sides[1]) / (2 * step)
-    return out
+    none = np.zeros((len(linear.campaign), 0))
+    parts = [
+        linear.projection(Noise(even=roughness, odd=roughness, offset=offset), column).solve(none).table[:w]
+        for choice in free
+        for column in choice.columns(linear.campaign).T
+        for roughness, offset in (ABSORBING[:1] if choice.effect.static else ABSORBING)
+    ]
+    at_rows = linear.table.stacked[:, :w] @ np.column_stack(parts)
+    _, size, directions = np.linalg.svd(
+        at_rows / np.maximum(np.linalg.norm(at_rows, axis=0), 1e-300), full_matrices=False
+    )
+    kept = directions[size > SAME_PART * size[0]].T
+    return StaticPart(linear.shape, np.column_stack(parts) / np.maximum(np.linalg.norm(at_rows, axis=0), 1e-300) @ kept)

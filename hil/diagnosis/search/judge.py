@@ -1,7 +1,8 @@
 """Tests whether a finding of the search is more than noise, with the look-elsewhere effect.
 
-Decisions use the null distribution of the maximum. It is simulated only for gains near the decision, neither far below
-nor far above.
+Decisions use the null distribution of the maximum: the best gain of each effect in simulated campaigns of table and noise alone, in
+the campaign's own design. Textbook tails (χ², periodogram) are too light for a search over periods, moments and time constants in
+correlated noise. It is simulated only for gains near the decision, neither far below nor far above.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincc
 
-from hil.diagnosis.noise.evidence import MOST_OFFSET, Extra, LinearCampaign, Noise, Projection, random_gain
-from hil.diagnosis.search.candidates import score
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection, random_gain
+from hil.diagnosis.policy import policy
+from hil.diagnosis.search.candidates import Candidates, score
 from hil.diagnosis.search.fit import Choice
-from hil.diagnosis.search.null import CAMPAIGNS, Null, null_maxima, simulate, tail_probability
 from hil.diagnosis.search.rank import smoother
 from hil.diagnosis.search.search import Stage
 from hil.diagnosis.search.searcher import Searcher
@@ -24,25 +26,115 @@ from hil.diagnosis.search.structure import Catalogue, Structure
 
 Floats = NDArray[np.float64]
 
-FALSE_FINDINGS = 0.003
-"""Rate of findings on a campaign without effects, over the whole catalogue."""
-FALSE_STRUCTURE = 0.002
-"""Rate of structures found on a campaign without any."""
-WINNER = 0.02
-"""Largest probability in noise of the winning effect by itself, once any effect is significant."""
-ACCEPTED_FROM = 35.0
-"""Log Bayes factor accepted without a simulation."""
-REJECTED_BELOW = 2.0
-"""Log Bayes factor below which no simulation is made."""
-REFINEMENT = 5.0
-"""Log Bayes factor that refinement of a grid point may add."""
+
+CAMPAIGNS = 300
+"""Simulated campaigns."""
+
+
+@dataclass(frozen=True)
+class Null:
+    """By effect id, the gain of its best candidate over none in each simulated campaign, shape (b,).
+
+    floor: gain of a candidate that explains nothing; narrowest: width of the narrowest candidate
+    """
+
+    maxima: dict[str, Floats]
+    floor: dict[str, float]
+    narrowest: dict[str, int]
+    log_rows: float
+
+    def probability(self, effect: str, value: Floats | float) -> Floats:
+        """Probability in noise that the best candidate of this effect reaches a gain, at least that of a single
+        candidate.
+
+        Shape of `value`.
+        """
+        width = self.narrowest[effect]
+        own_floor = -0.5 * width * self.log_rows
+        single = gammaincc(0.5 * width, np.maximum(np.asarray(value) - own_floor, 0.0))
+        return np.asarray(np.maximum(single, tail_probability(self.maxima[effect], self.floor[effect], value)))
+
+
+def tail_probability(sample: Floats, floor: float, value: Floats | float) -> Floats:
+    """Chance of exceeding `value`, from a sample (b,) that cannot fall below `floor`: the larger of a Gumbel and a gamma tail.
+
+    Shape of `value`.
+    """
+    far = np.asarray(value)
+    mean, spread = float(np.mean(sample)), max(float(np.std(sample)), 1e-6)
+    scale = spread * np.sqrt(6.0) / np.pi
+    gumbel = -np.expm1(-np.exp(np.minimum(-(far - (mean - 0.5772 * scale)) / scale, 50.0)))
+    above = max(mean - floor, 1e-6)
+    shape = (above / spread) ** 2
+    gamma = gammaincc(shape, shape * np.maximum(far - floor, 0.0) / above)
+    return np.asarray(np.maximum(gumbel, gamma))
+
+
+def simulate(linear: LinearCampaign, noise: Noise, offsets: Floats, seed: int) -> Floats:
+    """Campaigns of table roughness, run offsets and noise alone, unit white noise, shape (n, count).
+
+    offsets: standard deviation of the run offsets of each campaign, shape (count,)
+    """
+    rng = np.random.default_rng(seed)
+    count = len(offsets)
+    y = linear.whitened(noise).colour(rng.normal(size=(len(linear.campaign), count)))
+    ridge = linear.table.ridge(noise)[: linear.table.table_width]
+    random = np.flatnonzero(ridge > 0)
+    parts = linear.table.stacked[:, random] / np.sqrt(ridge[random])
+    y += parts @ rng.normal(size=(parts.shape[1], count))
+    return np.asarray(y + linear.table.offset @ (offsets * rng.normal(size=(linear.table.offset.shape[1], count))))
+
+
+def null_maxima(
+    linear: LinearCampaign,
+    candidates: Candidates,
+    noises: Sequence[Noise],
+    offsets: Floats,
+    beside: Extra,
+    *,
+    seed: int,
+    smooth: Sequence[Noise] = (),
+) -> Null:
+    """The null distribution for noise model noises[0], profiled over all of `noises`, with the columns `beside` in every fit.
+
+    offsets: standard deviation of the run offsets of each simulated campaign, shape (b,)
+    smooth: noise models over which effects that may be a feature of one place are profiled too, and none beside them
+    """
+    y = simulate(linear, noises[0], offsets, seed)
+    count = len(offsets)
+    best_null = np.full(count, -np.inf)
+    best = np.full((len(candidates.effects), count), -np.inf)
+    for noise in noises:
+        best_null = _raise(best, best_null, linear.projection(noise, y, beside), candidates)
+    best_null = np.tile(best_null, (len(best), 1))
+    local = candidates.of_one_place(linear.campaign)
+    mine = np.unique(local.effect)
+    for noise in smooth if len(local) else ():
+        best_null[mine] = _raise(best, best_null[mine], linear.projection(noise, y, beside), local)
+    maxima, floor, narrowest = {}, {}, {}
+    log_rows = float(np.log1p(len(y)))
+    for index, name in enumerate(candidates.effects):
+        values = best[index] - best_null[index]
+        if np.all(np.isfinite(values)):
+            maxima[name] = values
+            widths = np.where(candidates.blocks.shrunk, 4, candidates.blocks.width)
+            mine = widths[candidates.effect == index]
+            floor[name] = -0.5 * float(np.max(mine)) * log_rows
+            narrowest[name] = int(np.min(mine))
+    return Null(maxima, floor, narrowest, log_rows)
+
+
+def _raise(best: Floats, best_null: Floats, projection: Projection, candidates: Candidates) -> Floats:
+    """Raise the best evidence of each effect, shape (e, b), to that in a projection; the best evidence of none, shape (…, b)."""
+    gains = score(projection, candidates.stack(projection.whitened)).gain
+    for index in np.unique(candidates.effect):
+        best[index] = np.maximum(best[index], projection.log_null + np.max(gains[candidates.effect == index], axis=0))
+    return np.asarray(np.maximum(best_null, projection.log_null))
+
+
 STRUCTURE_CAMPAIGNS = 300
-NEAR_OFFSET = 0.2
-"""Difference of run offsets from which the null is also profiled at their median."""
-OFFSETS = np.linspace(0.0, MOST_OFFSET, 9)
-DEFAULT_CRITICAL = 12.0
-DEFAULT_CRITICAL_STRUCTURE = 12.0
-"""Critical log Bayes factors of effects and of structures where no null was simulated."""
+OFFSET_STEPS = 9
+"""Run offsets tried between none and the largest."""
 
 
 @dataclass
@@ -55,19 +147,23 @@ class NullJudge:
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
         top = stage.ranking[0].evidence - stage.before
-        if top > ACCEPTED_FROM:
+        if top > policy().accepted_from:
             return True
-        if top < REJECTED_BELOW:
+        if top < policy().rejected_below:
             return False
-        if self.probability(stage, searcher, chosen, noise) >= FALSE_FINDINGS:
+        if self.probability(stage, searcher, chosen, noise) >= policy().false_findings:
             return False
         winner = stage.ranking[0].effect
-        return self.null is None or winner not in self.null.maxima or float(self.null.probability(winner, top)) < WINNER
+        return (
+            self.null is None
+            or winner not in self.null.maxima
+            or float(self.null.probability(winner, top)) < policy().winner
+        )
 
     def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether this gain of a grid point may become significant by refinement."""
         del effect
-        return gain > REJECTED_BELOW - REFINEMENT
+        return gain > policy().rejected_below - policy().refinement
 
     def probability(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> float:
         """Probability in noise alone that any effect reaches the gain of the best one."""
@@ -75,7 +171,7 @@ class NullJudge:
         if key not in self.asked:
             offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
             typical = replace(noise, offset=float(np.median(offsets)))
-            far = abs(typical.offset - noise.offset) > NEAR_OFFSET
+            far = abs(typical.offset - noise.offset) > policy().near_offset
             smooth = smoother(noise) if searcher.linear.rough else ()
             noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
             beside = searcher.extra(chosen)
@@ -94,7 +190,7 @@ class NullJudge:
         """For each effect the gain that is just significant, for the folds; empty where nothing was simulated."""
         if self.null is None:
             return {}
-        wanted = FALSE_FINDINGS / max(len(self.null.maxima), 1)
+        wanted = policy().false_findings / max(len(self.null.maxima), 1)
         grid = np.linspace(0.0, 40.0, 161)
         critical = {}
         for effect in self.null.maxima:
@@ -109,10 +205,11 @@ def run_offsets(searcher: Searcher, choices: Sequence[Choice], noise: Noise, see
 
     The best candidate is in the fit, so that a drift from run to run does not increase the offsets.
     """
-    trials = [replace(noise, offset=float(offset)) for offset in OFFSETS]
+    offsets = np.linspace(0.0, policy().most_offset, OFFSET_STEPS)
+    trials = [replace(noise, offset=float(offset)) for offset in offsets]
     odds = np.array([searcher.evidence(choices, trial) for trial in trials])
     weight = np.exp(odds - np.max(odds))
-    return np.random.default_rng(seed).choice(OFFSETS, CAMPAIGNS, p=weight / np.sum(weight))
+    return np.random.default_rng(seed).choice(offsets, CAMPAIGNS, p=weight / np.sum(weight))
 
 
 @dataclass(frozen=True)
@@ -122,11 +219,13 @@ class FoldJudge:
     critical: dict[str, float]
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
-        return any(r.evidence - stage.before > self.critical.get(r.effect, DEFAULT_CRITICAL) for r in stage.ranking)
+        return any(
+            r.evidence - stage.before > self.critical.get(r.effect, policy().default_critical) for r in stage.ranking
+        )
 
     def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether this gain of a grid point may become significant by refinement."""
-        return gain > self.critical.get(effect, DEFAULT_CRITICAL) - REFINEMENT
+        return gain > self.critical.get(effect, policy().default_critical) - policy().refinement
 
 
 @dataclass(frozen=True)
@@ -157,7 +256,7 @@ class StructureSearch:
 
     catalogue: Catalogue
     seed: int
-    critical: float = DEFAULT_CRITICAL_STRUCTURE
+    critical: float = field(default_factory=lambda: policy().default_critical)
 
     def __call__(self, projection: Projection, linear: LinearCampaign) -> Hit | None:
         """The structure of highest gain beside the projected columns, if it is significant."""
@@ -166,9 +265,9 @@ class StructureSearch:
             return None
         structure, gain = found
         probability = 0.0
-        if gain < ACCEPTED_FROM:
+        if gain < policy().accepted_from:
             probability = self._probability(projection, linear, structure, gain)
-            if probability >= FALSE_STRUCTURE:
+            if probability >= policy().false_structure:
                 return None
         return hit_of(projection, structure, gain, probability)
 
@@ -183,7 +282,7 @@ class StructureSearch:
         maxima = np.max(score(null, catalogue.stack(null.whitened)).gain, axis=0)
         floor = -2.0 * float(np.log1p(projection.rows))
         grid = np.linspace(2.0, 30.0, 57)
-        good = grid[tests * tail_probability(maxima, floor, grid) < FALSE_STRUCTURE]
+        good = grid[tests * tail_probability(maxima, floor, grid) < policy().false_structure]
         self.critical = float(good[0]) if len(good) else 30.0
         return tests * float(tail_probability(maxima, floor, gain))
 

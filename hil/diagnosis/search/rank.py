@@ -1,27 +1,125 @@
-"""The ranking of effects, each at its best beside some choices: best grid points, refined, over all noise models, in
-richer forms.
+"""The ranking of effects, each at its best beside some choices: best grid points, refined, over all noise models, in richer forms.
+
+The refinement is a pattern search over the non-linear parameters of many candidates at once; the linear ones follow (variable
+projection), and all trials of a round are one product.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Noise, Projection
-from hil.diagnosis.search.candidates import score
+from hil.diagnosis.policy import policy
+from hil.diagnosis.search.candidates import Blocks, Stack, score
 from hil.diagnosis.search.fit import Choice, grid_choices
-from hil.diagnosis.search.refine import Trials, refine, score_choices
 from hil.diagnosis.search.searcher import ConditionalSearch, Searcher, with_point
-from hil.effects import Form
+from hil.effects import Form, NonLinear
+
+Floats = NDArray[np.float64]
+
+
+ROUNDS = 6
+FIRST = 0.6
+"""First step, as a share of the grid spacing."""
+OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}
+"""Trial offsets in steps, by number of parameters."""
+
+
+class Trials:
+    """Some choices with their columns, scored under several projections."""
+
+    def __init__(self, choices: Sequence[Choice], campaign: CampaignRows) -> None:
+        self.choices, self.blocks = choices, Blocks.of_choices(choices, campaign)
+        self._stack: Stack | None = None
+
+    def score(self, projection: Projection) -> tuple[Floats, list[Choice]]:
+        """Gain of the choices under a projection, shape (c,), and the choices with the variance of the shrunk ones set."""
+        if self._stack is None or self._stack.whitened is not projection.whitened:
+            self._stack = Stack(projection.whitened, self.blocks)
+        scores = score(projection, self._stack)
+        return scores.gain, [
+            replace(choice, variance=float(v)) if choice.form.shrunk else choice
+            for choice, v in zip(self.choices, scores.variance, strict=True)
+        ]
+
+
+def score_choices(projection: Projection, choices: Sequence[Choice]) -> tuple[Floats, list[Choice]]:
+    """Gain of some choices under one projection, shape (c,), and the choices with the variance of the shrunk ones
+    set.
+    """
+    return Trials(choices, projection.whitened.campaign).score(projection)
+
+
+def refine(projection: Projection, choices: Sequence[Choice], rounds: int = ROUNDS) -> list[tuple[Choice, float]]:
+    """Each choice with its parameters at a local maximum of the evidence, and its gain there."""
+    best = list(choices)
+    steps = [[FIRST * step for step in choice.steps] for choice in choices]
+    gains = np.full(len(best), -np.inf)
+    open_ones = [i for i, step in enumerate(steps) if step]
+    for turn in range(rounds):
+        trials: list[Choice] = []
+        owner: list[int] = []
+        for i in range(len(best)) if turn == 0 else open_ones:
+            for theta in _around(best[i], steps[i], centre=turn == 0):
+                trials.append(replace(best[i], theta=theta))
+                owner.append(i)
+        if not trials:
+            break
+        found, trials = score_choices(projection, trials)
+        owners = np.array(owner)
+        for i in dict.fromkeys(owner):
+            mine = np.flatnonzero(owners == i)
+            top = mine[int(np.argmax(found[mine]))]
+            if not steps[i]:
+                best[i], gains[i] = trials[top], found[top]
+                continue
+            moved = trials[top].theta if found[top] > gains[i] else best[i].theta
+            edge = [
+                abs(a - b) > 0.99 * s
+                for a, b, s in zip(_inward(best[i], moved), _inward(best[i], best[i].theta), steps[i], strict=True)
+            ]
+            if found[top] > gains[i]:
+                best[i], gains[i] = trials[top], found[top]
+            steps[i] = [s if at_edge else s * 0.4 for s, at_edge in zip(steps[i], edge, strict=True)]
+    return [(choice, float(gain)) for choice, gain in zip(best, gains, strict=True)]
+
+
+def _around(choice: Choice, steps: Sequence[float], *, centre: bool) -> list[tuple[float, ...]]:
+    """Trial parameters on a small grid around a choice, inside the bounds; with its own where `centre` is set."""
+    if not steps:
+        return [choice.theta]
+    middle = _inward(choice, choice.theta)
+    offsets = OFFSETS[min(len(steps), 2)]
+    out: list[tuple[float, ...]] = []
+    for shift in itertools.product(offsets, repeat=len(steps)):
+        if not centre and not any(shift):
+            continue
+        theta = tuple(
+            min(max(_outward(p, c + s * step), p.lower), p.upper)
+            for p, c, s, step in zip(choice.form.nonlinear, middle, shift, steps, strict=True)
+        )
+        if theta not in out:
+            out.append(theta)
+    return out
+
+
+def _inward(choice: Choice, theta: Sequence[float]) -> list[float]:
+    return [math.log(v) if p.logarithmic else v for p, v in zip(choice.form.nonlinear, theta, strict=True)]
+
+
+def _outward(parameter: NonLinear, value: float) -> float:
+    return math.exp(value) if parameter.logarithmic else value
+
 
 SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))
 """Shares of the table's roughness (even, odd part) that are tried beside a local feature."""
-RICHER = 3.0
-"""Log odds against a richer form of the same effect, beyond the cost of its width."""
-IMPLAUSIBLE = 5.0
-"""Log odds against an effect with implausible parameters."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +186,8 @@ def _profiled(conditional: ConditionalSearch, refined: Sequence[Ranked], noise: 
     first: dict[str, Ranked] = {}
     for r in sorted(best, key=lambda r: -r.evidence):
         first.setdefault(r.effect, r)
-    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, conditional, r.noise)) for r in first.values()]
+    ours = [r for r in first.values() if not r.choice.effect.is_exceeded(r.choice.form, r.choice.theta)]
+    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, conditional, r.noise)) for r in ours]
     return sorted(judged, key=lambda r: -r.evidence)
 
 
@@ -123,7 +222,7 @@ def _penalty(choice: Choice, conditional: ConditionalSearch, noise: Noise) -> fl
     penalty = -choice.effect.log_odds
     if not choice.form.shrunk:
         coefficients = conditional.projection(noise).estimate(choice.columns(conditional.searcher.linear.campaign))
-        penalty += IMPLAUSIBLE if choice.effect.implausible(choice.as_term(coefficients)) else 0.0
+        penalty += policy().implausible if choice.effect.implausible(choice.as_term(coefficients)) else 0.0
     return penalty
 
 
@@ -137,7 +236,7 @@ def _enriched(conditional: ConditionalSearch, ranked: Sequence[Ranked]) -> tuple
             continue
         projection = conditional.projection(r.noise)
         for choice, gain in refine(projection, _best_of_each_form(projection, more), effort.rounds):
-            value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - RICHER
+            value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - policy().richer
             if value > out[i].evidence:
                 out[i] = Ranked(choice, value, r.noise)
     return tuple(sorted(out, key=lambda r: -r.evidence))

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.rank import Ranked, rank
 from hil.diagnosis.search.searcher import Searcher
@@ -126,7 +127,7 @@ def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: 
         rest = current[:i] + current[i + 1 :]
         now = searcher.evidence(current, noise)
         ranking = rank(searcher, rest, noise)
-        if ranking and ranking[0].evidence > now + 2.0:
+        if ranking and ranking[0].evidence > now + policy().exchange:
             current[i] = ranking[0].choice
             settled = i
     return current

@@ -1,23 +1,28 @@
 """A searcher: candidates against one set of errors under any noise model, on all rows or with some left out.
 
-It provides projections, fits and evidences of choices; `rank` and `search` choose.
+It provides projections, fits and evidences of choices; `rank` and `search` choose. `memory` asks whether what some choices leave
+remembers more than ordinary noise does: a cause that switches or settles faster than any column shows is found only so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.noise.evidence import Extra, Noise, Projection
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates
 from hil.diagnosis.search.fit import Choice, JointFit, Setting, joint_fit
+from hil.effects import Estimate
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
 
 GRID = tuple(
     (ar, rho, offset)
@@ -28,10 +33,6 @@ GRID = tuple(
 MOST_PROJECTIONS = 40
 CONTENDERS = 8
 RICH_CONTENDERS = 3
-OUTLIER_LIMIT, OUTLIER_TAIL = 3.2, 1.5
-"""Limit of a residual in robust standard deviations, and in 95 % quantiles; the larger one applies, so that a real
-bulge is kept.
-"""
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,8 @@ class Searcher:
         residual = projection.solve(np.zeros((len(self.raw), 0))).residual
         kept = residual if self.out is None else residual[~self.out]
         size = np.abs(kept - np.median(kept))
-        limit = max(OUTLIER_LIMIT * 1.4826 * float(np.median(size)), OUTLIER_TAIL * float(np.quantile(size, 0.95)))
+        robust, tail = 1.4826 * float(np.median(size)), float(np.quantile(size, 0.95))
+        limit = max(policy().outlier_limit * robust, policy().outlier_tail * tail)
         excess = residual - np.clip(residual, -limit, limit)
         self.y = self.raw - projection.whitened.colour(excess) if np.any(excess) else self.raw
         self._projections.clear()
@@ -178,3 +180,50 @@ class ConditionalSearch:
 def with_point(noise: Noise, ar: float, rho: float, offset: float) -> Noise:
     """The noise model with other (ar, rho, offset)."""
     return replace(noise, ar=ar, rho=rho, offset=offset)
+
+
+ORDINARY = tuple(product((0.35, 0.6, 0.85), (0.3, 0.5, 0.7, 0.85, 0.95)))
+STRONG = tuple(product((1.2, 1.7, 2.5, 4.0), (0.5, 0.7, 0.85)))
+"""(ar, rho): standard deviation of the correlated part over that of the white one, and its correlation one row
+later.
+"""
+AROUND = tuple(product(np.geomspace(0.7, 8.0, 12).tolist(), (0.4, 0.55, 0.7, 0.8, 0.9)))
+"""The same, on a grid fine enough for the uncertainty of the strength."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """noise: the strongly correlated model; log_odds: against ordinary noise; rms_um: of the correlated part"""
+
+    noise: Noise
+    log_odds: float
+    rms_um: Estimate
+
+
+def memory(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> Memory | None:
+    """The strong correlation in the residual of some terms, if it is beyond that of noise."""
+    if noise.ar == 0.0:
+        return None
+
+    def best(points: Sequence[tuple[float, float]]) -> tuple[float, Noise]:
+        trials = [replace(noise, ar=ar, rho=rho) for ar, rho in points]
+        return max(((searcher.evidence(chosen, t) - t.log_prior(), t) for t in trials), key=lambda pair: pair[0])
+
+    ordinary, (strong, model) = best(ORDINARY)[0], best(STRONG)
+    if strong <= ordinary + policy().beyond:
+        return None
+    return Memory(model, strong - ordinary, _strength_um(searcher, chosen, noise))
+
+
+def _strength_um(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> Estimate:
+    """Standard deviation of the correlated part in µm, averaged over noise models by their evidence."""
+    extra = searcher.extra(chosen)
+    odds, values = np.zeros(len(AROUND)), np.zeros(len(AROUND))
+    for i, (ar, rho) in enumerate(AROUND):
+        projection = searcher.projection(replace(noise, ar=ar, rho=rho), extra)
+        odds[i] = float(projection.log_null) - projection.noise.log_prior()
+        values[i] = ar * float(np.sqrt(projection.rss / projection.dof))
+    weight = np.exp(odds - np.max(odds))
+    weight /= np.sum(weight)
+    mean = float(weight @ values)
+    return Estimate(mean, float(np.sqrt(weight @ (values - mean) ** 2)))

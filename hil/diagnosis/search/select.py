@@ -11,35 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import score
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.judge import FoldStructureSearch, Hit, StructureSearch, hit_of
 from hil.diagnosis.search.rank import rank
 from hil.diagnosis.search.search import Judge, Stage, search
-from hil.diagnosis.search.searcher import Searcher
-from hil.diagnosis.search.serial import Memory, memory
+from hil.diagnosis.search.searcher import Memory, Searcher, memory
 from hil.diagnosis.search.structure import Catalogue
 
 Floats = NDArray[np.float64]
 
 MOST_STRUCTURES = 3
 MOST_SWAPS = 4
-KEEP = 6.0
-"""Least log Bayes factor of a term beside an unexplained structure."""
-SLIGHT = 3.0
-"""Least log Bayes factor of a term beside terms that were taken after it."""
-REPLACE = 6.0
-"""Log odds by which a structure of other columns must exceed a term to replace it; for several terms their share of
-it.
-"""
-SHAPE = 0.35
-"""A structure of an effect's own columns, smaller than this share of the effect, is a misfit of its form, not another
-cause.
-"""
-OUTGROWN = 0.7
-"""A structure of an effect's own columns, larger than this share of the effect, is the cause, and the effect a part of
-it.
-"""
 
 
 @dataclass(frozen=True)
@@ -97,7 +81,7 @@ def select(
     stages = list(found.stages)
     chosen, noise = list(found.choices), found.noise
     if len(chosen) > len(start) + 1:
-        chosen = drop(searcher, chosen, noise, len(start), SLIGHT)
+        chosen = drop(searcher, chosen, noise, len(start), policy().slight)
     hits: list[Hit] = []
     shapes: list[Hit] = []
     foreign: dict[str, ForeignStructure] = {}
@@ -114,7 +98,11 @@ def select(
                 stages.append(taken)
                 chosen.append(taken.ranking[0].choice)
                 noise = searcher.fit_noise(chosen, taken.ranking[0].noise)
-                chosen = drop(searcher, chosen, noise, len(start), SLIGHT) if len(chosen) > len(start) + 1 else chosen
+                chosen = (
+                    drop(searcher, chosen, noise, len(start), policy().slight)
+                    if len(chosen) > len(start) + 1
+                    else chosen
+                )
                 swaps += 1
                 if swaps >= MOST_SWAPS:
                     break
@@ -141,11 +129,12 @@ def select(
 
 
 def drop(
-    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0, least: float = KEEP
+    searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0, least: float | None = None
 ) -> list[Choice]:
-    """Removes the terms after the first `fixed` that contribute less than `least` beside the others, the weakest
-    first.
+    """Removes the terms after the first `fixed` that contribute less than `least` (the policy's `keep`) beside the others, the
+    weakest first.
     """
+    least = policy().keep if least is None else least
     current = list(chosen)
     while len(current) > fixed:
         whole, _ = searcher.profiled_evidence(current, noise)
@@ -184,9 +173,9 @@ def _foreign(
             gains = np.where(of_other_columns, score(projection, catalogue.stack(projection.whitened)).gain, -np.inf)
             top = int(np.argmax(gains))
             total = searcher.evidence(rest, trial) + float(gains[top])
-            if total > worth + REPLACE / len(group) and total > base + REPLACE:
+            if total > worth + policy().replace / len(group) and total > base + policy().replace:
                 ranking = rank(searcher, rest, noise)
-                if ranking and ranking[0].evidence > max(total - REPLACE, worth):
+                if ranking and ranking[0].evidence > max(total - policy().replace, worth):
                     return odds, rest, Stage(base, ranking, True)
                 return odds, rest, hit_of(projection, catalogue.structures[top], float(gains[top]), 0.0)
             if best is None or total - worth > best.log_odds:
@@ -226,7 +215,7 @@ def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noi
     rms = structure_rms(searcher, hit, chosen, noise)
     for choice, size in zip(chosen, _sizes(searcher, chosen, noise), strict=True):
         own = set(choice.form.inputs) - {"target_mm", "direction"}
-        if columns <= own | {searcher.linear.campaign.survey.time_column} and rms < SHAPE * size:
+        if columns <= own | {searcher.linear.campaign.survey.time_column} and rms < policy().shape * size:
             return True
     return False
 
@@ -239,7 +228,7 @@ def _not_outgrown(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise:
     return [
         choice
         for i, (choice, size) in enumerate(zip(chosen, sizes, strict=True))
-        if i < fixed or not (set(choice.form.inputs) - {"direction"} <= columns and rms > OUTGROWN * size)
+        if i < fixed or not (set(choice.form.inputs) - {"direction"} <= columns and rms > policy().outgrown * size)
     ]
 
 

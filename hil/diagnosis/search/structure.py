@@ -69,9 +69,7 @@ class Catalogue:
 def structures(campaign: CampaignRows) -> Catalogue:
     """Single columns, columns with direction, pairs and pairs with direction, of all columns that vary."""
     survey = campaign.survey
-    names = [name for name in sorted(survey.varying) if name not in SKIPPED and _usable(campaign, name)]
-    if survey.time_column == "row_order" and survey.has("row_order"):
-        names.append("row_order")
+    names = usable_columns(campaign)
     d = campaign.d
     both = survey.has("direction")
     spreads = {name: spread_of(name, campaign.columns) for name in names}
@@ -115,6 +113,13 @@ def _fine(campaign: CampaignRows) -> tuple[Structure, ...]:
         hats = NonParametric().basis(form, (), campaign.columns)
         out.append(Structure(form.inputs, hats, form, campaign.columns))
     return tuple(out)
+
+
+def usable_columns(campaign: CampaignRows) -> list[str]:
+    """Names of the columns that vary and may carry an error, sorted; the row order only in place of the time."""
+    survey = campaign.survey
+    names = [name for name in sorted(survey.varying) if name not in SKIPPED and _usable(campaign, name)]
+    return [*names, "row_order"] if survey.time_column == "row_order" and survey.has("row_order") else names
 
 
 def _usable(campaign: CampaignRows, name: str) -> bool:

@@ -19,6 +19,7 @@ from hil.diagnosis.search.judge import Hit
 from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.search.structure import Structure
 from hil.effects import Columns, Estimate, Term
+from hil.effects.base import slopes_of
 from hil.effects.non_parametric import NonParametric
 
 Floats = NDArray[np.float64]
@@ -76,7 +77,7 @@ def structure_estimates(
         return ()
     extra = searcher.extra(choices)
     coefficients, covariance = _solved(searcher, extra, noise)
-    places = _places(extra.random, hits)
+    places = places_of(extra.random, hits)
     out = []
     for group in _groups(hits):
         place = np.concatenate([places[i] for i in group])
@@ -99,7 +100,7 @@ def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], no
         return ()
     extra = searcher.extra(choices)
     columns = extra.random.copy()
-    places = _places(extra.random, hits)
+    places = places_of(extra.random, hits)
     for hit, place, design in zip(hits, places, _apart(hits), strict=True):
         columns[:, place] = design * math.sqrt(FREE if _few(hit) else hit.variance)
     coefficients, covariance = _solved(searcher, Extra(extra.free, columns), noise)
@@ -153,7 +154,7 @@ def _groups(hits: Sequence[Hit]) -> list[list[int]]:
     return groups
 
 
-def _places(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
+def places_of(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
     """Indices of the columns of each hit among the columns (n, s), which hold them in this order. Raises LookupError
     for a missing one.
     """
@@ -192,8 +193,12 @@ def rms_of(
 
 
 def rms_of_term(term: Term, columns: Columns) -> Estimate:
-    """RMS of a fitted effect over rows about its mean, µm, its non-linear parameters fixed."""
-    k = len(term.coefficients)
+    """RMS of a fitted effect over rows about its mean, µm; its non-linear parameters enter by their first-order effect."""
     basis = term.effect.basis(term.form, term.theta, columns)
-    covariance = np.array(term.covariance)[:k, :k]
-    return rms_of(basis, np.array(term.coefficients), covariance, np.ones((len(basis), 1)), shrunk=term.form.shrunk)
+    coefficients = np.array(term.coefficients)
+    slopes = basis[:, :0] if term.form.shrunk else slopes_of(columns, term, coefficients)
+    design = np.hstack([basis, slopes])
+    width = design.shape[1]
+    covariance = np.array(term.covariance)[:width, :width]
+    whole = np.concatenate([coefficients, np.zeros(width - len(coefficients))])
+    return rms_of(design, whole, covariance, np.ones((len(basis), 1)), shrunk=term.form.shrunk)

@@ -1,30 +1,38 @@
 """The value of the models on rows they were not fitted to: every run left out once, the choice repeated without it.
 
-Only the columns of a left-out run enter its prediction.
+Only the columns of a left-out run enter its prediction. An effect that is more likely than not and better on runs left out, but not
+proven, since noise may do as much, is suspected: it is no finding, but the extended model holds it, and a note says so.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.noise.thin import AllRows
+from hil.diagnosis.campaign import AllRows
+from hil.diagnosis.policy import policy
+from hil.diagnosis.result import Finding
 from hil.diagnosis.search.choose import Chosen, Problem, choose_without
 from hil.diagnosis.search.fit import Choice
-from hil.diagnosis.search.refine import refine
+from hil.diagnosis.search.rank import refine
 from hil.diagnosis.search.searcher import LIGHT, ConditionalSearch, Searcher
 from hil.diagnosis.search.select import Selected
 from hil.diagnosis.search.structure_estimate import structure_estimates
+from hil.effects import Action
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
 MOST_FOLDS = 10
 """Most folds; more runs are grouped."""
-TRIMMED = 5
-"""Folds from which the best and the worst are left out of a mean gain."""
+LEAST_ROWS = 3
+"""Fewest rows that count as a few."""
+BEYOND_OUTLIERS = 2.0
+"""Size of an effect, over the limit of outliers, that a few rows of noise do not reach together."""
 ONCE = frozenset({"datum_step", "beam_drift"})
 """Effects that occur once, and so cannot improve a left-out run."""
 
@@ -131,14 +139,79 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
     return {name: left([c for c in refound if c.effect.id != name]) - everything for name in names}
 
 
+def on_few_rows(chosen: Chosen) -> set[str]:
+    """Effects that the records require only because of a few rows: without those to which it gives most, nothing is left of it.
+
+    Noise has such rows too, and they agree with one another by chance once in so many campaigns; a finding needs more. An effect that
+    is larger there than any outlier of noise is none of them.
+    """
+    last = chosen.last
+    campaign = last.searcher.linear.campaign
+    few = max(LEAST_ROWS, math.ceil(policy().few_rows * len(campaign)))
+    beyond_um = BEYOND_OUTLIERS * policy().outlier_limit * chosen.fit.white_um * math.hypot(1.0, last.noise.ar)
+    out = set()
+    for name in {choice.effect.id for choice in chosen.kept}:
+        mine = [choice for choice in chosen.kept if choice.effect.id == name]
+        if name in ONCE or any(choice.form.shrunk for choice in mine):
+            continue
+        terms = [term for term in chosen.fit.found if term.effect.id == name]
+        course = np.sum([term.error_um(campaign.columns) for term in terms], axis=0)
+        if float(np.max(np.abs(course - np.median(course)))) > beyond_um:
+            continue
+        without = np.zeros(len(campaign), dtype=np.bool_)
+        without[np.argsort(-np.abs(course - np.median(course)))[:few]] = True
+        extra = last.searcher.extra([choice for choice in chosen.kept if choice.effect.id != name])
+        projection = last.searcher.linear.projection(last.noise, last.searcher.y, extra, without)
+        if projection.gain(np.hstack([choice.columns(campaign) for choice in mine])) <= 0.0:
+            out.add(name)
+    return out
+
+
 def improves_held_out(gain: Floats) -> bool:
     """Whether the mean of a gain per fold, shape (folds,), exceeds zero by more than its standard error.
 
     Of five folds or more the best and the worst are left out: without the first run, an effect of time has no
     beginning.
     """
-    trim = len(gain) // TRIMMED
+    trim = int(len(gain) // policy().trimmed)
     kept = np.sort(gain)[trim : len(gain) - trim]
     if len(kept) < 2:
         return bool(np.sum(kept) > 0)
     return bool(np.mean(kept) > np.std(kept, ddof=1) / np.sqrt(len(kept)))
+
+
+def is_below_noise(finding: Finding, noise_um: float) -> bool:
+    """Whether noise of this standard deviation may have drifted as much; an effect of position and direction alone is
+    no drift.
+    """
+    effect = finding.term.effect
+    return not effect.static and finding.confidence < policy().sure_name and finding.rms_um < policy().wander * noise_um
+
+
+def suspected_note(finding: Finding) -> str:
+    """The note in place of a finding."""
+    rivals = ", ".join(f"{rival.effect} {rival.confidence:.2f}" for rival in finding.rivals)
+    return (
+        f"{finding.effect} is suspected ({finding.rms_um:.2g} µm RMS, confidence {finding.confidence:.2f}"
+        f"{'; ' + rivals if rivals else ''}): noise that wanders may make as much, so it is no finding and is not corrected; more runs"
+        " would tell"
+    )
+
+
+def unproven_choice(problem: Problem, chosen: Chosen) -> Choice | None:
+    """The best unproven effect of the machine itself, where nothing else was found and it predicts runs left out."""
+    first, last = chosen.selections[0], chosen.last
+    if chosen.fit.found or any(selected.hits for selected in chosen.selections) or not first.stages:
+        return None
+    stage = first.stages[-1]
+    for ranked in stage.ranking:
+        effect = ranked.choice.effect
+        if ranked.evidence - stage.before < policy().likely:
+            break
+        if effect.action is not Action.COMPENSATE or effect.id in ONCE or ranked.choice.form.shrunk:
+            continue
+        fold, _ = folds(problem.campaign.run)
+        trial = replace(last, choices=(ranked.choice,))
+        gains = [gains_without(problem, trial, fold == i)[effect.id] for i in range(int(np.max(fold)) + 1)]
+        return ranked.choice if improves_held_out(np.array(gains)) else None
+    return None

@@ -19,29 +19,22 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.noise.evidence import LinearCampaign, Noise
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.choose import problem_of
-from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, start_noise
+from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, start_noise, static_part
 from hil.diagnosis.search.rank import rank
 from hil.diagnosis.search.searcher import GRID, ConditionalSearch, Effort, Searcher
+from hil.diagnosis.verdict.held_out import ONCE
 from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import complete, time_column
 from hil.effects.model import Model
+from hil.effects.warming import is_about_a_point
 from hil.records.rows import Records, concatenate
 
 Floats = NDArray[np.float64]
 
-TEMPERATURE = 2.0
-"""Divisor of the log odds before they become weights, since no form is exactly right."""
-UNSEEN = 1.0
-"""Log odds against a cause that follows a column without recorded change."""
 WIDE = Effort(contenders=20, rounds=4, grid=GRID[::2], rich=4)
-ONCE = frozenset({"datum_step", "beam_drift"})
-"""Causes that need not recur in another campaign."""
-WORST = -12.0
-"""Least log Bayes factor of a cause in one part of the records, since no form is exactly right."""
-STILL = 0.15
-"""Share of a course in time that must remain beside a table; below it the course is static."""
 COURSES = (1, 2, 3, 4, 6)
 """Orders of the smooth courses assumed for an unseen column."""
 
@@ -149,14 +142,14 @@ def weigh(
             total.setdefault(effect.id, effect.log_odds if effect.static else 0.0)
         for hypothesis in _weigh_part(part, declared, effects, beside):
             name = hypothesis.id
-            least = 0.0 if name in ONCE else WORST
+            least = 0.0 if name in ONCE else policy().worst
             total[name] += max(hypothesis.gain, least)
             best[name] = hypothesis
     gains = {name: total[name] for name in best}
     if not gains:
         return ()
     top = max(gains.values())
-    raw = {name: math.exp((gain - top) / TEMPERATURE) for name, gain in gains.items()}
+    raw = {name: math.exp((gain - top) / policy().temperature) for name, gain in gains.items()}
     whole = sum(raw.values())
     found = [replace(best[name], weight=raw[name] / whole, gain=gains[name]) for name in gains]
     return tuple(sorted(found, key=lambda h: -h.weight))
@@ -169,6 +162,9 @@ def _weigh_part(
     searcher = searcher_of(records, declared, effects)
     campaign = searcher.linear.campaign
     rest = [choice_of(term) for term in beside if all(name in campaign.columns for name in term.needs)]
+    if declared is not None and rest:
+        absorbed = static_part(LinearCampaign(campaign), rest)
+        searcher = Searcher(replace(searcher.setting, static=absorbed), searcher.candidates, effort=WIDE)
     noise = searcher.fit_noise(rest, start_noise(campaign))
     before, _ = searcher.profiled_evidence(rest, noise)
     found: dict[str, Hypothesis] = {}
@@ -182,15 +178,15 @@ def _weigh_part(
     for unseen in unseen_causes(campaign, effects):
         if _hidden(projections[0][0].prepared(unseen.design), projections[0][0].normal(unseen.design)[0]):
             continue
-        gain = max(base + projection.gain(unseen.design) for projection, base in projections) - before - UNSEEN
+        gain = max(base + projection.gain(unseen.design) for projection, base in projections) - before - policy().unseen
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
     for hypothesis in list(found.values()):  # an unseen drift may follow any course that a drift may
         loose = found.get("beam_drift")
         wanders = hypothesis.unseen is not None and hypothesis.unseen.wanders
-        if loose is not None and wanders and hypothesis.gain < loose.gain - UNSEEN:
-            found[hypothesis.id] = replace(hypothesis, gain=loose.gain - UNSEEN)
+        if loose is not None and wanders and hypothesis.gain < loose.gain - policy().unseen:
+            found[hypothesis.id] = replace(hypothesis, gain=loose.gain - policy().unseen)
     return list(found.values())
 
 
@@ -204,7 +200,7 @@ def _is_static(campaign: CampaignRows, choice: Choice, fit: JointFit) -> bool:
     drawn = fit.found[0].error_um(campaign.columns)
     noise = Noise(offset=1.0, even=START_ROUGHNESS, odd=START_ROUGHNESS)
     projection = LinearCampaign(campaign).projection(noise, drawn - float(np.mean(drawn)))
-    return bool(float(projection.rss) < STILL**2 * float(np.sum(projection.y**2)))
+    return bool(float(projection.rss) < policy().still ** 2 * float(np.sum(projection.y**2)))
 
 
 def _hidden(prepared: Floats, left: Floats) -> bool:
@@ -241,6 +237,8 @@ def unseen_causes(campaign: CampaignRows, effects: Sequence[Effect]) -> list[Uns
         wanders = [courses[:, 1 : order + 1] for order in COURSES]
         constant_too = [courses[:, :1], *(courses[:, : order + 1] for order in COURSES)]
         for effect, form in _forms_with(survey, column, REST[column], effects):
+            if is_about_a_point(form):  # two coefficients for each course; growth about zero stands for it
+                continue
             seen = column in IN_TIME and "target_mm" in form.inputs  # alone, a constant is the datum's
             for part in (*wanders, *(constant_too if seen else [])):
                 out.append(Unseen(effect, form, column, response(effect, form, column, campaign.columns, part), part))

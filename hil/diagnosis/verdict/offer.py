@@ -12,24 +12,31 @@ from hil.diagnosis.result import Diagnosis, Figures
 from hil.diagnosis.search.structure_estimate import StructureEstimate
 from hil.diagnosis.verdict.held_out import HeldOut, improves_held_out
 from hil.effects.non_parametric import CAUSE_UNKNOWN
+from hil.effects.survey import READ_AFTER_MOTION
 from hil.records.rows import Floats
 
 OPTION = "--non-parametric"
-AFTERWARDS = frozenset({"run", "row_order", "measured_mm", "motor_mm", "torque_percent"})
+AFTERWARDS = frozenset({"run", "row_order", "measured_mm", *READ_AFTER_MOTION})
 """Columns that are not known when a command is issued: counted in the records, or read at the capture after the
 motion.
 """
 
 
 def offered(
-    diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_out: HeldOut, fitted_um: Floats, alone: Figures
+    diagnosis: Diagnosis,
+    structures: Sequence[StructureEstimate],
+    left_out: HeldOut,
+    fitted_um: Floats,
+    alone: Figures,
+    *,
+    formless: bool = False,
 ) -> Diagnosis:
     """The diagnosis with this correction beside it, and a note where something is unexplained.
 
     structures: the unexplained ones; fitted_um: their sum on the rows of the residual, (n,); alone: figures without any
-    correction
+    correction; formless: something is left that has no smooth form which could be applied to other rows
     """
-    reason = _reason(diagnosis, structures, left_out)
+    reason = _reason(diagnosis, structures, left_out, formless=formless)
     if reason:
         notes = (f"no correction without a known cause either ({OPTION}): {reason}",) if diagnosis.unexplained else ()
         return replace(diagnosis, non_parametric=reason, notes=(*diagnosis.notes, *notes))
@@ -55,7 +62,7 @@ def offered(
     return replace(diagnosis, non_parametric=taken, notes=(*diagnosis.notes, note))
 
 
-def _reason(diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_out: HeldOut) -> str:
+def _reason(diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_out: HeldOut, *, formless: bool) -> str:
     """Why there is no such correction; empty where there is one."""
     if not diagnosis.unexplained:
         return "nothing is left unexplained"
@@ -63,7 +70,8 @@ def _reason(diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_
         doubted = [finding.effect for finding in diagnosis.findings if finding.doubtful]
         if doubted:
             return f"what is left is corrected already as {' and '.join(doubted)}, whose name is in doubt"
-        return "what is left hangs together from row to row and follows no column"
+        hangs = "what is left hangs together from row to row and follows no column"
+        return "what is left is no smooth function of its columns" if formless else hangs
     unknown = {name for structure in structures for name in structure.columns} & AFTERWARDS
     if unknown:
         return f"{' and '.join(sorted(unknown))} is not known when a command is issued"

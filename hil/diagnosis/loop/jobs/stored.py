@@ -87,7 +87,7 @@ def _is_good(place: Path, stages: Mapping[str, Mapping[str, Any]]) -> bool | Non
         except InputError:
             return None
         waits = bool(object_of(form.get("next_measurement")).get("person"))
-        noise_um, unexplained = value_of(form, "noise_floor_um") or 0.0, form.get("unexplained") is True
+        noise_um, unexplained = value_of(form.get("noise"), "within_run_um") or 0.0, form.get("unexplained") is True
         rms_um = (stages[before]["rms_um"], stages[after]["rms_um"])
         turns.append(not waits and turn_is_good(*rms_um, noise_um, unexplained=unexplained))
     return all(turns) if turns else None

@@ -8,7 +8,7 @@ from support.campaigns import campaign
 
 from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.pictures import MOST_ROWS, left_over
-from hil.diagnosis.result import Carrier, Diagnosis
+from hil.diagnosis.result import Carrier, Diagnosis, NoiseParts
 from hil.effects import Estimate
 from hil.effects.model import Model, PitchTable
 from hil.records.rows import Records
@@ -18,7 +18,9 @@ def a_diagnosis(rows: int, *carriers: tuple[str, ...]) -> Diagnosis:
     model = Model(PitchTable.of([0.0, 1.0], [0.0, 0.0], [0.0, 0.0]))
     left = np.arange(rows) / 7.0
     carried = tuple(Carrier(names, Estimate(1.0, 0.1), 0.001) for names in carriers)
-    return Diagnosis(Estimate(0.1, 0.01), model, model, (), True, carried, (), left, left, left, left, "so", True)
+    return Diagnosis(
+        None, NoiseParts(0.1, 0.0, 0.0, 0.0), model, model, (), True, carried, (), left, left, left, left, "so", True
+    )
 
 
 def records(runs: int) -> Records:

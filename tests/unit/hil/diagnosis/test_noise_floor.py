@@ -7,14 +7,19 @@ import math
 import numpy as np
 import pytest
 from support.campaigns import campaign, wavy
+from support.workshop import workshop
 
+from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import CampaignRows, prepare
+from hil.diagnosis.diagnose import beyond_noise
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
+from hil.diagnosis.noise.repeats import pure_error
+from hil.diagnosis.result import NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
-from hil.diagnosis.spline import TableBasis
+from hil.diagnosis.table import TableBasis
 from hil.records.rows import Records
 
 FREE = Noise()
@@ -154,3 +159,89 @@ def test_noise_that_lasts_is_told_from_noise_that_does_not() -> None:
     assert np.mean([floor for _, floor in white]) == pytest.approx(0.3, rel=0.1)
     assert np.median([ar for ar, _ in lasting]) > 0.5
     assert np.mean([floor for _, floor in lasting]) == pytest.approx(math.hypot(0.2, 0.3), rel=0.15)
+
+
+def repeats(cause_um: float, seed: int = 3) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """40 targets, each approached twice within 3 s, and a cause that jumps from target to target."""
+    rng = np.random.default_rng(seed)
+    n = 80
+    target = np.repeat(rng.uniform(0.0, 300.0, 40), 2)
+    columns = {
+        "run": np.repeat([1.0, 2.0], 40),
+        "direction": np.where(np.arange(n) % 4 < 2, 1.0, -1.0),
+        "target_mm": target,
+        "time_s": np.cumsum(np.tile([60.0, 3.0], 40)),
+        "load_kg": np.repeat(rng.choice([0.0, 50.0], 40), 2),
+    }
+    error_um = cause_um * np.repeat(rng.normal(size=40), 2) + 0.4 * rng.normal(size=n)
+    return columns, error_um
+
+
+@pytest.mark.parametrize("cause_um", [0.0, 5.0])
+def test_the_pure_error_is_that_of_repeats_whatever_the_cause(cause_um: float) -> None:
+    columns, error_um = repeats(cause_um)
+    floor = pure_error(columns, error_um)
+    assert floor is not None
+    assert (floor.dof, floor.how) == (40, "repeats within seconds")
+    by_hand = math.sqrt(float(np.mean((error_um[::2] - error_um[1::2]) ** 2)) / 2)
+    assert floor.std_um.value == pytest.approx(by_hand)
+    assert abs(floor.std_um.value - 0.4) < 3 * floor.std_um.std
+    assert floor.std_um.std == pytest.approx(floor.std_um.value / math.sqrt(80))
+
+
+def test_rows_of_other_conditions_or_later_are_no_repeats() -> None:
+    columns, error_um = repeats(5.0)
+    second = np.arange(80) % 2 == 1
+    for name, change in (("load_kg", 20.0), ("time_s", 100.0), ("target_mm", 0.01), ("direction", 0.0)):
+        moved = {**columns, name: np.where(second, columns[name] + change, columns[name])}
+        if name == "direction":
+            moved["direction"] = np.where(second, -columns["direction"], columns["direction"])
+        if name == "time_s":
+            moved["time_s"] = np.cumsum(np.tile([60.0, 100.0], 40))
+        assert pure_error(moved, error_um) is None, name
+    each = {**columns, "run": np.arange(1.0, 81.0)}  # the same target at once, but at the begin of another run
+    assert pure_error(each, error_um) is None
+
+
+def test_runs_that_repeat_one_another_count_in_pairs() -> None:
+    """The certified load cell: 20 loads twice, about the difference of the two runs."""
+    columns = {
+        "run": np.repeat([1.0, 2.0], 20),
+        "direction": np.ones(40),
+        "target_mm": LOADS,
+        "row_order": np.arange(40.0),
+    }
+    floor = pure_error(columns, DEFLECTIONS)
+    assert floor is not None
+    assert (floor.dof, floor.how) == (19, "runs in pairs")
+    assert floor.std_um.value == pytest.approx(np.std(DEFLECTIONS[20:] - DEFLECTIONS[:20], ddof=1) / math.sqrt(2))
+
+
+def test_more_than_noise_memory_and_offsets_explain_is_never_silent() -> None:
+    columns, error_um = repeats(0.0)
+    floor = pure_error(columns, error_um)
+    parts = NoiseParts(0.4, 0.2, 2.0, 0.1)
+    explained = math.hypot(0.4, 0.2, 0.1)
+    assert list(beyond_noise(floor, parts, 1.1 * explained, 300, 20.0)) == []
+    (said,) = beyond_noise(floor, parts, 1.9 * explained, 300, 20.0)
+    assert "left out" in said
+    (said,) = beyond_noise(floor, NoiseParts(0.8, 0.0, 0.0, 0.0), 0.5, 300, 20.0)
+    assert "repeats differ" in said
+    (said,) = beyond_noise(None, parts, 1.9 * explained, 300, 20.0)
+    assert "left out" in said
+
+
+def test_a_diagnosis_states_the_floor_with_its_degrees_of_freedom_and_none_without_repeats() -> None:
+    records, noise_um = workshop(21, wave_by_load, ratio=2.0)
+    said = diagnose(records).to_json()
+    assert said["noise_floor_dof"] > 20
+    assert said["noise_floor_um"] == pytest.approx(np.std(noise_um), rel=0.3)  # the cause is not in it
+    assert set(said["noise"]) == {"white_um", "memory_um", "memory_rows", "run_offset_um", "within_run_um"}
+    scattered = diagnose(campaign(wavy, noise_um=0.3, runs=4, scatter=0.4, seed=4)).to_json()
+    assert scattered["noise_floor_um"] is None
+    assert scattered["noise_floor_dof"] == 0
+    assert scattered["noise"]["within_run_um"] == pytest.approx(0.3, rel=0.2)
+
+
+def wave_by_load(c: dict[str, np.ndarray]) -> np.ndarray:
+    return np.sin(2 * np.pi * 2.2 * c["target_mm"] / 400.0) * (c["load_kg"] > 50.0)

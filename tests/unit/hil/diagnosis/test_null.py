@@ -12,7 +12,7 @@ from support.campaigns import campaign, wavy
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.search.candidates import enumerate_candidates, score
-from hil.diagnosis.search.null import CAMPAIGNS, null_maxima, simulate, tail_probability
+from hil.diagnosis.search.judge import CAMPAIGNS, null_maxima, simulate, tail_probability
 from hil.diagnosis.search.rank import smoother
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic

@@ -10,7 +10,7 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis import Diagnosis, diagnose
-from hil.diagnosis.result import Carrier, Figures, Finding, RivalFound
+from hil.diagnosis.result import Carrier, Figures, Finding, NoiseParts, RivalFound
 from hil.diagnosis.search.structure import Structure
 from hil.diagnosis.search.structure_estimate import StructureEstimate
 from hil.diagnosis.verdict.held_out import HeldOut
@@ -85,8 +85,10 @@ def a_diagnosis(*, unexplained: bool = True) -> tuple[Diagnosis, HeldOut]:
     model = Model(PitchTable.of([0.0, 1.0], [0.0, 0.0], [0.0, 0.0]))
     one = np.tile([1.0, -1.0], ROWS // 2)
     carriers = (Carrier(("coolant_l_min",), Estimate(0.6, 0.1), 0.001),) if unexplained else ()
-    floor = Estimate(0.1, 0.01)
-    said = Diagnosis(floor, model, model, (), unexplained, carriers, (), one, one, one, one, "leave-one-run-out", True)
+    noise = NoiseParts(0.1, 0.0, 0.0, 0.0)
+    said = Diagnosis(
+        None, noise, model, model, (), unexplained, carriers, (), one, one, one, one, "leave-one-run-out", True
+    )
     return said, HeldOut(one, one, one, {}, np.ones(4), 0.9 * one, np.array([9.0, 8.0, 9.0, 10.0]), "leave-one-run-out")
 
 
@@ -132,5 +134,5 @@ def test_what_follows_no_column_is_refused() -> None:
 def test_what_a_doubtful_name_corrects_already_is_refused() -> None:
     said, left_out = a_diagnosis()
     term = replace(left("coolant_l_min").terms[0], effect=VelocityLag())
-    finding = Finding(term, 0.3, "", (RivalFound("unexplained", 0.7, ""),), 1.0)
+    finding = Finding(term, 0.3, (RivalFound("unexplained", 0.7, ""),), 1.0)
     assert "corrected already as velocity_lag" in refused(replace(said, findings=(finding,)), [], left_out)

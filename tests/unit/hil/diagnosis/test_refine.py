@@ -11,7 +11,7 @@ from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.search.candidates import enumerate_candidates, score
 from hil.diagnosis.search.fit import Choice, Setting, joint_fit
-from hil.diagnosis.search.refine import refine
+from hil.diagnosis.search.rank import refine
 from hil.effects import Effect
 from hil.effects.cyclic import Cyclic
 from hil.effects.lost_motion import LostMotion

@@ -15,7 +15,7 @@ from hil.diagnosis.next.planned_run import Means
 from hil.diagnosis.page_data import ShownFinding
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.result import Finding, RivalFound
-from hil.diagnosis.verdict.suspected import suspected_note
+from hil.diagnosis.verdict.held_out import suspected_note
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
@@ -90,6 +90,27 @@ def test_every_form_of_the_catalogue_has_its_sentence_with_the_figures_of_the_te
     assert seen
 
 
+def test_a_finding_that_is_not_determined_is_said_in_every_language_too() -> None:
+    form = "exponential"
+    vague = (
+        ("amount_at_shortest_travel_um", 1.84, 0.2),
+        ("shortest_travel_mm", 3.0, 0.0),
+        ("most_length_mm", 22.2, 0.0),
+    )
+    inputs = ("since_reversal_mm", "direction")
+    for parameters, figures in ((vague, ("84", "22")), ((("rms_um", 1.46, 0.03),), ("46",))):
+        finding = ShownFinding("lost_motion", 0.9, "compensate", "English.", parameters, (), None, form, inputs, 1.46)
+        for language in LANGUAGES:
+            t = Texts(language)
+            said = sentence(t, finding)
+            assert said != "English."
+            assert all(figure in said for figure in figures), said
+            assert "± 0 " not in said
+            assert not any("_" in parameter(t, name) for name, _, _ in parameters)
+            if language == "zh":
+                assert LATIN.findall(said) == []
+
+
 def test_a_users_own_effect_speaks_for_itself() -> None:
     own = ShownFinding("sticky_gearbox", 0.9, "compensate", "It sticks.", (("stick_um", 1.0, 0.1),), (), None, "f", ())
     for language in LANGUAGES:
@@ -127,7 +148,7 @@ def test_parts_of_what_is_said_are_said_too() -> None:
     assert de.said("temp_screw_c") == "Temperatur Spindel"
     assert de.said("Temp screw, °C") == "Temperatur Spindel, °C"
     faint = suspected_note(
-        Finding(term(ALL[0], next(iter(ALL[0].forms(survey_of(columns())))), columns()), 0.3, "", RIVALS, 0.2)
+        Finding(term(ALL[0], next(iter(ALL[0].forms(survey_of(columns())))), columns()), 0.3, RIVALS, 0.2)
     )
     assert de.said(faint).startswith(
         "Verdacht auf „zyklischer Fehler“ (0,2 µm effektiv, Sicherheit 0,30; Abbe-Fehler 0,21; "

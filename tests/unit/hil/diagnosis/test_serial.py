@@ -9,8 +9,7 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import START_ROUGHNESS, Setting
-from hil.diagnosis.search.searcher import Searcher
-from hil.diagnosis.search.serial import Memory, memory
+from hil.diagnosis.search.searcher import Memory, Searcher, memory
 from hil.records.rows import Records
 
 ROWS = 320

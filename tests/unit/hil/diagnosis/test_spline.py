@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 
-from hil.diagnosis.spline import TableBasis, cardinal, choose_knots, clusters
+from hil.diagnosis.table import TableBasis, cardinal, choose_knots, clusters
 
 KNOTS = np.array([0.0, 11.0, 30.0, 42.0, 55.0, 71.0, 90.0, 100.0])
 

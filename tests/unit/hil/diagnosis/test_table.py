@@ -8,8 +8,7 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.noise.evidence import LinearCampaign, Noise
-from hil.diagnosis.spline import TableBasis
-from hil.diagnosis.table import DeclaredShape, SplineShape
+from hil.diagnosis.table import DeclaredShape, SplineShape, TableBasis
 from hil.effects.model import PitchTable
 
 KNOTS = np.linspace(0.0, 90.0, 7)

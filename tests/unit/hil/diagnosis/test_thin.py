@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
-from hil.diagnosis.noise.thin import AllRows, kept_rows
+from hil.diagnosis.campaign import AllRows, kept_rows
 
 
 @given(st.integers(1, 300), st.integers(1, 60), st.integers(0, 9), st.integers(200, 900))

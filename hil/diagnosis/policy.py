@@ -1,0 +1,178 @@
+"""Every hand-set number of the verdict, in one place: its unit, what it decides, and where it comes from.
+
+`policy()` gives the one in force. `python tests/study/policy.py` halves and doubles each and prints how the verdicts on random
+machines move; what it printed last stands in `hil/docs/policy.md`. Grids, rounds and limits of memory decide how thorough the
+search is, not what is said; they stay with the code that uses them. Bounds of a cause itself (a screw's expansion, the width of a
+worn zone) are in its effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, fields
+
+
+def _number(value: float, unit: str, meaning: str, origin: str) -> float:
+    number: float = field(default=value, metadata={"unit": unit, "meaning": meaning, "origin": origin})
+    return number
+
+
+LOG = "log odds"
+SHARE = "1"
+RATE = "probability"
+NOISE = "noise std"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The numbers; `Policy.table()` lists them with unit, meaning and origin."""
+
+    # -- what is significant ---------------------------------------------------------------------------------------------
+    false_findings: float = _number(
+        0.003, RATE, "of a finding on a campaign without effects, over the whole catalogue", "asked for: at most 1 %"
+    )
+    false_structure: float = _number(
+        0.002, RATE, "of a structure outside the catalogue on such a campaign", "asked for: anything said at most 2.5 %"
+    )
+    winner: float = _number(
+        0.02, RATE, "in noise of the effect that wins, by itself, once any effect is significant", "set by hand"
+    )
+    accepted_from: float = _number(35.0, LOG, "taken without simulating noise", "e^-35 is below any rate asked for")
+    rejected_below: float = _number(2.0, LOG, "refused without simulating noise", "set by hand; it saves time")
+    refinement: float = _number(5.0, LOG, "that refining a grid point may add", "set by hand; it saves time")
+    default_critical: float = _number(
+        12.0, LOG, "significant with a run left out, where no noise was simulated", "set by hand"
+    )
+    near_offset: float = _number(
+        0.2, NOISE, "difference of run offsets from which noise is simulated with both", "set by hand"
+    )
+    # -- which of several ------------------------------------------------------------------------------------------------
+    temperature: float = _number(
+        2.0, SHARE, "divisor of log odds before they become confidences: no form is exactly right", "set by hand"
+    )
+    richer: float = _number(
+        3.0, LOG, "against a richer form of the same effect", "set by hand: the simplest form first"
+    )
+    implausible: float = _number(5.0, LOG, "against an effect with implausible parameters", "set by hand, 150 to 1")
+    exchange: float = _number(
+        2.0,
+        LOG,
+        "by which another effect must be better to take the place",
+        "set by hand, so that two do not swap for ever",
+    )
+    slight: float = _number(3.0, LOG, "of a term beside terms that were taken after it", "20 to 1")
+    keep: float = _number(6.0, LOG, "of a term beside an unexplained structure", "400 to 1")
+    replace: float = _number(6.0, LOG, "by which a structure of other columns must exceed a term", "400 to 1")
+    beyond: float = _number(6.0, LOG, "of a strong memory of the rows against that of noise", "400 to 1")
+    likely: float = _number(2.0, LOG, "against none from which an unproven effect is considered", "7 to 1")
+    as_well: float = _number(
+        5.0, LOG, "of a temperature against a course of time below which the two are not told apart", "150 to 1"
+    )
+    unseen: float = _number(1.0, LOG, "against a cause by a column that was not recorded", "set by hand")
+    worst: float = _number(
+        -12.0, LOG, "least of a cause in one part of the records", "set by hand: no form is exactly right"
+    )
+    # -- shares ----------------------------------------------------------------------------------------------------------
+    blind: float = _number(
+        0.01,
+        SHARE,
+        "of a candidate's norm that must be left beside the table to be seen",
+        "a hundredth of it is rounding of forms",
+    )
+    shape: float = _number(
+        0.35,
+        SHARE,
+        "of an effect below which what is left in its own columns is its form",
+        "forms of the study differ so much",
+    )
+    outgrown: float = _number(
+        0.7, SHARE, "of an effect above which a structure of its columns is the cause", "half of the power"
+    )
+    minor: float = _number(
+        0.35, SHARE, "of the largest part left below which another is the rest of its waves", "set by hand"
+    )
+    equivalent: float = _number(
+        0.9,
+        SHARE,
+        "of a column's variance by another's cubic from which the two are one",
+        "an earlier trial: a correlation of 0.95",
+    )
+    still: float = _number(0.15, SHARE, "of a course in time that must be left beside a table", "set by hand")
+    few_rows: float = _number(
+        0.01,
+        SHARE,
+        "of the rows, without which a finding must still be likelier than none",
+        "share of outliers in heavy tails",
+    )
+    trimmed: float = _number(
+        5.0,
+        "folds",
+        "of which the best and the worst are left out of a mean gain",
+        "set by hand: an effect of time has no beginning without the first run",
+    )
+    unknown_share: float = _number(0.5, NOISE, "of the nodes of a declared table that states none", "set by hand")
+    # -- what is left ----------------------------------------------------------------------------------------------------
+    scan_fires_at: float = _number(
+        3.0, "-log10 probability", "with the number of groups, of a wave left", "an earlier trial; 1 in 1000"
+    )
+    block_fires_at: float = _number(8.0, LOG, "of a smooth function left", "66 pairs reach 16 of 2·log odds in 0.2 %")
+    simpler: float = _number(1.0, LOG, "that a pair of columns must have beyond one alone", "set by hand")
+    as_good: float = _number(3.0, LOG, "below the best within which a noise model is kept", "an earlier trial; 20 to 1")
+    pseudo_rows: float = _number(
+        10.0, "rows", "of average noise in each group before its scale is taken", "an earlier trial"
+    )
+    # -- noise -----------------------------------------------------------------------------------------------------------
+    most_offset: float = _number(
+        0.8, NOISE, "bound of the offsets of runs: a larger one is an effect", "an earlier trial"
+    )
+    prior_offset: float = _number(0.35, NOISE, "scale of the half-normal prior on them", "an earlier trial")
+    short_memory: float = _number(1.2, NOISE, "scale of the prior on memory of a few rows", "set by hand")
+    long_memory: float = _number(0.35, NOISE, "the same where it lasts longer: that is drift, an effect", "set by hand")
+    outlier_limit: float = _number(3.2, NOISE, "of a residual, robust", "1 row in 700 of normal noise")
+    outlier_tail: float = _number(
+        1.5, "95 % quantiles", "the same; the larger counts, so that a real bulge is kept", "set by hand"
+    )
+    least_dof: float = _number(
+        5.0, "degrees", "of freedom from which a floor is stated", "its std is then a third of it"
+    )
+    within_s: float = _number(30.0, "s", "between repeats in which nothing warms up", "set by hand")
+    within_rows: float = _number(10.0, "rows", "the same where no time was recorded", "set by hand")
+    # -- what is said ----------------------------------------------------------------------------------------------------
+    least_confidence: float = _number(0.02, SHARE, "of a rival to be listed", "set by hand")
+    decided: float = _number(
+        0.95,
+        SHARE,
+        "of a cause from which no further run is made",
+        "an earlier trial: above it 316 of 316 were right",
+    )
+    sure_name: float = _number(
+        0.5, SHARE, "from which a small effect is a finding", "likelier than all rivals together"
+    )
+    wander: float = _number(0.5, NOISE, "RMS of a drift that noise may reach", "set by hand")
+    silent: float = _number(0.005, RATE, "in normal noise of a note that more is left", "set by hand")
+
+    @classmethod
+    def table(cls) -> dict[str, tuple[float, str, str, str]]:
+        """By name: value, unit, meaning, origin."""
+        return {f.name: (f.default, *(f.metadata[key] for key in ("unit", "meaning", "origin"))) for f in fields(cls)}
+
+
+USUAL = Policy()
+_IN_FORCE: ContextVar[Policy] = ContextVar("policy")
+
+
+def policy() -> Policy:
+    """The policy in force in this thread."""
+    return _IN_FORCE.get(USUAL)
+
+
+@contextmanager
+def in_force(other: Policy) -> Iterator[None]:
+    """Puts another policy into force, for a study of what its numbers do."""
+    token = _IN_FORCE.set(other)
+    try:
+        yield
+    finally:
+        _IN_FORCE.reset(token)

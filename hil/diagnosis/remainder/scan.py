@@ -1,0 +1,216 @@
+"""A scan for structure of any form: products of harmonics of every pair of columns, with and without the direction.
+
+Each column is scaled to its own range; cosines and sines of half a period to 3.5 periods along it resolve steps, hinges and waves
+alike, and finer ones along position and time resolve beats. A group of such products is tested beside everything in the null: its
+share of the residual sum of squares is Beta distributed, whatever the columns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betainc
+
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.noise.evidence import Projection
+from hil.diagnosis.remainder.null import Null
+from hil.diagnosis.search.structure import usable_columns
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+COARSE, STEP = 3.5, 0.5
+"""Most periods along a column, and the step between them: 1, 2 and 3.5 periods found 22, 29 and 30 of 30 causes of one set."""
+FINE_POSITION, FINE_TIME = 16.0, 12.0
+"""The same along position and along time, together."""
+FEW_LEVELS = 8
+"""Distinct values up to which a column is set in steps."""
+RESCORED = 25
+"""Best groups that are tested under every noise model nearly as good."""
+LEFT = 1e-4
+"""Share of a product's squared norm that must be left beside the null; single precision resolves no less."""
+BATCH = 1024
+"""Groups tested together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """A column scaled to 0 … 1 between its 2 % and 98 % quantiles, (n,); levels: its values where they are few, ascending.
+
+    A column of few levels has no waves but steps: from each level on, and at it alone. They are numbered like periods.
+    """
+
+    name: str
+    u: Floats
+    levels: tuple[float, ...]
+
+    def periods(self, most: float) -> Floats:
+        """Periods along it, or the numbers of its steps, (k,)."""
+        if self.levels:
+            return np.arange(1.0, len(self.levels))
+        return np.arange(STEP, most + 1e-9, STEP)
+
+    def waves(self, periods: Floats) -> Floats:
+        """Cosine and sine, or the two steps, of each, (k, 2, n)."""
+        if self.levels:
+            middle = np.array([(a + b) / 2 for a, b in itertools.pairwise(self.levels)] + [np.inf])
+            first = np.asarray(periods, dtype=np.int64) - 1
+            from_here = self.u[None, :] > middle[first][:, None]
+            return np.stack([from_here, from_here & (self.u[None, :] < middle[first + 1][:, None])], axis=1).astype(
+                float
+            )
+        angle = 2.0 * np.pi * np.asarray(periods)[:, None] * self.u[None, :]
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@dataclass(frozen=True)
+class Group:
+    """A product: periods along each of one or two columns (`Variable`), and whether it changes sign with the direction."""
+
+    first: Variable
+    periods: float
+    second: Variable | None = None
+    second_periods: float = 0.0
+    with_direction: bool = False
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        names = [self.first.name, *([self.second.name] if self.second else [])]
+        return (*sorted(names), *(["direction"] if self.with_direction else []))
+
+    @property
+    def width(self) -> int:
+        """Number of its columns."""
+        return 2 if self.second is None else 4
+
+    def design(self, d: Floats) -> Floats:
+        """Its columns, shape (n, 2) or (n, 4)."""
+        waves = self.first.waves(np.array([self.periods]))[0].T
+        if self.second is not None:
+            other = self.second.waves(np.array([self.second_periods]))[0].T
+            waves = (waves[:, :, None] * other[:, None, :]).reshape(len(d), -1)
+        return np.asarray(waves * d[:, None] if self.with_direction else waves, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The best groups with -log10 of their probability in noise, best first, and the number of groups tested."""
+
+    best: tuple[tuple[Group, float], ...]
+    tested: int
+
+    @property
+    def score(self) -> float:
+        """Of the best group, with the number of groups."""
+        return self.best[0][1] if self.best else -np.inf
+
+
+def variables(campaign: CampaignRows) -> tuple[Variable, ...]:
+    """The columns that vary and may carry something."""
+    found = []
+    for name in usable_columns(campaign):
+        values = campaign.columns[name]
+        low, high = np.quantile(values, (0.02, 0.98))
+        if high <= low:
+            low, high = float(np.min(values)), float(np.max(values))
+        u = (values - low) / (high - low)
+        levels = np.unique(np.round(u, 3))
+        found.append(Variable(name, u, tuple(levels.tolist()) if len(levels) <= FEW_LEVELS else ()))
+    return tuple(found)
+
+
+def scan(null: Null, columns: Sequence[Variable]) -> Scan:
+    """Tests every group under the best noise model, and the best ones again under those nearly as good; the worst counts."""
+    campaign = null.linear.campaign
+    d = campaign.d if campaign.survey.has("direction") else None
+    found: list[tuple[float, Group]] = []
+    tested = 0
+    weight = (1.0 / null.scale).astype(np.float32)
+    for groups, design in _batches(columns, d):
+        tested += len(groups)
+        scores = -_log10_probability(null.best, np.multiply(design, weight, out=design))
+        top = np.argsort(-scores)[:RESCORED]
+        found.extend((float(scores[i]), groups[i]) for i in top)
+        found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
+    known = float(np.log10(max(tested, 1)))
+    scores = np.array([score for score, _ in found])
+    for width in (2, 4):
+        mine = [i for i, (score, group) in enumerate(found) if group.width == width and score > known]
+        if not mine:
+            continue
+        designs = [found[i][1].design(campaign.d) / null.scale[:, None] for i in mine]
+        stacked = np.stack([design.T for design in designs]).astype(np.float32)
+        for projection in null.nearly_as_good:
+            scores[mine] = np.minimum(scores[mine], -_log10_probability(projection, stacked))
+    best = [(group, float(score) - known) for (_, group), score in zip(found, scores, strict=True)]
+    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tested)
+
+
+def _log10_probability(projection: Projection, design: Singles) -> Floats:
+    """Log10 of the probability in noise of as much as each group (G, w, n) explains, shape (G,)."""
+    count, width, n = design.shape
+    flat = design.reshape(count * width, n)
+    white = np.ascontiguousarray(projection.whitened.whiten(flat.T).T)
+    null = np.hstack([projection.whitened.table, projection.beside]) @ projection.inverse_lower.T
+    shadow = (white @ null.astype(np.float32)).reshape(count, width, -1)
+    blocks = white.reshape(count, width, n)
+    whole = blocks @ blocks.transpose(0, 2, 1)
+    raw = np.einsum("gii->gi", whole)
+    inner = whole - shadow @ shadow.transpose(0, 2, 1)
+    b = (white @ projection.rest.astype(np.float32)).reshape(count, width).astype(np.float64)
+    root = np.sqrt(np.maximum(raw, 1e-20)).astype(np.float64)
+    scaled = inner / (root[:, :, None] * root[:, None, :])
+    gone = np.einsum("gii->gi", scaled) < LEFT
+    b = np.where(gone, 0.0, b / root)
+    normal = scaled.astype(np.float64) + LEFT * np.eye(width)
+    explained = np.einsum("gi,gi->g", b, np.linalg.solve(normal, b[:, :, None])[:, :, 0])
+    share = np.clip(explained / float(projection.rss), 0.0, 1.0 - 1e-12)
+    rest = max(projection.dof - width, 2) / 2.0
+    return np.asarray(np.log10(np.maximum(betainc(rest, width / 2.0, 1.0 - share), 1e-300)))
+
+
+def _batches(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[list[Group], Singles]]:
+    """Groups of one width and their products, shape (G, w, n), at most about BATCH together."""
+    waves = {v.name: _waves(v, max(COARSE, _fine(v))) for v in columns}
+    signs = [False] if d is None else [False, True]
+    for directed in signs:
+        sign = np.ones(1, dtype=np.float32) if not directed or d is None else d.astype(np.float32)
+        groups: list[Group] = []
+        parts: list[Singles] = []
+        for v in columns:
+            periods, w = waves[v.name]
+            groups += [Group(v, float(k), with_direction=directed) for k in periods]
+            parts.append(w * sign)
+        if groups:
+            yield groups, np.concatenate(parts)
+        groups, parts = [], []
+        for a, b in itertools.combinations(columns, 2):
+            (ka, wa), (kb, wb) = waves[a.name], waves[b.name]
+            both_fine = bool(_fine(a) and _fine(b)) and not directed
+            if not both_fine:
+                ka, kb = (k if v.levels else k[k <= COARSE] for v, k in ((a, ka), (b, kb)))
+            if not len(ka) or not len(kb):
+                continue
+            product = wa[: len(ka), None, :, None] * (wb[: len(kb), None, :] * sign)[None]
+            groups += [Group(a, float(i), b, float(j), with_direction=directed) for i, j in itertools.product(ka, kb)]
+            parts.append(product.reshape(len(ka) * len(kb), 4, -1))
+            if len(groups) >= BATCH:
+                yield groups, np.concatenate(parts)
+                groups, parts = [], []
+        if groups:
+            yield groups, np.concatenate(parts)
+
+
+def _fine(variable: Variable) -> float:
+    return {"target_mm": FINE_POSITION, "time_s": FINE_TIME, "row_order": FINE_TIME}.get(variable.name, 0.0)
+
+
+def _waves(variable: Variable, most: float) -> tuple[Floats, Singles]:
+    """Periods (k,) and the waves (k, 2, n)."""
+    periods = variable.periods(most)
+    return periods, variable.waves(periods).astype(np.float32)
