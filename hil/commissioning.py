@@ -12,10 +12,12 @@ from hil.backlash.settings import backlash_settings
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.explore import warm_up
 from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.calibration.job import enter_backlash
 from hil.calibration.latency import measure_latency
+from hil.calibration.straightness import measure_straightness
 from hil.calibration.verify import Verification, verify
 from hil.correction.compensation import Compensation
-from hil.correction.manual import read_manual_tables, read_straightness
+from hil.correction.manual import read_backlash, read_manual_tables, read_straightness
 from hil.correction.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
 from hil.correction.store import SealedStore
 from hil.correction.tables import Band, TableMode, TableSet
@@ -34,16 +36,16 @@ from hil.lost_motion.circle.procedure import prepare as prepare_axes
 from hil.lost_motion.fit import MeasuredReversal
 from hil.lost_motion.fit import compete as compete_lost_motion
 from hil.lost_motion.procedure import LostMotionResult, measure_lost_motion
-from hil.machine.axes_wiring import connected_axes
+from hil.machine.axes_wiring import connected_across, connected_axes
 from hil.machine.events import Event
 from hil.machine.measure import Step, measure
 from hil.machine.replay import recorded, replayed
 from hil.machine.wiring import Machine, connected, connected_drive
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
-from hil.probe.procedure import centre_bore, correct, measure_and_store, measure_run_out
+from hil.probe.procedure import centre_bore, correct, measure_and_store, measure_feature, measure_run_out, serve_codes
 from hil.probe.runout import CorrectionCode, RunOut
 from hil.probe.store import RunOutStore
-from hil.probe.wiring import connected_probe, probe_bench
+from hil.probe.wiring import connected_probe, control_wires, probe_bench
 from hil.records.journal import Campaign
 from hil.records.rows import Records, read_csv, to_csv
 from hil.records.zero import read_zero
@@ -90,9 +92,11 @@ __all__ = [
     "close_loop",
     "compete_lost_motion",
     "connected",
+    "connected_across",
     "connected_axes",
     "connected_drive",
     "connected_probe",
+    "control_wires",
     "correct",
     "default_backlash",
     "default_lost_motion",
@@ -100,6 +104,7 @@ __all__ = [
     "doctor",
     "drive_circle",
     "drive_table",
+    "enter_backlash",
     "fit_model",
     "fitted_lost_motion",
     "held_table",
@@ -113,16 +118,19 @@ __all__ = [
     "measure",
     "measure_and_store",
     "measure_backlash",
+    "measure_feature",
     "measure_in_motion",
     "measure_latency",
     "measure_lost_motion",
     "measure_run_out",
+    "measure_straightness",
     "new_key",
     "plan_passes",
     "prepare_axes",
     "probe_bench",
     "prove_by_drive",
     "prove_by_instrument",
+    "read_backlash",
     "read_csv",
     "read_manual_tables",
     "read_straightness",
@@ -132,6 +140,7 @@ __all__ = [
     "replayed",
     "save_private_key",
     "save_public_key",
+    "serve_codes",
     "to_csv",
     "verify",
     "wanted_of",

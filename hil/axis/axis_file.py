@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from drivers.drive import DriveLimits
+from drivers.errors import InputError
 from drivers.scaling import AxisScaling
 from drivers.toml_schema import Document
 from drivers.toml_types import (
@@ -30,6 +31,7 @@ from drivers.toml_types import (
     Share,
     Via,
     not_empty,
+    one_of,
 )
 from hil.axis.agreement import REVERSAL_UM, AgreementLimits
 from hil.axis.backlash import BacklashConfig, read_backlash
@@ -37,7 +39,7 @@ from hil.axis.connections import BENCH_MACHINES, DriveConfig, HomingConfig, read
 from hil.axis.instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis.lost_motion import LostMotionConfig, read_lost_motion
 from hil.correction.bound import CAREFUL, CorrectionBound
-from hil.correction.tables import Band, TableMode
+from hil.correction.tables import Band, SignedSections, TableMode
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.records.zero import REFERENCE_WITHIN_UM
 
@@ -53,6 +55,7 @@ __all__ = [
     "InstrumentConfig",
     "MeasurementConfig",
     "StoreConfig",
+    "StraightnessConfig",
     "iso_targets",
     "load_axis",
     "load_drive_axis",
@@ -63,6 +66,9 @@ def _band(ends: tuple[float, float], _: Document) -> Band:
     return Band(*ends)
 
 
+FINE_TOTAL_UM = 6.0
+"""How far fine steps may move one section and direction over all rounds, µm. The document searches "within ±1 µm to several µm" (S22,
+S23) and names no total; this is twice the 3 µm of a round. A section that wants more has an error of another cause."""
 _CLOSEST_MM = 0.01  # between two targets: far less than any section, far more than targets are rounded to
 
 
@@ -122,12 +128,38 @@ class CorrectionConfig:
     combined: bool = False
     straightness_share: Share = 0.0
     bound: Annotated[CorrectionBound, Key("")] = CAREFUL
+    signs: tuple[SignedSections, ...] = ()
+    fine_total_um: Positive = FINE_TOTAL_UM
 
     def __post_init__(self) -> None:
         if self.fine_range_um < self.fine_step_um:
             raise SchemaError(
                 "fine_range_um", f"is {self.fine_range_um:g}, expected at least one step, {self.fine_step_um:g}"
             )
+        if self.fine_total_um < self.fine_range_um:
+            what = f"is {self.fine_total_um:g}, expected at least the range of one round, {self.fine_range_um:g}"
+            raise SchemaError("fine_total_um", what)
+        if self.signs and self.band is None:
+            raise SchemaError("signs", "are given without band_um, whose signs they are")
+        if self.signs and self.band is not None:
+            try:
+                object.__setattr__(self, "band", replace(self.band, signs=self.signs))
+            except InputError as error:
+                raise SchemaError("signs", error.what) from error
+
+
+@dataclass(frozen=True)
+class StraightnessConfig:
+    """How far this axis leaves its line, and the axis that is moved against it while this one moves.
+
+    axis_file: of that axis; at_mm: where it stands meanwhile; column: record column of the straightness optics, in µm ([instrument]
+    beside); sign: +1 where the column grows as that axis moves in +, -1 where it falls
+    """
+
+    axis_file: File
+    at_mm: Number
+    column: Name = "straightness_um"
+    sign: Annotated[int, one_of(1, -1)] = 1
 
 
 @dataclass(frozen=True)
@@ -170,6 +202,16 @@ class DriveAxis:
         """Where the axis's zero is kept (`hil.records.zero`)."""
         return self.store.directory / f"{self.name}.zero.json"
 
+    @property
+    def made_with_path(self) -> Path:
+        """Where the drive's parameters at the last measurement are kept (`hil.records.made_with`)."""
+        return self.store.directory / f"{self.name}.made-with.json"
+
+    @property
+    def tables_path(self) -> Path:
+        """Where the axis's tables are kept, sealed."""
+        return self.store.directory / "tables.sealed"
+
 
 @dataclass(frozen=True)
 class AxisConfig(DriveAxis):
@@ -181,17 +223,13 @@ class AxisConfig(DriveAxis):
     conditions: ConditionsConfig
     lost_motion: LostMotionConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
     uncertainty: UncertaintyInputs | None = field(default=None, kw_only=True)
+    straightness: StraightnessConfig | None = field(default=None, kw_only=True)  # None: no other axis is corrected
 
     @property
     def agreement(self) -> AgreementLimits:
         """What the instrument may differ from the motor by."""
         instrument = self.instrument
         return AgreementLimits(instrument.agrees_within_um, self.largest_reversal_um, instrument.latency_s)
-
-    @property
-    def tables_path(self) -> Path:
-        """Where the axis's tables are kept, sealed."""
-        return self.store.directory / "tables.sealed"
 
     def purpose(self, kind: str) -> dict[str, Any]:
         """What decides which rows a campaign of this kind measures, as plain values: a resumed one must have the same."""
@@ -217,10 +255,20 @@ class AxisConfig(DriveAxis):
                 if name != "reference_within_um"
             },
             "correction": {
-                **{name: value for name, value in asdict(self.correction).items() if name != "bound"},
-                "mode": self.correction.mode.value,
+                **_purpose_of(self.correction),
             },
         }
+
+
+def _purpose_of(correction: CorrectionConfig) -> dict[str, Any]:
+    """As plain values; what has its default and is newer than a campaign that may be resumed is left out."""
+    form: dict[str, Any] = {**asdict(correction), "mode": correction.mode.value}
+    del form["bound"], form["signs"]
+    if form["fine_total_um"] == FINE_TOTAL_UM:
+        del form["fine_total_um"]
+    if correction.band is not None and not correction.signs:
+        del form["band"]["signs"]
+    return form
 
 
 def load_axis(path: str | Path) -> AxisConfig:
@@ -276,6 +324,13 @@ def _axis(document: Document) -> AxisConfig:
     if correction.band is not None and measurement.runs < 2:
         what = f"needs the machine's repeatability, but [measurement] runs is {measurement.runs}, expected 2 or more"
         raise document.fail("correction.band_um", what)
+    straightness = document.load(StraightnessConfig, "straightness") if "straightness" in document else None
+    if straightness is not None and straightness.column not in (instrument.beside or {}):
+        what = f"is {straightness.column!r}, expected a column of straightness optics that [instrument] beside names"
+        raise document.fail("straightness.column", what)
+    if straightness is not None and correction.straightness_share:
+        what = "moves a part of the specified accuracy of this axis into straightness, and [straightness] corrects another axis"
+        raise document.fail("correction.straightness_share", f"{what}: expected 0")
     axis = AxisConfig(
         **moving,
         instrument=instrument,
@@ -284,6 +339,7 @@ def _axis(document: Document) -> AxisConfig:
         conditions=ConditionsConfig(document.load(Levels, "conditions", required=False)),
         lost_motion=read_lost_motion(document, limits, measurement.targets_mm) if "lost_motion" in document else None,
         uncertainty=document.load(UncertaintyInputs, "uncertainty") if "uncertainty" in document else None,
+        straightness=straightness,
     )
     document.finish()
     return axis

@@ -15,6 +15,9 @@ from drivers.toml_types import Limits, Number, Positive, Text, one_of
 METHODS = ("fitted", "four-sample")
 """Which estimate counts: the fitted wind-up curve, or the published rule of four samples. Both are always told."""
 
+FEEDS = ("steps", "creep")
+"""How the motor goes on after a reversal, both published: step by step with a rest after each, or very slowly without one."""
+
 SLIDES, SLIDE_MM = 8, 0.1
 """Ways beyond the break-away, each ended by a reading: they show the torque that sliding leaves behind."""
 
@@ -26,8 +29,9 @@ class BacklashConfig:
     """How it is measured, and the drive's parameters.
 
     reference_plus_mm, reference_minus_mm: where the axis turns back from + to -, and from - to +. parameter, acceleration: an object
-    ("2201h", "2201h:01") or a register by name; None: the drive has none, and the value is kept in a file beside the axis's campaigns.
-    parameter_um: what one count of it stands for.
+    ("2201h", "2201h:01") or a register by name; None: the drive has none, and the amount is entered in the axis's sealed tables.
+    parameter_um: what one count of it stands for. feed: see `FEEDS`; creep_um_s: the speed of the second, whose readings are averaged
+    over each step_um.
     """
 
     reference_plus_mm: Number
@@ -39,6 +43,8 @@ class BacklashConfig:
     readings: Annotated[int, Limits(ge=1, le=100)] = 4
     settle_s: Annotated[float, Limits(ge=0.0, le=10.0)] = 0.1
     velocity_mm_s: Positive = 0.5
+    feed: Annotated[str, one_of(*FEEDS)] = FEEDS[0]
+    creep_um_s: Annotated[float, Limits(ge=1.0, le=1000.0)] = 20.0
     runs: Annotated[int, Limits(ge=1, le=100)] = 1
     method: Annotated[str, one_of(*METHODS)] = METHODS[0]
     home: bool = True

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from drivers.toml_schema import Document, either, shown
 from drivers.toml_types import Count, File, Limits, Number, Positive, Text, Via, one_of
 
-BENCH_MACHINES = ("ideal", "geometric", "typical", "worn")
-"""Simulated axes of the bench: without error; pitch and backlash only; with what a workshop adds (heat, lost motion, screw cyclic);
-with a soft drive train that winds up by some 53 µm."""
+BENCH_MACHINES = ("ideal", "geometric", "bent", "typical", "worn")
+"""Simulated axes of the bench: without error; pitch and backlash only; the same on a way that is not straight; with what a workshop
+adds (heat, lost motion, screw cyclic); with a soft drive train that winds up by some 53 µm."""
 
 BENCH_FACES = ("canopen", "modbus-tcp", "modbus-rtu", "virtual")
 """How the bench's drive is shown: on a virtual CAN bus, a loopback port, a pty, or with no wire in between."""
@@ -27,9 +27,10 @@ GUARD_S = 2.0
 
 _MAPS = ("cia402_over_modbus", "vendor_style")
 _KEYS = {
-    "canopen": "interface channel bitrate node_id sdo_timeout_s sample_timeout_s heartbeat_s guard_s eds homing correction_table",
+    "canopen": "interface channel bitrate node_id axis sdo_timeout_s sample_timeout_s heartbeat_s guard_s eds homing correction_table"
+    " velocity_unit acceleration_unit modes",
     "modbus": "register_map url unit baud",
-    "bench": "machine seed face homing correction_table",
+    "bench": "machine seed face homing correction_table profile velocity_unit acceleration_unit modes",
     "bench over Modbus": "machine seed face register_map",
 }
 _NEEDS = {"canopen": ["node_id"], "modbus": ["register_map", "url"]}
@@ -71,7 +72,11 @@ class DriveConfig:
     heartbeat_s: period asked of a CANopen drive, None when it is not to be supervised; guard_s: how long the drive goes on without
     hearing us before it stops by itself, None for good. eds: the maker's file of a CANopen drive's objects; correction_table: the map
     of the table that it holds itself, a file or the name of a shipped one, empty where it holds none. register_map: an absolute file,
-    or the name of a shipped one. face: how the bench shows its drive.
+    or the name of a shipped one. face: how the bench shows its drive; profile: of the documented drive that it then is (`hil sim drive
+    --help` lists them), empty for the standard's.
+
+    axis: of a CANopen node with several. velocity_unit, acceleration_unit: of a CANopen drive that does not state them, in the form of
+    `drivers.scaling.motion_unit`. modes: numbers of 6060h of one without 6502h; empty: they are tried at standstill.
     """
 
     backend: Annotated[str, one_of("canopen", "modbus", "bench")]
@@ -93,6 +98,11 @@ class DriveConfig:
     seed: Count = 0
     face: Annotated[str, one_of(*BENCH_FACES)] = "canopen"
     correction_table: MapFile = ""
+    profile: Annotated[str, Limits(description="the name of a drive profile")] = ""
+    axis: Annotated[int, Limits(ge=1, le=8)] = 1
+    velocity_unit: Annotated[Text | None, Limits(description='a unit such as "rpm"')] = None
+    acceleration_unit: Annotated[Text | None, Limits(description='a unit such as "rpm/s"')] = None
+    modes: tuple[Annotated[int, Limits(ge=1, le=10)], ...] = ()
 
 
 def read_drive(document: Document) -> DriveConfig:
@@ -114,4 +124,6 @@ def read_drive(document: Document) -> DriveConfig:
     for key, shipped in (("register_map", _MAPS), ("correction_table", BENCH_TABLES)):
         if backend == "bench" and key in given and getattr(config, key) not in shipped:
             raise document.fail(f"drive.{key}", f"is {shown(given[key])}, expected {either(shipped)}")
+    if config.profile and config.face != "canopen":
+        raise document.fail("drive.profile", f"is for face canopen, the face is {config.face}")
     return config

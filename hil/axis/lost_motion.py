@@ -11,7 +11,10 @@ import numpy as np
 
 from drivers.drive import DriveLimits
 from drivers.toml_schema import Document
-from drivers.toml_types import Limits, Number
+from drivers.toml_types import Limits, Number, one_of
+
+TRAVEL_BY = ("command", "estimate")
+"""The set-points, or as published the body's actual position, estimated from the drive's encoder less the correction in force."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,7 @@ class LostMotionConfig:
     at_mm: middle of the strokes; stroke_mm: their length; places: at each end, at which the axis rests after turning there; finest_um:
     travel to the first of them; runs: how often there and back; proof_moves: of any length, before and after; shortest_rise_um: no
     correction rises faster, as the drive has to follow it; how much of a rise over less is lost motion of the load, it does not see
+    travel_by: what the travel since a reversal is counted by in streams, see `TRAVEL_BY`
     """
 
     at_mm: Number
@@ -30,6 +34,7 @@ class LostMotionConfig:
     runs: Annotated[int, Limits(ge=2, le=100)] = 3
     proof_moves: Annotated[int, Limits(ge=4, le=1000)] = 40
     shortest_rise_um: Annotated[float, Limits(ge=0.01, le=1000.0)] = 0.25
+    travel_by: Annotated[str, one_of(*TRAVEL_BY)] = TRAVEL_BY[0]
 
     @property
     def low_mm(self) -> float:

@@ -1,8 +1,9 @@
-"""What keeps the zero of the axis that a file describes."""
+"""What keeps the zero of the axis that a file describes, and the drive's parameters that its tables were made with."""
 
 from __future__ import annotations
 
 from hil.axis.axis_file import AxisConfig, DriveAxis
+from hil.records.made_with import MadeWithKeeper
 from hil.records.zero import ZeroKeeper
 
 
@@ -18,3 +19,10 @@ def zero_keeper(axis: DriveAxis) -> ZeroKeeper:
         absolute_encoder=axis.absolute_encoder,
         instrument=axis.instrument.kind,
     )
+
+
+def made_with_keeper(axis: DriveAxis) -> MadeWithKeeper:
+    """Of the drive's units, and of its backlash amount and switch where the axis file names them."""
+    how = axis.backlash
+    names = () if how is None else tuple(name for name in (how.parameter, how.acceleration) if name is not None)
+    return MadeWithKeeper(axis.made_with_path, axis.name, axis.path, names)

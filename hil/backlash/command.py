@@ -6,16 +6,23 @@ import argparse
 import sys
 
 from drivers.drive import ServoDrive
-from hil.app.terminal.axis_options import add_axis_arguments
+from hil.app.terminal.axis_options import add_axis_arguments, add_password_options, open_store
 from hil.app.terminal.output import number, print_facts, print_table, write_json
-from hil.app.terminal.progress import terminal_progress
-from hil.axis.axis_file import DriveAxis, load_drive_axis
-from hil.axis.backlash import METHODS, BacklashConfig
+from hil.app.terminal.progress import telling_notes, terminal_progress
+from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
+from hil.axis.backlash import FEEDS, METHODS, BacklashConfig
 from hil.backlash.documents import facts, form, report_html, verdict
-from hil.backlash.job import MeasuredBacklash, backlash_config, measure, put_back
+from hil.backlash.job import (
+    NEVER_WRITTEN,
+    MeasuredBacklash,
+    backlash_config,
+    measure,
+    original_values,
+    put_back,
+    unrestored,
+)
 from hil.backlash.procedure import DIRECTIONS
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um
-from hil.backlash.settings import TABLE
 from hil.machine.wiring import connected_drive
 from hil.records.files import replace_file
 
@@ -24,11 +31,13 @@ example:
   hil backlash X.toml --dry-run                     what would move, how far, and which parameters
   hil backlash X.toml --report backlash.html        measure both reversals; the drive's parameters are as before afterwards
   hil backlash X.toml --runs 5 --write              mean of five, written to the drive's backlash parameter and read back
-  hil backlash X.toml --restore                     put back what an interrupted measurement could not
+  hil backlash X.toml --feed creep                  a very slow feed instead of steps; quicker, less certain
+  hil backlash X.toml --restore                     put back what was there before the first --write, or what an interruption left
 
 The [backlash] section of the axis file says where, in which steps, and which parameters (hil/examples/backlash_axis.toml). No position
 sensor is needed: the motor's torque shows when the table breaks away. Every reading is kept in the axis's folder, also those of an
-interrupted run. Exit status 1: no break-away within the allowed steps (detection limit exceeded); everything was put back.
+interrupted run. For a drive without a backlash parameter --write enters the mean in the axis's sealed tables, beside their pitch, and
+needs their passwords. Exit status 1: no break-away within the allowed steps (detection limit exceeded); everything was put back.
 """
 
 
@@ -44,14 +53,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--runs", type=_count, help="measurements of both reversals (default: the axis file's)")
     parser.add_argument("--method", choices=METHODS, help="the estimate that is used (default: the axis file's)")
     parser.add_argument(
-        "--write", action="store_true", help="write the mean to the backlash parameter, and read it back"
+        "--feed", choices=FEEDS, help="after the reversal: steps, or a very slow creep (default: the axis file's)"
+    )
+    parser.add_argument(
+        "--write",
+        action="store_true",
+        help="write the mean to the backlash parameter, and read it back; without one, enter it in the sealed tables",
     )
     parser.add_argument(
         "--restore",
         action="store_true",
-        help="measure nothing; restore the parameters that an interrupted run left changed",
+        help="measure nothing; restore what an interrupted run left changed, else the values before the first --write",
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
+    add_password_options(parser, key=True)
     parser.set_defaults(run=run)
 
 
@@ -64,15 +79,18 @@ def _count(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     """Returns 0: measured; 1: detection limit exceeded. Raises what `measure_backlash` raises."""
     axis = load_drive_axis(args.axis)
-    how = backlash_config(axis, runs=args.runs, method=args.method)
+    how = backlash_config(axis, runs=args.runs, method=args.method, feed=args.feed)
     if args.dry_run:
         _print_plan(axis, how, args)
         return 0
-    with connected_drive(axis) as drive:
+    store = None
+    if args.write and how.parameter is None and isinstance(axis, AxisConfig) and not args.restore:
+        store = open_store(args, axis, writing=True)
+    with connected_drive(axis) as drive, telling_notes(drive):
         if args.restore:
             return _restore(axis, how, drive)
         with terminal_progress() as listener:
-            measured = measure(axis, how, drive, write=args.write, listener=listener, tell=_say)
+            measured = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
     _print(measured)
     if args.report:
         replace_file(args.report, report_html(axis, measured).encode())
@@ -88,26 +106,39 @@ def _say(text: str) -> None:
 def _restore(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> int:
     found = put_back(axis, how, drive)
     if found is None:
-        print("nothing to put back: the last measurement left everything as it was")
-    else:
-        print("put back: " + ", ".join(f"{name} = {value:g}" for name, value in found.values.items()))
+        print(f"nothing to put back: the last measurement left everything as it was, and {NEVER_WRITTEN}")
+        return 0
+    print("put back: " + ", ".join(f"{name} = {value:g}" for name, value in found.values.items()))
+    earlier = original_values(axis)
+    if earlier is not None:
+        values = ", ".join(f"{name} = {value:g}" for name, value in earlier.items())
+        print(f"a written amount is still in force; before it there was {values}: --restore once more puts that back")
     return 0
 
 
 def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) -> None:
     if args.restore:
-        print(f"axis {axis.name} over {axis.drive.backend}: would write back what an earlier measurement noted, if any")
+        where, earlier = f"axis {axis.name} over {axis.drive.backend}: would write back", original_values(axis)
+        if unrestored(axis):
+            print(f"{where} what an interrupted measurement noted")
+        elif earlier is None:
+            print(f"{where} nothing: {NEVER_WRITTEN}")
+        else:
+            print(f"{where} {', '.join(f'{name} = {value:g}' for name, value in earlier.items())}")
         return
     print(
         f"axis {axis.name} over {axis.drive.backend}: would enable it{', home it' if how.home else ''} and, {how.runs} times:"
     )
+    feed = f"creep at {how.creep_um_s:g} µm/s" if how.feed == "creep" else f"go in steps of {how.step_um:g} µm"
     for direction in DIRECTIONS:
         print(
-            f"  {NAMES[direction]}: from {how.start_mm(direction):g} mm to {how.turning_mm(direction):g} mm, turn back, and go in"
-            f" steps of {how.step_um:g} µm, to {how.end_mm(direction):g} mm at most"
+            f"  {NAMES[direction]}: from {how.start_mm(direction):g} mm to {how.turning_mm(direction):g} mm, turn back, and"
+            f" {feed}, to {how.end_mm(direction):g} mm at most"
         )
     if how.parameter is None:
-        print(f"  no parameter of the drive is touched; the amount is kept in {axis.store.directory / TABLE}")
+        print(
+            f"  no parameter of the drive is touched; --write enters the amount in the sealed tables {axis.tables_path}"
+        )
     else:
         names = [name for name in (how.parameter, how.acceleration) if name]
         print(f"  meanwhile {' and '.join(names)} would be 0, and as before afterwards")

@@ -15,23 +15,33 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.drive import ServoDrive
 from drivers.errors import InputError, StateError
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Move, Plan, Write
-from hil.axis.axis_file import DriveAxis
+from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
+from hil.axis.zero import made_with_keeper
 from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, restore
 from hil.backlash.procedure import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
 from hil.backlash.result import NAMES
-from hil.backlash.settings import NOTE, TABLE, backlash_settings
+from hil.backlash.settings import NOTE, backlash_settings
 from hil.backlash.trace import ReversalTrace
+from hil.calibration.job import enter_backlash
+from hil.correction.store import SealedStore, bound_tables
+from hil.correction.tables import SingleTable
 from hil.machine.events import Listener, silent
+from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.records.files import read_text, replace_file
+from hil.records.made_with import same
 
 MEASURE, LOOK = "backlash", "backlash look"
 WRITE, RESTORE, SWITCH = "backlash write", "backlash restore", "backlash switch"
 WRITTEN = "backlash-written.json"
+"""Journal: the values before the first write, and the last one written. It is there until they are put back."""
+NEVER_WRITTEN = "no amount was written since the drive was as it is"
 
 
 def backlash_config(axis: DriveAxis, **given: Any) -> BacklashConfig:
@@ -43,7 +53,7 @@ def backlash_config(axis: DriveAxis, **given: Any) -> BacklashConfig:
 def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
     """Names of the settings: the amount and the acceleration switch."""
     if how.parameter is None:
-        return [str(axis.store.directory / TABLE)]
+        return [str(axis.tables_path)]
     return [name for name in (how.parameter, how.acceleration) if name]
 
 
@@ -76,21 +86,57 @@ def measure(
     drive: ServoDrive,
     *,
     write: bool = False,
+    store: SealedStore | None = None,
     listener: Listener = silent,
     tell: Callable[[str], None],
 ) -> MeasuredBacklash:
     """Measures on an open drive; every reversal is written to disk as it is measured, also an interrupted one.
 
-    Raises what `check_drive` and `measure_backlash` raise.
+    store: where the mean goes that is to be written, for a drive without a parameter
+    Raises what `check_drive`, `refuse_twice` and `measure_backlash` raise.
     """
     settings = backlash_settings(axis, how, drive)
     check_drive(drive, how)
+    if write:
+        refuse_twice(axis, how, drive)
+        if how.parameter is None:
+            _require_store(axis, store)
     kept = _next_file(axis.store.directory)
     remember = partial(_remember, axis)
+    into_drive = write and how.parameter is not None
     result = measure_backlash(
-        drive, how, settings, write=write, remember=remember, keep=_keeper(kept), listener=listener, tell=tell
+        drive, how, settings, write=into_drive, remember=remember, keep=_keeper(kept), listener=listener, tell=tell
     )
+    if write and not into_drive and result.lost_motion_um is not None:
+        amount_um = settings.amount_of(result.lost_motion_um)
+        _into_tables(axis, store, drive, amount_um)
+        result = replace(result, written=amount_um)
     return MeasuredBacklash(how, settings, result, kept)
+
+
+def _require_store(axis: DriveAxis, store: SealedStore | None) -> AxisConfig:
+    """Raises InputError for an axis whose lost motion nothing would use, or whose store is not open."""
+    if not isinstance(axis, AxisConfig):
+        raise InputError(
+            "names no backlash parameter of the drive ([backlash] parameter) and no [instrument]: nothing would use the amount, so"
+            " it is not written",
+            path=axis.path,
+        )
+    if store is None:
+        raise InputError(
+            f"axis {axis.name}: its drive has no backlash parameter, so the amount goes into the sealed tables: they are not open"
+        )
+    return axis
+
+
+def _into_tables(axis: DriveAxis, store: SealedStore | None, drive: ServoDrive, amount_um: float) -> None:
+    """Enters the lost motion in the axis's tables, the same everywhere."""
+    measured = _require_store(axis, store)
+    if store is not None:
+        made_with = made_with_keeper(measured).now(drive)
+        enter_backlash(
+            store, measured, SingleTable(np.array([measured.limits.travel_min_mm]), np.array([amount_um])), made_with
+        )
 
 
 def measuring_job(axis: DriveAxis, how: BacklashConfig) -> Job:
@@ -117,6 +163,29 @@ def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
     return keep
 
 
+def refuse_twice(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, amount: float | None = None) -> None:
+    """Raises StateError where the drive would take a reversal out that the axis's stored tables, or its own table, take out already.
+
+    amount: to be written, in the parameter's unit, None while it is not measured; the one that the tables were made with is right.
+    Raises what reading the store's header and the parameter raise.
+    """
+    refuse_while_drive_corrects(drive, "with a backlash amount the reversal would be taken out twice")
+    tables = None if how.parameter is None else bound_tables(axis)
+    if tables is None or how.parameter is None or tables.corrects_reversal is False:
+        return
+    address, present = drive.read_number(how.parameter)
+    made_with = present if tables.made_with is None else tables.made_with.backlash.get(address, present)
+    if amount is not None and same(amount, made_with):
+        return
+    known = (
+        "take the reversal out already" if tables.corrects_reversal else "do not say that they leave the reversal in"
+    )
+    raise StateError(
+        f"axis {axis.name}: {how.parameter} is not written, as the tables in {axis.tables_path} {known}, and it would be taken out"
+        f" twice; take them out of force first (hil calibrate {axis.path} --withdraw), write, and calibrate anew"
+    )
+
+
 # -- the parameter ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class CompensationState:
@@ -138,9 +207,16 @@ class CompensationState:
         return self.amount != 0.0
 
 
-def read_compensation(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> CompensationState:
-    """Reads it from the open drive. Raises what reading a parameter raises."""
+def read_compensation(
+    axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, store: SealedStore | None = None
+) -> CompensationState:
+    """Reads it from the open drive; of a drive without a parameter from the opened store. Raises what reading raises."""
     settings = backlash_settings(axis, how, drive)
+    present = store.stored() if how.parameter is None and store is not None else None
+    if present is not None:
+        tables = present.tables
+        own_um = tables.pitch_um(tables.nodes_mm, 1) - tables.pitch_um(tables.nodes_mm, -1)
+        return CompensationState(str(axis.tables_path), float(own_um.mean()), 1.0, interrupted=settings.note.exists())
     written = _written(axis)
     original = None if written is None else written["before"].get(settings.amount.name)
     last = None if written is None else written["amount"]
@@ -151,7 +227,7 @@ def read_compensation(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -
 def look_job(axis: DriveAxis, how: BacklashConfig) -> Job:
     """Job that returns a CompensationState; moves and writes nothing."""
     plan = Plan(axis.name, axis.drive.backend)
-    return Job(LOOK, plan, lambda place: read_compensation(axis, how, place.drive))
+    return Job(LOOK, plan, lambda place: read_compensation(axis, how, place.drive, place.store))
 
 
 def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Job:
@@ -159,11 +235,16 @@ def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Jo
 
     def work(place: Workplace) -> CompensationState:
         settings = backlash_settings(axis, how, place.drive)
+        if how.parameter is None:
+            refuse_twice(axis, how, place.drive)
+            _into_tables(axis, place.store, place.drive, settings.amount_of(lost_motion_um))
+            return read_compensation(axis, how, place.drive, place.store)
         before = {setting.name: setting.read() for setting in settings.settings()}
         amount = settings.amount_of(lost_motion_um)
+        refuse_twice(axis, how, place.drive, amount)
         _remember(axis, before, amount)
         settings.amount.write(amount)
-        return read_compensation(axis, how, place.drive)
+        return read_compensation(axis, how, place.drive, place.store)
 
     return Job(WRITE, _parameter_plan(axis, how), work)
 
@@ -177,12 +258,10 @@ def restore_job(axis: DriveAxis, how: BacklashConfig) -> Job:
     interrupted = unrestored(axis)
 
     def work(place: Workplace) -> CompensationState:
-        settings = backlash_settings(axis, how, place.drive)
-        if restore(settings) is None:
-            if interrupted:
-                raise StateError("nothing to restore: what an interrupted measurement left changed is put back already")
-            _write_original(axis, settings)
-        return read_compensation(axis, how, place.drive)
+        if put_back(axis, how, place.drive, interrupted=interrupted) is None:
+            what = "what an interrupted measurement left changed is put back already"
+            raise StateError(f"nothing to restore: {what if interrupted else NEVER_WRITTEN}")
+        return read_compensation(axis, how, place.drive, place.store)
 
     plan = _parameter_plan(axis, how)
     return Job(RESTORE, replace(plan, locked=not interrupted), work)
@@ -198,12 +277,13 @@ def switch_job(axis: DriveAxis, how: BacklashConfig, *, on: bool) -> Job:
             written = _written(axis)
             if written is None or not written["amount"]:
                 raise StateError("there is no amount to switch on: measure the lost motion and write it first")
+            refuse_twice(axis, how, place.drive, written["amount"])
             settings.amount.write(written["amount"])
         elif not on and present != 0.0:
             before = {setting.name: setting.read() for setting in settings.settings()}
             _remember(axis, before, present)
             settings.amount.write(0)
-        return read_compensation(axis, how, place.drive)
+        return read_compensation(axis, how, place.drive, place.store)
 
     return Job(SWITCH, _parameter_plan(axis, how), work)
 
@@ -213,23 +293,39 @@ def unrestored(axis: DriveAxis) -> bool:
     return (axis.store.directory / NOTE).exists()
 
 
-def put_back(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> SettingsBefore | None:
-    """Restores what an interrupted measurement left changed; None where nothing was. Raises NotRestoredError."""
-    return restore(backlash_settings(axis, how, drive))
+def put_back(
+    axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, *, interrupted: bool | None = None
+) -> SettingsBefore | None:
+    """Restores what an interrupted measurement left changed, else the values before the first write; None where nothing was changed.
+
+    interrupted: only the first (True) is to be undone, or what it was when asked (None: now). Raises NotRestoredError, and what
+    writing a parameter raises: then the journal is kept, and it can be done again.
+    """
+    settings = backlash_settings(axis, how, drive)
+    found = restore(settings)
+    written = _written(axis)
+    if found is not None or interrupted or written is None:
+        return found
+    before: dict[str, float] = written["before"]
+    if settings.amount.name in before:
+        refuse_twice(axis, how, drive, before[settings.amount.name])
+    for setting in settings.settings():
+        if setting.name in before:
+            setting.write(before[setting.name])
+    (axis.store.directory / WRITTEN).unlink()
+    return SettingsBefore(before, from_note=False)
+
+
+def original_values(axis: DriveAxis) -> dict[str, float] | None:
+    """The values before the first write, by name; None where nothing was written, or it is put back. Raises InputError for a
+    damaged journal.
+    """
+    written = _written(axis)
+    return None if written is None else written["before"]
 
 
 def _parameter_plan(axis: DriveAxis, how: BacklashConfig) -> Plan:
     return Plan(axis.name, axis.drive.backend, writes=(Write("parameter", _parameters(axis, how)[0]),), locked=True)
-
-
-def _write_original(axis: DriveAxis, settings: BacklashSettings) -> None:
-    written = _written(axis)
-    if written is None:
-        raise StateError("nothing to restore: no amount was written since the drive was as it is")
-    for setting in settings.settings():
-        if setting.name in written["before"]:
-            setting.write(written["before"][setting.name])
-    (axis.store.directory / WRITTEN).unlink()
 
 
 def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:

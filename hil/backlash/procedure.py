@@ -1,8 +1,8 @@
 """Lost motion from the servo's torque, without a position sensor (system B, CN103561904).
 
 1. Note the drive's backlash parameter and its acceleration switch; set both to 0.
-2. Each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer moves; the
-same from −.
+2. Each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer moves; or, as
+published too, one very slow move; the same from −.
 3. Both estimates of every reversal, the mean of both directions.
 4. Restore the parameters, also after any error; write the new amount only on request.
 """
@@ -14,13 +14,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from drivers.drive import Capability, ServoDrive
+from drivers.drive import Capability, DriveSample, ServoDrive
 from drivers.errors import CapabilityError, LimitError, ProtocolError
 from hil.axis.backlash import SLIDE_MM, SLIDES, BacklashConfig
 from hil.backlash.fitted import fit_wind_up
 from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, Tell, neutral
 from hil.backlash.result import NAMES, Reversal, mean_um
-from hil.backlash.trace import ReversalTrace
+from hil.backlash.settings import NoSetting
+from hil.backlash.trace import ReversalTrace, crept_trace
 from hil.machine.events import Event, Listener, Measured, Point, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.supervisor import Supervisor
@@ -32,6 +33,8 @@ READING_S = 0.002
 """Interval between two torque readings at one position, s."""
 STEP_SLICE_S = 0.005
 """Polling interval of the drive during a single step, s."""
+CREEP_SLICE_S = 0.005
+"""Polling interval of the drive while it creeps, s."""
 _FIT_EVERY = 8  # steps
 _SLIDING_STEPS, _SLIDING_SHARE = 14, 0.25  # how far to continue beyond the break-away
 
@@ -105,6 +108,8 @@ def measure_backlash(
     axis.
     """
     check_drive(drive, how)
+    if write and isinstance(settings.amount, NoSetting):
+        settings.amount.write(1.0)  # raises: nothing could hold what would be measured
     reversals: list[Reversal] = []
     with neutral(settings, tell) as found, Supervisor([WatchedAxis(drive)]) as supervisor:
         supervisor.get_ready(home=how.home)
@@ -135,6 +140,7 @@ def _write(settings: BacklashSettings, amount: float) -> None:
 class _Recording:
     """The rows of one reversal while it is measured."""
 
+    how: BacklashConfig
     direction: int
     weight_percent: float = 0.0
     position_load_mm: list[float] = field(default_factory=list)
@@ -142,6 +148,17 @@ class _Recording:
     slides_percent: list[list[float]] = field(default_factory=list)
 
     def trace(self) -> ReversalTrace:
+        if self.how.feed == "creep":
+            places, readings = np.array(self.position_load_mm), np.array([each[0] for each in self.torque_percent])
+            step_um, creep_um_s = self.how.step_um, self.how.creep_um_s
+            return crept_trace(
+                self.direction,
+                places,
+                readings,
+                step_um=step_um,
+                creep_um_s=creep_um_s,
+                weight_percent=self.weight_percent,
+            )
         torques = np.array(self.torque_percent)
         slides = np.array(self.slides_percent).reshape(-1, torques.shape[1])
         return ReversalTrace(self.direction, np.array(self.position_load_mm), torques, slides, self.weight_percent)
@@ -166,8 +183,11 @@ class _Measurement:
         self.listener(Event(stage, "to the reference", 0, how.steps))
         self.supervisor.move(turning, how.travel_velocity_mm_s)
         left_behind = [self._step(place)[1] for place in (how.start_mm(direction), turning)]
-        recording = _Recording(direction, float(np.mean(left_behind)))
+        recording = _Recording(how, direction, float(np.mean(left_behind)))
         try:
+            if how.feed == "creep":
+                self._creep(recording, run, turning)
+                return recording.trace()
             for index in range(how.steps + 1):
                 position, torques = self._step(turning + direction * index * step_mm)
                 recording.position_load_mm.append(position)
@@ -183,6 +203,30 @@ class _Measurement:
             if recording.position_load_mm:
                 self.keep(run, recording.trace())
         return recording.trace()
+
+    def _creep(self, recording: _Recording, run: int, turning_mm: float) -> None:
+        """One very slow move over the way of all steps; position and torque are read as often as the drive shows them."""
+        how, direction = self.how, recording.direction
+        stage, shown = self._stage(run, direction), -1
+
+        def look(sample: DriveSample) -> None:
+            nonlocal shown
+            if sample.torque_percent is None:
+                raise CapabilityError("the drive no longer tells its torque")
+            recording.position_load_mm.append(sample.position_load_mm)
+            recording.torque_percent.append([sample.torque_percent])
+            travelled_um = abs(sample.position_load_mm - recording.position_load_mm[0]) * 1000.0
+            if int(travelled_um / how.step_um) > shown:
+                shown = int(travelled_um / how.step_um)
+                point = Point(_series(run, direction), travelled_um, sample.torque_percent)
+                said = f"{travelled_um:.1f} µm, {sample.torque_percent:+.1f} %"
+                self.listener(Event(stage, said, min(shown, how.steps), how.steps, point))
+
+        place_mm, torques = self._step(turning_mm)
+        recording.position_load_mm.append(place_mm)
+        recording.torque_percent.append([float(np.mean(torques))])
+        end_mm = turning_mm + direction * how.steps * how.step_um / 1000.0
+        self.supervisor.move(end_mm, how.creep_um_s / 1000.0, slice_s=CREEP_SLICE_S, look=look)
 
     def _stage(self, run: int, direction: int) -> str:
         return f"run {run} of {self.how.runs}, {NAMES[direction]}"

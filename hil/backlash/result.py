@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from hil.backlash.fitted import HIDDEN_SHARE, FittedWindUp, fit_wind_up
+from hil.backlash.fitted import FittedWindUp, fit_wind_up, hidden_um
 from hil.backlash.four_sample import four_sample
 from hil.backlash.trace import ReversalTrace
 
@@ -66,13 +66,13 @@ def fitted_lost_motion(reversals: Sequence[Reversal]) -> LostMotion | None:
     """Mean of both directions by the fitted curve, with its uncertainty at 95 %; None where a fit is missing.
 
     The random part is that of the fits, or the scatter of the runs of one direction where that is larger;
-    `HIDDEN_SHARE` does not average out.
+    `hidden_um` does not average out.
     """
     mean = mean_um(reversals, "fitted")
     if mean is None:
         return None
     variance = sum(_chance_variance(reversals, direction) for direction in NAMES) / 4.0
-    u_um = math.hypot(math.sqrt(variance), HIDDEN_SHARE * mean)
+    u_um = math.hypot(math.sqrt(variance), max(hidden_um(one.trace, mean) for one in reversals))
     return LostMotion(mean, _NORMAL * u_um)
 
 

@@ -1,15 +1,13 @@
 """Where an axis keeps its backlash amount and acceleration switch: objects of a CANopen drive, named parameters of any
-other drive, or, where the drive has none, a file beside the axis's campaigns.
+other drive. A drive that has none is compensated by the axis's sealed tables.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.parameters import MOTION_TARGETS, NOT_PARAMETERS
+from drivers.canopen.not_parameters import MOTION_TARGETS, NOT_PARAMETERS
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError, InputError, ProtocolError, StateError
 from drivers.modbus.parameters import ModbusParameters
@@ -18,10 +16,9 @@ from drivers.parameters import DriveParameters
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import BacklashConfig, object_key
 from hil.backlash.neutral_settings import BacklashSettings, Setting
-from hil.records.files import read_text, replace_file
 
-NOTE, TABLE = "backlash-before.json", "backlash.json"
-_TABLE_RESOLUTION_UM = 0.1
+NOTE = "backlash-before.json"
+_TABLES_RESOLUTION_UM = 0.1
 _WRITES = 3  # of one measurement at most: 0, the earlier value, and the new amount; a value that was set to 0 must be restorable
 
 
@@ -72,29 +69,20 @@ class NamedSetting:
 
 
 @dataclass(frozen=True)
-class TableSetting:
-    """A file for a drive without such a parameter: the amount in µm. The bridge's compensation does not read it."""
+class NoSetting:
+    """Of a drive without such a parameter: always 0. Its lost motion is entered in the axis's sealed tables, in µm."""
 
-    path: Path
-    name: str = "the bridge's own table"
-    resolution: float = _TABLE_RESOLUTION_UM
+    name: str = "no parameter of the drive"
+    resolution: float = _TABLES_RESOLUTION_UM
 
     def read(self) -> float:
-        """The amount, µm; 0 without a file. Raises InputError for a damaged one."""
-        if not self.path.exists():
-            return 0.0
-        try:
-            value = json.loads(read_text(self.path))["backlash_um"]
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError('is no table of a backlash, expected {"backlash_um": …}', path=self.path) from error
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"backlash_um is {value!r}, expected a number", path=self.path)
-        return float(value)
+        """0.0: the drive compensates nothing."""
+        return 0.0
 
     def write(self, value: float) -> None:
-        """Replaces the file. Raises InputError when it cannot be written."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(self.path, (json.dumps({"backlash_um": round(value, 6)}) + "\n").encode())
+        """Raises StateError for another value than 0."""
+        if value:
+            raise StateError("the drive has no backlash parameter that could hold an amount ([backlash] parameter)")
 
 
 def backlash_settings(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> BacklashSettings:
@@ -108,7 +96,7 @@ def backlash_settings(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -
     if how.parameter is None:
         if how.acceleration is not None:
             raise InputError("[backlash] names acceleration without parameter, expected both or none", path=axis.path)
-        return BacklashSettings(TableSetting(directory / TABLE), 1.0, None, directory / NOTE)
+        return BacklashSettings(NoSetting(), 1.0, None, directory / NOTE)
     amount = _of_drive(drive, how.parameter)
     acceleration = None if how.acceleration is None else _of_drive(drive, how.acceleration)
     return BacklashSettings(amount, how.parameter_um, acceleration, directory / NOTE)

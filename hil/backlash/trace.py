@@ -1,4 +1,4 @@
-"""The torque recorded step by step through one reversal, with the axis at rest at each step."""
+"""The torque recorded through one reversal: step by step with the axis at rest at each, or while it creeps."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ class ReversalTrace:
     slides_percent: shape (m, k), the same after each of m longer moves in the new direction, once the table slides; m
     may be 0
     weight_percent: torque that holds the table of a vertical axis, in the axis's sign
+    creep_um_s: speed at which the torques were read, 0: at rest
     Raises InputError for another direction or shapes that do not agree.
     """
 
@@ -30,6 +31,7 @@ class ReversalTrace:
     torque_percent: Floats
     slides_percent: Floats = field(default_factory=lambda: np.empty((0, 1)))
     weight_percent: float = 0.0
+    creep_um_s: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.position_load_mm)
@@ -68,4 +70,33 @@ class ReversalTrace:
             "torque_percent": self.torque_percent.tolist(),
             "slides_percent": self.slides_percent.tolist(),
             "weight_percent": self.weight_percent,
+            "creep_um_s": self.creep_um_s,
         }
+
+
+def crept_trace(
+    direction: int,
+    position_load_mm: Floats,
+    torque_percent: Floats,
+    *,
+    step_um: float,
+    creep_um_s: float,
+    weight_percent: float = 0.0,
+) -> ReversalTrace:
+    """The trace of readings taken while the motor creeps, averaged over each step_um of travel.
+
+    position_load_mm, torque_percent: shape (n,), the first at rest at the reversal. Readings without motion since the one before
+    are left out, since a motor at rest needs no torque for its own friction; so is the last step, which was not gone through.
+    """
+    travel_um = 1000.0 * direction * (position_load_mm - position_load_mm[0])
+    moved = np.diff(np.maximum.accumulate(travel_um), prepend=0.0) > 0.0
+    step = (travel_um // step_um).astype(np.int64)
+    last = int(step[moved].max()) if moved.any() else 0
+    places, torques = [float(position_load_mm[0])], [float(torque_percent[0])]
+    for number in range(last):
+        inside = moved & (step == number)
+        if inside.any():
+            places.append(float(position_load_mm[inside].mean()))
+            torques.append(float(torque_percent[inside].mean()))
+    column = np.array(torques)[:, None]
+    return ReversalTrace(direction, np.array(places), column, weight_percent=weight_percent, creep_um_s=creep_um_s)

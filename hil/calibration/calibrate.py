@@ -8,8 +8,8 @@ continues with the first missing row.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -53,11 +53,13 @@ class Calibration:
     """The result of a calibration.
 
     before: the uncorrected machine; rounds: each proof, in order; tables: the last tables, stored and in force
+    moved_um: by target in mm and direction, what fine steps moved it by in all, µm
     """
 
     before: Records
     rounds: tuple[Round, ...]
     tables: TableSet
+    moved_um: Mapping[tuple[float, int], float] = field(default_factory=dict)
 
     @property
     def outside(self) -> tuple[Outside, ...]:
@@ -78,10 +80,12 @@ def calibrate(
     listener: Listener = silent,
     *,
     straightness: SingleTable | None = None,
+    backlash: SingleTable | None = None,
 ) -> Calibration:
     """Runs the whole calibration on a prepared session.
 
     straightness: a straightness correction that is stored and put into force together with the tables
+    backlash: measured by other means, on positions of its own; it takes the place of the measured directions' difference
 
     Leaves the tables in force in the session. Raises, before a table is stored: InputError when the band is narrower than the
     machine's repeatability, CorrectionBoundError for a table beyond the axis's bound, and UnprovenError for one whose proof
@@ -93,10 +97,13 @@ def calibrate(
     if correction.band is not None:
         check_band(before, correction.band)
     tables = compute_tables(before, correction.mode, straightness)
+    if backlash is not None:
+        tables = tables.with_backlash(backlash)
     if correction.band is not None:
         tables = replace(tables, specified=initial_specified(tables.pitch.position_mm, correction.band))
     steps = bidirectional_steps(how.targets_mm, how.runs)
     rounds: list[Round] = []
+    moved_um: Moved = {}
     while True:
         number = len(rounds) + 1
         stored = as_stored(tables, correction)
@@ -115,8 +122,12 @@ def calibrate(
         rounds.append(Round(records, stored, tuple(outside)))
         listener(Event(f"round-{number}", _verdict(outside, correction.band)))
         if correction.band is None or not outside or number == correction.max_rounds:
-            return Calibration(before, tuple(rounds), stored)
-        tables = _revised(tables, outside, correction, number)
+            return Calibration(before, tuple(rounds), stored, moved_um)
+        revised = _revised(tables, outside, correction, number, moved_um)
+        if revised == tables:
+            listener(Event(f"round-{number}", f"{_total(correction)}: nothing is left to revise", warning=True))
+            return Calibration(before, tuple(rounds), stored, moved_um)
+        tables = revised
         steps = steps_for_sections([(section.target_mm, section.direction) for section in outside], how.runs)
 
 
@@ -131,6 +142,7 @@ CHANGES_UM, CHANGES_SHARE = 20.0, 0.25
 """… unless no more is left than a machine may change by between two passes: 2 K of a metre of steel at 11.7 µm/(m·K), or this share
 of its worst error, as of a machine that has effects besides those of position."""
 NOISE_STD = 3.0
+_ROUNDING_UM = 1e-6  # of sums of fine steps: less than any step
 
 
 def check_proof(before: Records, proof: Records, band: Band | None) -> None:
@@ -156,19 +168,22 @@ def check_proof(before: Records, proof: Records, band: Band | None) -> None:
                 " or the machine changes: measure again"
             )
     was_rms_um, left_rms_um = (_rms_um([errors[where] for where in left]) for errors in (was, left))
-    if not left_rms_um + 2.0 * spread_um / math.sqrt(len(left)) < was_rms_um:
+    uncertainty_um = 2.0 * spread_um / math.sqrt(len(left))
+    if not left_rms_um + uncertainty_um < was_rms_um:
+        nothing = (
+            "; this axis has no error that its own repeatability does not hide" if was_rms_um < uncertainty_um else ""
+        )
         raise UnprovenError(
             f"tables not used: in force they leave {left_rms_um:.2f} µm (root mean square) of {was_rms_um:.2f} µm, which is no better"
-            f" than before by more than its uncertainty of {2.0 * spread_um / math.sqrt(len(left)):.2f} µm"
+            f" than before by more than its uncertainty of {uncertainty_um:.2f} µm{nothing}"
         )
 
 
 def _sections(records: Records, band: Band | None) -> dict[tuple[float, int], float]:
     """How far the mean of each section and direction is from the band, without one from 0, µm."""
-    low_um, high_um = (0.0, 0.0) if band is None else (band.low_um, band.high_um)
     means = section_means(records)
     return {
-        (target_mm, sign): error_um - min(max(error_um, low_um), high_um)
+        (target_mm, sign): error_um - (0.0 if band is None else band.at(target_mm, sign).nearest_um(error_um))
         for sign, errors_um in ((1, means.plus_um), (-1, means.minus_um))
         for target_mm, error_um in zip(means.target_mm.tolist(), errors_um.tolist(), strict=True)
         if not math.isnan(error_um)
@@ -205,24 +220,43 @@ def _outside(records: Records, band: Band | None) -> list[Outside]:
     return [] if band is None else sections_outside(section_means(records), band)
 
 
-def _revised(tables: TableSet, outside: Sequence[Outside], correction: CorrectionConfig, number: int) -> TableSet:
-    """Revised by system A's formula after the first proof, by fine steps after each later one."""
+Moved = dict[tuple[float, int], float]
+"""By target in mm and direction: what fine steps have moved it by over all rounds so far, µm."""
+
+
+def _revised(
+    tables: TableSet, outside: Sequence[Outside], correction: CorrectionConfig, number: int, moved_um: Moved
+) -> TableSet:
+    """Revised by system A's formula after the first proof, by fine steps after each later one, which are added to `moved_um`.
+
+    A section stays as it is where another step would move it by more than `fine_total_um` in all.
+    """
     if tables.specified is None or correction.band is None:
         return tables
     if number == 1:
         return replace(tables, specified=revise(tables.specified, outside, correction.band))
     specified: DirectionalTable = tables.specified
     for section in outside:
-        distance_um = max(correction.band.low_um - section.error_um, section.error_um - correction.band.high_um)
-        reach_um = min(distance_um + correction.band.width_um / 4, correction.fine_range_um)
+        band, place = correction.band.at(section.target_mm, section.direction), (section.target_mm, section.direction)
+        distance_um = max(band.low_um - section.error_um, section.error_um - band.high_um)
+        reach_um = min(distance_um + band.width_um / 4, correction.fine_range_um)
+        step_um = math.copysign(correction.fine_step_um, band.middle_um - section.error_um)
         for _ in range(max(1, round(reach_um / correction.fine_step_um))):
+            total_um = moved_um.get(place, 0.0) + step_um
+            if abs(total_um) > correction.fine_total_um + _ROUNDING_UM:
+                break
+            moved_um[place] = total_um
             specified = revise(specified, [section], correction.band, fine_step_um=correction.fine_step_um)
     return replace(tables, specified=specified)
+
+
+def _total(correction: CorrectionConfig) -> str:
+    return f"fine steps may move a section by {correction.fine_total_um:g} µm in all (fine_total_um)"
 
 
 def _verdict(outside: Sequence[Outside], band: Band | None) -> str:
     if band is None:
         return "measured with the correction in force"
     if not outside:
-        return f"all sections inside {band.low_um:g} to {band.high_um:g} µm"
-    return f"{len(outside)} outside {band.low_um:g} to {band.high_um:g} µm"
+        return f"all sections inside {band}"
+    return f"{len(outside)} outside {band}"

@@ -4,24 +4,55 @@ after, the band.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
-from nicegui import ui
+from nicegui import events, ui
 
+from drivers.errors import InputError
+from hil.app.jobs.job import Job
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Reading, Table, draw_where
+from hil.app.panel.pieces import Latest, Reading, Table, draw_where
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
-from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
-from hil.calibration.page_data import SHOWN, STAGES, CalibrationScreen, MeasuredStage, calibration_screen
+from hil.calibration.job import (
+    CALIBRATE,
+    ENTER,
+    MANUAL,
+    STRAIGHTNESS,
+    UNCORRECTED,
+    VERIFY,
+    WITHDRAW,
+    Across,
+    Part,
+    beside_stored,
+    kept_text,
+    manual_tables,
+    parts_of,
+    with_signs,
+)
+from hil.calibration.page_data import SHOWN, STAGES, CalibrationScreen, MeasuredStage, Resumable, calibration_screen
+from hil.calibration.straightness import StraightnessResult
+from hil.correction.compensation import Compensation
+from hil.correction.manual import read_backlash, read_signs, read_straightness
+from hil.correction.tables import Band, SignedSections, SingleTable
 
 Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]
 KINDS = (CALIBRATE, VERIFY, UNCORRECTED)
+SHOWN_KINDS = (*KINDS, STRAIGHTNESS, MANUAL, ENTER, WITHDRAW)
+TYPED, TYPED_STRAIGHTNESS = "typed-tables.csv", "typed-straightness.csv"
+TYPED_BACKLASH, TYPED_SIGNS = "typed-backlash.csv", "typed-signs.csv"
+"""Files in the axis's folder that keep what was typed here."""
+LARGEST_BYTES = 1_000_000
+BAND, BAND_PLUS, BAND_MINUS = "#009e7333", "#0072b240", "#d55e0040"
+"""Of the band: where both directions have one sign; of the + and of the − direction where they differ."""
+_SIGN = {1: "+", -1: "−"}
 COLOUR = {"before": 1, "after": 0, "verified": 2, "uncorrected": 4}
 """Colour of each stage's curves."""
 
@@ -34,9 +65,11 @@ def draw(view: View) -> None:
         return
     kept: Kept = Reading(view, partial(calibration_screen, axis))
     messages = view.messages("calibrate.messages")
-    parts = [_draw_plan(view, axis), _draw_buttons(view, axis, kept)]
+    parts = [_draw_plan(view, axis)]
+    typed = TypedTables(view, axis)
+    parts += [_draw_buttons(view, axis, kept, typed), typed.draw()]
     with ui.element("div").classes("hil-grid"):
-        parts += [_draw_where(view), _draw_accuracy(view, kept), _draw_band(view, axis, kept)]
+        parts += [_draw_where(view), _draw_accuracy(view, kept), _draw_band(view, axis, kept, typed)]
     with ui.element("div").classes("hil-grid wide"):
         with view.card("calibrate.live", name="calibrate.live.card"):
             x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
@@ -45,7 +78,7 @@ def draw(view: View) -> None:
     parts.append(_draw_figures(view, axis, kept))
 
     def refresh() -> None:
-        messages.show(view.desk.last_of(KINDS))
+        messages.show(view.desk.last_of(SHOWN_KINDS))
         for part in parts:
             part()
         live.refresh()
@@ -72,21 +105,32 @@ def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
     return refresh
 
 
-def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    """Start, verify, resume."""
+def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) -> Refresh:
+    """Start, verify, resume, and the straightness by the instrument."""
     t, desk = view.t, view.desk
 
     async def start_new() -> None:
-        await zero.run(view.ask_and_run, calibrate.calibration_job(axis, zero=zero.said()))
+        signed, straightness, backlash = with_signs(axis, typed.signs()), typed.straightness(), typed.backlash()
+        job = calibrate.calibration_job(signed, straightness=straightness, backlash=backlash, zero=zero.said())
+        await zero.run(view.ask_and_run, job)
 
     async def verify() -> None:
         corrects, of_targets, said = bool(corrected.value), int(view.number_of(seed)), zero.said(anew=False)
-        job = calibrate.verification_job(axis, corrected=corrects, seed=of_targets, zero=said)
-        await zero.run(view.ask_and_run, job)
+        across = await _across(view, axis) if corrects else None
+        signed = with_signs(axis, typed.signs())
+        job = calibrate.verification_job(signed, corrected=corrects, seed=of_targets, zero=said, across=across)
+        await zero.run(_asking(view, across), job)
+
+    async def measure_straightness() -> None:
+        across = _across_axis(view, axis)
+        job = calibrate.straightness_job(axis, across, seed=int(view.number_of(seed)), zero=zero.said(anew=False))
+        await zero.run(_asking(view, across), job)
 
     with ui.row().classes("items-center"):
         start = view.button("calibrate.start", start_new)
         verifying = view.button("calibrate.verify", verify)
+        straightening = view.button("calibrate.straighten", measure_straightness)
+        straightening.set_visibility(axis.straightness is not None)
         corrected = view.named(ui.switch(t("calibrate.correction"), value=True), "calibrate.correction")
         seed = view.named(
             ui.number(t("calibrate.seed"), value=1, min=0, max=10_000, precision=0), "calibrate.seed"
@@ -94,13 +138,15 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
         zero = ZeroSwitches(view, "calibrate", anew=True)
         tables = view.button("calibrate.open", lambda: _ask_password(view)).props("outline")
     resuming = {
-        kind: view.button(f"calibrate.resume.{kind}", partial(_resume, view, axis, kept, kind, zero)) for kind in KINDS
+        kind: view.button(f"calibrate.resume.{kind}", partial(_resume, view, axis, kept, kind, zero, typed=typed))
+        for kind in KINDS
     }
 
     def refresh() -> None:
         store = desk.rights.store if view.in_control else None
         writable = store is not None and store.builder_key is not None
-        start.set_enabled(view.can_start and view.is_builder and writable)
+        for button in (start, straightening):
+            button.set_enabled(view.can_start and view.is_builder and writable)
         verifying.set_enabled(view.can_start and (store is not None or not corrected.value))
         tables.set_enabled(view.in_control and store is None)
         zero.refresh()
@@ -113,15 +159,219 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     return refresh
 
 
-async def _resume(view: View, axis: AxisConfig, kept: Kept, kind: str, zero: ZeroSwitches) -> None:
-    """Go on with the campaign that was broken off, with the targets it was begun with."""
-    _, seed = (kept.value.unfinished if kept.value is not None else {}).get(kind, ("", 1))
+async def _resume(
+    view: View, axis: AxisConfig, kept: Kept, kind: str, zero: ZeroSwitches, *, typed: TypedTables
+) -> None:
+    """Go on with the campaign that was broken off, with the targets, signs and backlash it was begun with."""
+    begun = (kept.value.unfinished if kept.value is not None else {}).get(kind, Resumable("", 1))
+    across, as_begun = None, with_signs(axis, begun.signs)
     if kind == CALIBRATE:
-        job = calibrate.calibration_job(axis, resume=True, zero=zero.said())
+        straightness, backlash = typed.straightness(), begun.backlash
+        job = calibrate.calibration_job(
+            as_begun, straightness=straightness, backlash=backlash, resume=True, zero=zero.said()
+        )
     else:
-        said = zero.said(anew=False)
-        job = calibrate.verification_job(axis, corrected=kind == VERIFY, seed=seed, resume=True, zero=said)
-    await zero.run(view.ask_and_run, job)
+        said, across = zero.said(anew=False), await _across(view, axis) if kind == VERIFY else None
+        how = {"corrected": kind == VERIFY, "resume": True}
+        job = calibrate.verification_job(as_begun, seed=begun.seed, zero=said, across=across, **how)
+    await zero.run(_asking(view, across), job)
+
+
+# -- the axis that straightness moves ------------------------------------------------------------------------------------
+def _across_axis(view: View, axis: AxisConfig) -> Across:
+    """With its own tables as far as they are opened at its desk here. Raises InputError for an axis file without [straightness]."""
+    across = Across.of(axis, None)
+    at = next((desk for desk in view.desks if desk.axis.path.resolve() == across.axis.path.resolve()), None)
+    return across if at is None else replace(across, store=at.rights.store)
+
+
+async def _across(view: View, axis: AxisConfig) -> Across | None:
+    """None where the stored tables move no other axis. Raises what opening them raises."""
+    store = view.desk.rights.store
+    if axis.straightness is None or store is None:
+        return None
+    stored = await view.in_worker_thread(store.stored)
+    return _across_axis(view, axis) if isinstance(stored, Compensation) and stored.moves_axis else None
+
+
+def _asking(view: View, across: Across | None) -> Callable[[Job], Awaitable[bool]]:
+    """Asks and starts a job; one that connects that axis too is lent the axis's desk, where the server has it."""
+    if across is None:
+        return view.ask_and_run
+    path = across.axis.path.resolve()
+    return partial(view.ask_and_run, lent=[desk for desk in view.desks if desk.axis.path.resolve() == path])
+
+
+# -- typed tables ----------------------------------------------------------------------------------------------------------
+class TypedTables:
+    """What is entered by hand, typed or brought as a file: tables (manual mode), a straightness correction and a backlash measured by
+    other means, which are also stored with a calibration, and the signs of its specified value."""
+
+    def __init__(self, view: View, axis: AxisConfig) -> None:
+        self._view, self._axis = view, axis
+        self._areas: dict[str, ui.textarea] = {}
+
+    def draw(self) -> Refresh:
+        """Draws the card, closed at first; returns its refresh."""
+        view, t = self._view, self._view.t
+        stored = Reading(view, self._stored)
+        with (
+            view.card("calibrate.manual.title", name="calibrate.manual"),
+            ui.expansion(t("calibrate.manual.open")) as more,
+        ):
+            view.named(more, "calibrate.manual.more")
+            ui.markdown(t("calibrate.manual.steps"))
+            with ui.element("div").classes("hil-grid wide"):
+                for name in ("table", "backlash", "straightness"):
+                    self._area(name)
+                if self._axis.correction.band is not None:
+                    self._area("signs", _signs_csv(self._axis.correction.signs))
+                parts = Table(
+                    view, "calibrate.stored", [f"calibrate.stored.{name}" for name in ("part", "figures")], words=2
+                )
+            with ui.row().classes("items-center"):
+                upload = ui.upload(
+                    label=t("calibrate.manual.bring"),
+                    on_upload=self._bring,
+                    auto_upload=True,
+                    max_file_size=LARGEST_BYTES,
+                )
+                view.named(upload.classes("hil-upload").props("flat accept=.csv"), "calibrate.manual.bring")
+                store = view.button("calibrate.manual.store", self._store)
+                enter = view.button("calibrate.manual.enter", self._enter)
+                withdraw = view.button("calibrate.manual.withdraw", self._withdraw).props("outline")
+                correction = self._axis.correction
+                form = "split" if correction.straightness_share else "combined" if correction.combined else "separate"
+                view.named(ui.label(t(f"calibrate.form.{form}")).classes("hil-name"), "calibrate.manual.form")
+            straight = view.value("calibrate.straight", "µm", small=True)
+        opened: list[object] = []
+        latest = Latest()
+
+        def refresh() -> None:
+            rights = view.desk.rights
+            now = rights.store if view.in_control else None
+            writable = view.can_start and view.is_builder and now is not None and now.builder_key is not None
+            store.set_enabled(writable)
+            for button in (enter, withdraw):
+                button.set_enabled(writable and bool(stored.value))
+            if opened != [now]:
+                opened[:] = [now]
+                stored.again()
+            if latest.is_new(stored.value):
+                parts.show(
+                    [[t(f"calibrate.part.{name}"), _short(view, one)] for name, one in (stored.value or {}).items()]
+                )
+            job = view.desk.last(STRAIGHTNESS)
+            found = None if job is None else job.result
+            if isinstance(found, StraightnessResult):
+                before, after = found.before, found.after
+                figures = [
+                    f"{t.number(one.range_um, 2)} ± {t.number(one.range_expanded_um, 2)}" for one in (before, after)
+                ]
+                straight.set_text(" → ".join(figures))
+
+        return refresh
+
+    def straightness(self) -> SingleTable | None:
+        """The typed straightness correction, None for none. Raises InputError naming the line."""
+        path = self._kept("straightness", TYPED_STRAIGHTNESS)
+        return None if path is None else read_straightness(path)
+
+    def backlash(self) -> SingleTable | None:
+        """The typed backlash, None for none. Raises InputError naming the line."""
+        path = self._kept("backlash", TYPED_BACKLASH)
+        return None if path is None else read_backlash(path)
+
+    def signs(self) -> tuple[SignedSections, ...]:
+        """The signs that stand there now, at first the axis file's. Raises InputError naming the line."""
+        return read_signs(self._axis.store.directory / TYPED_SIGNS, self._text("signs"))
+
+    def _text(self, name: str) -> str:
+        return str(self._areas[name].value or "") if name in self._areas else ""
+
+    def _kept(self, name: str, file: str) -> Path | None:
+        """The file that keeps what was typed, None where nothing was."""
+        text = self._text(name)
+        return kept_text(self._axis, file, text) if text.strip() else None
+
+    def _area(self, name: str, text: str = "") -> None:
+        key = f"calibrate.manual.{name}"
+        with ui.element("div"):
+            ui.label(self._view.t(key)).classes("hil-name")
+            area = ui.textarea(value=text).props("outlined").classes("w-full")
+            self._areas[name] = self._view.named(area, key)
+
+    def _stored(self) -> dict[str, Part]:
+        """The parts of the stored tables, as far as this browser may read them."""
+        store = self._view.desk.rights.store if self._view.in_control else None
+        stored = None if store is None else store.stored()
+        return {} if stored is None else parts_of(stored.tables)
+
+    async def _bring(self, event: events.UploadEventArguments) -> None:
+        async def fill() -> None:
+            self._view.desk.control.require(self._view.token)
+            text = (await event.file.read()).decode("utf-8-sig", "replace")
+            columns = {
+                "straightness": "deviation_um",
+                "signs": "from_mm",
+                "table": "plus_um",
+                "backlash": "backlash_um",
+            }
+            name = next((name for name, column in columns.items() if column in text and name in self._areas), "table")
+            self._areas[name].set_value(text)
+
+        await self._view.attempt(fill)
+
+    async def _store(self) -> None:
+        """Asks, part by part with what is stored now and what will be, and stores."""
+        path = kept_text(self._axis, TYPED, self._text("table"))
+        tables = manual_tables(self._axis, path, self.straightness(), self.backlash())
+        await self._ask_and_run(calibrate.manual_job(self._axis, tables), parts_of(tables))
+
+    async def _enter(self) -> None:
+        """Asks, and enters the backlash beside the stored pitch."""
+        store, backlash = self._view.desk.rights.store, self.backlash()
+        if store is None or backlash is None:
+            raise InputError(self._view.t("field.empty", field=self._view.t("calibrate.manual.backlash")))
+        how = partial(beside_stored, store, self._axis, backlash, alone=False)
+        entered = await self._view.in_worker_thread(how)
+        if isinstance(entered, Compensation):
+            await self._ask_and_run(calibrate.entering_job(self._axis, backlash), parts_of(entered.tables))
+
+    async def _withdraw(self) -> None:
+        """Asks, and takes what is stored out of force."""
+        await self._ask_and_run(calibrate.withdrawal_job(self._axis), {})
+
+    async def _ask_and_run(self, job: Job, new: Mapping[str, Part]) -> None:
+        """new: the parts that will be stored, shown beside those of now."""
+        view, t = self._view, self._view.t
+        read = await view.in_worker_thread(self._stored)
+        old: dict[str, Part] = read if isinstance(read, dict) else {}
+        lines = [
+            t(
+                "calibrate.change",
+                part=t(f"calibrate.part.{name}"),
+                old=_short(view, old.get(name)),
+                new=_short(view, new.get(name)),
+            )
+            for name in dict.fromkeys((*old, *new))
+        ]
+        if await view.ask([*lines, *view.question(job.plan)]):
+            view.desk.run(view.token, job)
+
+
+def _signs_csv(signs: Sequence[SignedSections]) -> str:
+    """As `read_signs` reads it."""
+    rows = [f"{one.from_mm!r},{one.to_mm!r},{one.plus:d},{one.minus:d}" for one in signs]
+    return "\n".join(["from_mm,to_mm,plus,minus", *rows, ""])
+
+
+def _short(view: View, part: Part | None) -> str:
+    """A part in short, with its unit; a dash for none."""
+    t = view.t
+    if part is None:
+        return "–"
+    return t("calibrate.short", low=t.number(part.low_um, 2), high=t.number(part.high_um, 2), places=part.places)
 
 
 async def _ask_password(view: View) -> None:
@@ -170,17 +420,20 @@ def _figure(view: View, stage: MeasuredStage | None, name: str) -> str:
     return text if known is None else f"{text} ± {view.t.number(known, 2)}"
 
 
-def _draw_band(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    """Whether every section is inside the band, and which are not; the same at other targets."""
+def _draw_band(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) -> Refresh:
+    """The band with the signs asked for now, whether every section is inside, and which are not; the same at other targets."""
     t, band = view.t, axis.correction.band
     with view.card("calibrate.band"):
         verdict = view.value("calibrate.verdict", small=band is None)
         asked = view.value("calibrate.asked", small=True)
         outside = view.named(ui.label().classes("hil-name"), "calibrate.outside")
         verified = view.value("calibrate.verified_band", small=True)
+        signs = view.named(ui.label().classes("hil-name").style("white-space: pre-line"), "calibrate.signs")
+        not_judged = view.named(ui.label().classes("hil-name"), "calibrate.not_judged")
     asked.set_text(
         t("calibrate.no_band") if band is None else f"{t.number(band.low_um, 1)} … {t.number(band.high_um, 1)} µm"
     )
+    signs.set_visibility(band is not None)
 
     def refresh() -> None:
         stages = {} if kept.value is None else kept.value.stages
@@ -193,8 +446,40 @@ def _draw_band(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
             places = [f" · {t.number(one.target_mm, 1)} mm {'+' if one.direction > 0 else '−'}" for one in last.outside]
             inside = t("calibrate.sections", inside=last.sections - len(last.outside), total=last.sections)
             outside.set_text(inside + "".join(places))
+        signs.set_text("\n".join(_signs_said(view, axis, typed, last)))
+        proof = stages.get("verified")
+        unlike = () if proof is None else proof.not_judged
+        between = [f"{t.number(one.target_mm, 1)} mm {'+' if one.direction > 0 else '−'}" for one in unlike]
+        not_judged.set_text(t("calibrate.not_judged", places=", ".join(between)) if between else "")
 
     return refresh
+
+
+def _signs_said(view: View, axis: AxisConfig, typed: TypedTables, last: MeasuredStage | None) -> list[str]:
+    """The signs as they stand there now, whether they are the axis file's, and those of the last calibration where it had others."""
+    band, t = axis.correction.band, view.t
+    if band is None:
+        return []
+    try:
+        now = typed.signs()
+    except InputError as error:
+        return [t("calibrate.signs_unread", why=error.what)]
+    lines = [t("calibrate.signs_now", signs=_signs_text(view, now))]
+    if now != axis.correction.signs:
+        lines.append(t("calibrate.signs_file", signs=_signs_text(view, axis.correction.signs)))
+    if last is not None and last.band is not None and last.band.signs != now:
+        lines.append(t("calibrate.signs_last", signs=_signs_text(view, last.band.signs)))
+    return lines
+
+
+def _signs_text(view: View, signs: Sequence[SignedSections]) -> str:
+    """Each stretch with the signs of its + and its - direction."""
+    t = view.t
+    parts = [
+        f"{t.number(one.from_mm, 1)} … {t.number(one.to_mm, 1)} mm {_SIGN[one.plus]}/{_SIGN[one.minus]}"
+        for one in signs
+    ]
+    return "; ".join([*parts, t("calibrate.signs_rest" if parts else "calibrate.signs_none")])
 
 
 def _draw_curves(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
@@ -227,11 +512,32 @@ def _curves(view: View, axis: AxisConfig, screen: CalibrationScreen) -> Options:
     options = curves(view, t("calibrate.plot_x"), t("calibrate.plot_y"), drawn)
     for series in options["series"]:
         series |= {"type": "line", "showSymbol": True, "lineStyle": {"width": 1.5}}
-    band = axis.correction.band
+    band = next((stage.band for name in ("after", *STAGES) if (stage := screen.stages.get(name))), axis.correction.band)
     if band is not None and options["series"]:
-        area = [[{"yAxis": band.low_um}, {"yAxis": band.high_um}]]
-        options["series"][0]["markArea"] = {"silent": True, "itemStyle": {"color": "#009e7333"}, "data": area}
+        areas = _areas(band, screen)
+        options["series"][0]["markArea"] = {"silent": True, "data": areas}
+        ends = [float(corner["yAxis"]) for area in areas for corner in area]
+        label = options["yAxis"].get("axisLabel", {})
+        options["yAxis"] |= {
+            "axisLabel": {**label, "showMinLabel": False, "showMaxLabel": False},  # too close to their neighbours
+            ":min": f"shown => Math.floor(Math.min(shown.min, {min(ends)}))",
+            ":max": f"shown => Math.ceil(Math.max(shown.max, {max(ends)}))",
+        }
     return options
+
+
+def _areas(band: Band, screen: CalibrationScreen) -> list[list[Options]]:
+    """The band behind the curves: of both directions where they have one sign, else blue for + and orange for −."""
+    if not band.signs:
+        return [[{"yAxis": band.low_um, "itemStyle": {"color": BAND}}, {"yAxis": band.high_um}]]
+    places = [x for stage in screen.stages.values() for points in stage.means_um.values() for x, _ in points]
+    areas: list[list[Options]] = []
+    for start, end, plus, minus in band.stretches(min(places), max(places)):
+        both = {BAND: plus} if plus == minus else {BAND_PLUS: plus, BAND_MINUS: minus}
+        for colour, one in both.items():
+            corner = {"xAxis": start, "yAxis": one.low_um, "itemStyle": {"color": colour}}
+            areas.append([corner, {"xAxis": end, "yAxis": one.high_um}])
+    return areas
 
 
 def _draw_figures(view: View, axis: AxisConfig, kept: Kept) -> Refresh:

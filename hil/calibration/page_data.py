@@ -5,18 +5,19 @@ band.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.errors import InputError
 from hil.app.jobs.identity import uncertainty_of
 from hil.axis.axis_file import AxisConfig
-from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
-from hil.correction.tables import Outside, section_means, sections_outside
+from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY, backlash_of, signs_of
+from hil.correction.store import bound_tables
+from hil.correction.tables import Band, NotJudged, Outside, SignedSections, SingleTable, judge, section_means
 from hil.figures.history import Pass, read_campaign
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget
@@ -35,29 +36,41 @@ class MeasuredStage:
     """One measurement of the axis.
 
     means_um: mean error of each target, (mm, µm), by direction; figures_um, u95_um: of ISO 230-2 with their expanded
-    uncertainty (k = 2), unknown ones left out; outside: sections outside the band, None without a band
+    uncertainty (k = 2), unknown ones left out; band: with the signs that the campaign was begun with; outside: sections outside
+    it, None without a band; not_judged: those that it asks nothing for
     """
 
     begun: datetime
     means_um: Mapping[int, Points]
     figures_um: Mapping[str, float]
     u95_um: Mapping[str, float]
+    band: Band | None
     outside: tuple[Outside, ...] | None
+    not_judged: tuple[NotJudged, ...] = ()
 
     @property
     def sections(self) -> int:
-        """Number of sections and directions measured."""
-        return sum(map(len, self.means_um.values()))
+        """Number of sections and directions measured and judged."""
+        return sum(map(len, self.means_um.values())) - len(self.not_judged)
+
+
+class Resumable(NamedTuple):
+    """A campaign that can be resumed. seed: of its targets; signs, backlash: that it was begun with."""
+
+    campaign: str
+    seed: int
+    signs: tuple[SignedSections, ...] = ()
+    backlash: SingleTable | None = None
 
 
 @dataclass(frozen=True)
 class CalibrationScreen:
-    """stages: by name, of STAGES, those that were measured; unfinished: job -> the campaign that can be resumed, and
-    the seed of its targets; tables: whether any are stored
+    """stages: by name, of STAGES, those that were measured; unfinished: job -> the campaign that can be resumed; tables: whether the
+    axis has any stored
     """
 
     stages: Mapping[str, MeasuredStage]
-    unfinished: Mapping[str, tuple[str, int]]
+    unfinished: Mapping[str, Resumable]
     tables: bool
 
 
@@ -67,20 +80,21 @@ def calibration_screen(axis: AxisConfig) -> CalibrationScreen:
     """
     folder = axis.store.directory
     stages: dict[str, MeasuredStage] = {}
-    passes = _last_passes(folder, CALIBRATE)
-    measured = {"before": passes.get("measure"), "after": None, "verified": None, "uncorrected": None}
+    passes, band = _last_passes(axis, CALIBRATE)
+    measured = {"before": (passes.get("measure"), band)}
     rounds = [one for name, one in sorted(passes.items(), key=_number) if name.startswith("round-")]
     for name, kind in (("verified", VERIFY), ("uncorrected", UNCORRECTED)):
-        measured[name] = _last_passes(folder, kind).get(kind)
-    for name, one in measured.items():
+        its_passes, its_band = _last_passes(axis, kind)
+        measured[name] = (its_passes.get(kind), its_band)
+    for name, (one, its_band) in measured.items():
         if one is not None and one.records is not None:
-            stages[name] = _stage(axis, one.begun, one.records)
+            stages[name] = _stage(axis, one.begun, one.records, its_band)
     proofs = [one.records for one in rounds if one.records is not None]
     if proofs:
-        stages["after"] = _stage(axis, rounds[-1].begun, latest(proofs))
+        stages["after"] = _stage(axis, rounds[-1].begun, latest(proofs), band)
     unfinished = {kind: found for kind in (CALIBRATE, VERIFY, UNCORRECTED) if (found := _unfinished(folder, kind))}
     return CalibrationScreen(
-        {name: stages[name] for name in STAGES if name in stages}, unfinished, axis.tables_path.exists()
+        {name: stages[name] for name in STAGES if name in stages}, unfinished, bound_tables(axis) is not None
     )
 
 
@@ -97,15 +111,16 @@ def latest(rounds: Sequence[Records]) -> Records:
     return concatenate([records for records in reversed(kept) if len(records)])
 
 
-def _stage(axis: AxisConfig, begun: datetime, records: Records) -> MeasuredStage:
-    means, band = section_means(records), axis.correction.band
+def _stage(axis: AxisConfig, begun: datetime, records: Records, band: Band | None) -> MeasuredStage:
+    means = section_means(records)
     curves = {
         sign: tuple((float(x), float(y)) for x, y in zip(means.target_mm, values, strict=True) if np.isfinite(y))
         for sign, values in ((1, means.plus_um), (-1, means.minus_um))
     }
     figures, u95 = _figures(axis, records)
-    outside = None if band is None else tuple(sections_outside(means, band))
-    return MeasuredStage(begun, curves, figures, u95, outside)
+    if band is None:
+        return MeasuredStage(begun, curves, figures, u95, None, None)
+    return MeasuredStage(begun, curves, figures, u95, band, *judge(means, band, axis.measurement.targets_mm))
 
 
 def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict[str, float]]:
@@ -123,14 +138,21 @@ def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict
     return values, {name: known[name] for name in values if name in known}
 
 
-def _last_passes(folder: Path, kind: str) -> dict[str, Pass]:
-    """The passes of the last campaign of this kind that has rows, by name."""
-    for directory in sorted(folder.glob(f"{kind}-[0-9]*"), key=_of_series, reverse=True):
+def _last_passes(axis: AxisConfig, kind: str) -> tuple[dict[str, Pass], Band | None]:
+    """The passes of the last campaign of this kind that has rows, by name, and the axis's band with the signs that it states."""
+    band = axis.correction.band
+    for directory in sorted(axis.store.directory.glob(f"{kind}-[0-9]*"), key=_of_series, reverse=True):
         if (directory / MARKER).is_file():
-            passes = {one.name: one for one in read_campaign(directory).passes if one.records is not None}
+            campaign = read_campaign(directory)
+            passes = {one.name: one for one in campaign.passes if one.records is not None}
             if passes:
-                return passes
-    return {}
+                return passes, None if band is None else replace(band, signs=_signs(campaign.purpose))
+    return {}, band
+
+
+def _signs(purpose: Mapping[str, Any]) -> tuple[SignedSections, ...]:
+    """None of a campaign that states no band: its rows are held against the axis file's as it is without signs."""
+    return signs_of(purpose) if (purpose.get("correction") or {}).get("band") else ()
 
 
 def _of_series(directory: Path) -> int:
@@ -143,7 +165,9 @@ def _number(item: tuple[str, Any]) -> int:
     return int(number) if number.isdecimal() else 0
 
 
-def _unfinished(folder: Path, kind: str) -> tuple[str, int] | None:
+def _unfinished(folder: Path, kind: str) -> Resumable | None:
     found = Campaign.unfinished(folder, kind)
     seed = None if found is None else found.purpose.get("seed", 1)
-    return (found.directory.name, seed) if found is not None and isinstance(seed, int) else None
+    if found is None or not isinstance(seed, int):
+        return None
+    return Resumable(found.directory.name, seed, _signs(found.purpose), backlash_of(found.purpose))

@@ -27,19 +27,22 @@ def calibration_report(axis: AxisConfig, result: Calibration) -> str:
 
 def verification_report(axis: AxisConfig, tables: TableSet, result: Verification) -> str:
     """Report of a verification as HTML: one campaign with the correction in force."""
-    verified = NamedCampaign("verified", result.records, _outside_note(len(result.outside), axis.correction.band))
+    note = _outside_note(len(result.outside), axis.correction.band)
+    if result.not_judged:
+        note += f"; not judged, with the reason: {'; '.join(map(str, result.not_judged))}"
+    verified = NamedCampaign("verified", result.records, note)
     return render_html(of_axis(axis, "Verification of", [verified], tables))
 
 
 def of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tables: TableSet) -> ReportData:
     """The report's data: campaigns, identity of the axis, band, tables in force, and uncertainty."""
-    band = axis.correction.band
     return ReportData(
         f"{what} axis {axis.name}",
         tuple(campaigns),
         identity(axis),
-        None if band is None else (band.low_um, band.high_um),
+        axis.correction.band,
         in_force(tables),
+        band_targets_mm=axis.measurement.targets_mm,
         uncertainty=uncertainty_of(axis),
     )
 
@@ -53,4 +56,4 @@ def in_force(tables: TableSet) -> tuple[TableInForce, ...]:
 def _outside_note(outside: int, band: Band | None) -> str:
     if band is None:
         return ""
-    return "all sections inside the band" if not outside else f"{outside} sections outside the band"
+    return f"all sections inside {band}" if not outside else f"{outside} sections outside the band"

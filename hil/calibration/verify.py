@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.correction.tables import Band, Outside, section_means, sections_outside
+from hil.correction.tables import Band, NotJudged, Outside, judge, section_means
 from hil.machine.events import Listener, silent
 from hil.machine.measure import bidirectional_steps, measure, other_targets
 from hil.machine.session import AxisSession
@@ -16,14 +16,15 @@ from hil.records.rows import Records
 
 @dataclass(frozen=True)
 class Verification:
-    """The result of a verification; `outside` is empty without a band."""
+    """The result of a verification; `outside` is empty without a band. not_judged: where none is asked for."""
 
     records: Records
     outside: tuple[Outside, ...]
+    not_judged: tuple[NotJudged, ...] = ()
 
     @property
     def good(self) -> bool:
-        """No section is outside the band."""
+        """No judged section is outside the band."""
         return not self.outside
 
 
@@ -42,5 +43,6 @@ def verify(
     """
     steps = bidirectional_steps(other_targets(session.how, seed), session.how.runs)
     records = measure(session, campaign, name, steps, listener)
-    outside = () if band is None else tuple(sections_outside(section_means(records), band))
-    return Verification(records, outside)
+    if band is None:
+        return Verification(records, ())
+    return Verification(records, *judge(section_means(records), band, session.how.targets_mm))

@@ -21,6 +21,7 @@ from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.rise import Rise
 from hil.correction.running_lost_motion import Turns, remembered, wound_share
 from hil.correction.tables import TableSet
+from hil.records.made_with import MadeWith
 from hil.records.rows import UM_PER_MM, Floats
 from hil.records.zero import Zero
 
@@ -106,19 +107,31 @@ class Compensation:
     """A correction: tables, the effects that the tables lack, and the rise of the lost motion after a reversal.
 
     Without a rise (None) the tables' directions are switched at once. zero: of the axis that it was stored for; None for one made in
-    the session that uses it, or by hand.
+    the session that uses it, or by hand. made_with: the drive's parameters then, None in the same cases.
     """
 
     tables: TableSet
     terms: tuple[ErrorTerm, ...] = field(default=())
     rise: Rise | None = None
     zero: Zero | None = field(default=None, compare=False, kw_only=True)
+    made_with: MadeWith | None = field(default=None, compare=False, kw_only=True)
 
     @property
     def needs(self) -> frozenset[str]:
         """Columns that are read beyond target and direction."""
         own = set() if self.rise is None else {WOUND_SHARE}
         return frozenset(own.union(*(term.needs for term in self.terms))) - {"target_mm", "direction"}
+
+    @property
+    def moves_axis(self) -> str:
+        """Name of the other axis that the straightness table moves; "" for none."""
+        return "" if self.tables.straightness is None else self.tables.straightness_axis
+
+    @property
+    def corrects_reversal(self) -> bool:
+        """Whether it takes a reversal out, so that a drive that does as well would take it out twice."""
+        by_effects = any({"direction", "since_reversal_mm"}.intersection(term.needs) for term in self.terms)
+        return self.rise is not None or by_effects or self.tables.corrects_reversal
 
     def correction_um(self, columns: Columns) -> Floats:
         """The correction for each row, µm, shape (n,).
@@ -177,11 +190,13 @@ class Compensation:
         history: MotionHistory,
         known: Mapping[str, float],
         bound: CorrectionBound = CAREFUL,
+        actual: MotionHistory | None = None,
     ) -> Command:
         """The command for a motion to a target.
 
         known: sensor values and the like at the moment the set-point is issued (`time_s`, `velocity_mm_s`, `temp_screw_c` …)
         bound: of the axis; a correction beyond it, or steeper with everything else as it is, raises CorrectionBoundError
+        actual: the motion by the estimated actual position, with which the lost motion rises; None: it rises with the targets
         Raises InputError for a target that is no position, StateError while the direction of arrival is unknown: a correction
         for a guessed direction may be wrong by the whole backlash.
         """
@@ -200,7 +215,8 @@ class Compensation:
             stroke_mm=after.stroke_or_long_mm,
         )
         if self.rise is not None:
-            values[WOUND_SHARE] = wound_share(self.rise, target_mm, after.direction, after.turns_mm)
+            by = after if actual is None or actual.direction == 0 else actual
+            values[WOUND_SHARE] = wound_share(self.rise, by.position_mm, by.direction, by.turns_mm)
         near_mm = [target_mm + beside for beside in _BESIDE_MM]
         columns = {name: np.array([value] * len(near_mm), dtype=np.float64) for name, value in values.items()}
         columns["target_mm"] = np.array(near_mm)

@@ -1,7 +1,8 @@
 """Manual mode of system A: corrections typed or computed elsewhere, read from a table file instead of measured.
 
-The file is CSV with a header: `position_mm`, `plus_um`, `minus_um` (corrections, added to the command), or `position_mm`, `plus_um`,
-`backlash_um`; in addition any of `specified_plus_um`, `specified_minus_um`, `straightness_um`.
+The file is CSV with a header: `position_mm`, `plus_um` (corrections, added to the command), and `minus_um`, `backlash_um` or both, in
+addition any of `specified_plus_um`, `specified_minus_um`, `straightness_um`. A backlash beside both directions was measured by other
+means and takes the place of their own difference; one on positions of its own is a file with `position_mm`, `backlash_um`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputError
-from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet, straightness_table
+from hil.correction.tables import (
+    Band,
+    DirectionalTable,
+    SignedSections,
+    SingleTable,
+    TableMode,
+    TableSet,
+    straightness_table,
+)
 from hil.records.files import read_text
 from hil.records.rows import Floats, parse_number, shown
 
@@ -28,29 +37,72 @@ _KNOWN = (
 )
 
 
-def read_manual_tables(path: str | Path) -> TableSet:
-    """Tables from a file. With `backlash_um` and no `minus_um` they are one-directional. Raises InputError with file and line."""
+def read_manual_tables(path: str | Path, backlash: SingleTable | None = None) -> TableSet:
+    """Tables from a file. Without `minus_um` they are one-directional. Raises InputError with file and line.
+
+    backlash: measured by other means, from a file of its own; then the file holds none
+    """
     columns = _read_columns(path)
     positions = columns["position_mm"]
-    if ("minus_um" in columns) == ("backlash_um" in columns):
-        raise InputError("needs one of the columns minus_um and backlash_um", path=path, line=1)
+    if backlash is not None and "backlash_um" in columns:
+        raise InputError(
+            "holds a backlash already, and another is given beside it: it would count twice", path=path, line=1
+        )
+    if "backlash_um" in columns:
+        backlash = SingleTable(positions, columns["backlash_um"])
+    if "minus_um" not in columns and backlash is None:
+        raise InputError("needs minus_um, or backlash_um, or a backlash beside it (--backlash)", path=path, line=1)
     if ("specified_plus_um" in columns) != ("specified_minus_um" in columns):
         raise InputError("needs both specified_plus_um and specified_minus_um, or neither", path=path, line=1)
     plus = columns["plus_um"]
     try:
-        if "minus_um" in columns:
+        if backlash is None:
             mode, minus = TableMode.BIDIRECTIONAL, columns["minus_um"]
+        elif "minus_um" in columns:
+            mode, minus = TableMode.MEAN_BACKLASH, columns["minus_um"]
         else:
-            mode, minus = TableMode.UNIDIRECTIONAL_BACKLASH, plus - columns["backlash_um"]
+            mode, minus = TableMode.UNIDIRECTIONAL_BACKLASH, plus - backlash.at(positions)
         return TableSet(
             mode,
             DirectionalTable(positions, plus, minus),
-            SingleTable(positions, plus - minus),
+            SingleTable(positions, plus - minus) if backlash is None else backlash,
             DirectionalTable(positions, columns["specified_plus_um"], columns["specified_minus_um"])
             if "specified_plus_um" in columns
             else None,
             SingleTable(positions, columns["straightness_um"]) if "straightness_um" in columns else None,
         )
+    except InputError as error:
+        raise InputError(error.what, path=path) from error
+
+
+def read_backlash(path: str | Path) -> SingleTable:
+    """A backlash measured by other means, D = C - B in µm, on its own positions: CSV with `position_mm` and `backlash_um`.
+
+    Positive where the table lags behind a motor that has turned round. Raises InputError with file and line.
+    """
+    columns = _read_columns(path, ("position_mm", "backlash_um"), ("position_mm", "backlash_um"))
+    try:
+        return SingleTable(columns["position_mm"], columns["backlash_um"])
+    except InputError as error:
+        raise InputError(error.what, path=path) from error
+
+
+def read_signs(path: str | Path, text: str | None = None) -> tuple[SignedSections, ...]:
+    """The signs of a specified accuracy: CSV with `from_mm`, `to_mm`, `plus`, `minus`, as `signs` of the axis file; none without rows.
+
+    text: in place of the file's. Raises InputError with the file, and the line where it is of one, also for a section with two signs.
+    """
+    names = ("from_mm", "to_mm", "plus", "minus")
+    text = read_text(path) if text is None else text
+    if len(_rows(text)) < 2:
+        return ()
+    columns = _read_columns(path, names, names, text)
+    try:
+        signs = [
+            SignedSections(start, end, *(int(sign) if abs(sign) == 1.0 else 0 for sign in pair))
+            for start, end, *pair in zip(*(columns[name].tolist() for name in names), strict=True)
+        ]
+        return Band(0.0, 1.0, tuple(signs)).signs
     except InputError as error:
         raise InputError(error.what, path=path) from error
 
@@ -65,13 +117,12 @@ def read_straightness(path: str | Path) -> SingleTable:
 
 
 def _read_columns(
-    path: str | Path, known: Sequence[str] = _KNOWN, required: Sequence[str] = ("position_mm", "plus_um")
+    path: str | Path,
+    known: Sequence[str] = _KNOWN,
+    required: Sequence[str] = ("position_mm", "plus_um"),
+    text: str | None = None,
 ) -> dict[str, Floats]:
-    rows = [
-        (number, line.split(","))
-        for number, line in enumerate(read_text(path).removeprefix("\ufeff").splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    rows = _rows(read_text(path) if text is None else text)
     if len(rows) < 2:
         raise InputError("holds no table, expected a header and at least one row", path=path)
     (header_line, header), *body = rows
@@ -89,6 +140,12 @@ def _read_columns(
         values.append([_number(cell, name, path, line) for name, cell in zip(names, cells, strict=True)])
     table = np.array(values)
     return {name: table[:, index] for index, name in enumerate(names)}
+
+
+def _rows(text: str) -> list[tuple[int, list[str]]]:
+    """Number and cells of each line that is neither empty nor a remark."""
+    lines = enumerate(text.removeprefix("\ufeff").splitlines(), start=1)
+    return [(number, line.split(",")) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
 
 
 def _number(cell: str, name: str, path: str | Path, line: int) -> float:

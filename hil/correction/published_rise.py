@@ -7,6 +7,7 @@ steps between strokes that were not full: it cannot be used to run a machine.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from drivers.errors import InputError
@@ -78,6 +79,49 @@ def published_um(form: TwoTanh, direction: int, travel_mm: float, stroke_mm: flo
         if travel_mm > form.onset_2_mm:
             amount += form.amount_2_um * math.tanh((travel_mm - form.onset_2_mm) / form.rise_2_mm)
     return direction * amount
+
+
+@dataclass(frozen=True)
+class PublishedMove:
+    """The published form at the end of one move; symbols as there: travel_mm x', stroke_mm xbm, last_um |Pbm|, published_um P.
+
+    branch: 1 for |Pbm| < Pc2, else 2; start_um: P at the reversal itself, other than 0 in branch 1 alone.
+    """
+
+    target_mm: float
+    direction: int
+    travel_mm: float
+    stroke_mm: float
+    last_um: float
+    branch: int
+    start_um: float
+    published_um: float
+
+
+def published_moves(
+    form: TwoTanh, start_mm: float, direction: int, targets_mm: Sequence[float]
+) -> tuple[PublishedMove, ...]:
+    """The published form along straight moves that begin at start_mm, reached by a full stroke in `direction`.
+
+    Moves of no length are left out. Raises InputError as `published_um`.
+    """
+    here_mm, turned_mm, stroke_mm = start_mm, -direction * math.inf, math.inf
+    last_um = now_um = form.amount_um
+    found = []
+    for target_mm in targets_mm:
+        if target_mm == here_mm:
+            continue
+        way = 1 if target_mm > here_mm else -1
+        if way != direction:
+            stroke_mm, last_um = abs(here_mm - turned_mm), abs(now_um)
+            turned_mm, direction = here_mm, way
+        travel_mm = abs(target_mm - turned_mm)
+        now_um = published_um(form, way, travel_mm, stroke_mm, last_um)
+        at_once_um = published_um(form, way, 0.0, stroke_mm, last_um)
+        branch = 1 if last_um < form.amount_2_um else 2
+        found.append(PublishedMove(target_mm, way, travel_mm, stroke_mm, last_um, branch, at_once_um, now_um))
+        here_mm = target_mm
+    return tuple(found)
 
 
 def _scaled_mm(form: TwoTanh, travel_mm: float, stroke_mm: float) -> float:

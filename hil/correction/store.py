@@ -1,15 +1,17 @@
 """The sealed store: an axis's compensation as a file that a machine can use and only its builder can change.
 
 Three entries per axis: `<axis>.tables`, `<axis>.effects` and, where it was measured, `<axis>.lost-motion`. Several axes may share a
-file. Reading needs the builder's public key and the reading password; writing needs the builder's private key.
+file. Reading needs the builder's public key and the reading password; writing needs the builder's private key. A table may have a
+password of its own: it is then an entry of its own, such as `<axis>.backlash`, and the header names it.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -18,11 +20,26 @@ from drivers.errors import InputError, StateError
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Compensation
 from hil.correction.rise import rise_from_json
-from hil.correction.sealed import Binding, check, load_private_key, load_public_key, open_sealed, reseal, seal
-from hil.correction.tables import TableSet
+from hil.correction.sealed import (
+    Binding,
+    check,
+    load_private_key,
+    load_public_key,
+    open_sealed,
+    require_strong_new,
+    reseal,
+    seal,
+)
+from hil.correction.tables import FORMAT, TableSet
 from hil.effects import ALL, Effect, Term, term_from_json
-from hil.records.files import held, naming, read_bytes, replace_file
+from hil.records.files import held, naming, read_bytes, replace_file, sync_directory
+from hil.records.made_with import MadeWith, read_made_with
 from hil.records.zero import Zero, read_zero
+
+TABLES = ("pitch", "backlash", "specified", "straightness")
+"""The tables that may have a password of their own."""
+SEPARATE_FORMAT = "hil-tables/1, some apart"
+"""Of an entry that lacks those tables: a program that would take them for missing ones refuses it."""
 
 
 class _Keys(Protocol):
@@ -38,8 +55,8 @@ class _Bounded(Protocol):
     def bound(self) -> CorrectionBound: ...
 
 
-class StatesStore(Protocol):
-    """The part of an axis file that concerns its store."""
+class LocatesStore(Protocol):
+    """The part of an axis file that says where its store is."""
 
     @property
     def name(self) -> str: ...
@@ -48,10 +65,17 @@ class StatesStore(Protocol):
     def tables_path(self) -> Path: ...
 
     @property
+    def store(self) -> _Keys: ...
+
+
+class StatesStore(LocatesStore, Protocol):
+    """The part of an axis file that concerns its store."""
+
+    @property
     def zero_path(self) -> Path: ...
 
     @property
-    def store(self) -> _Keys: ...
+    def made_with_path(self) -> Path: ...
 
     @property
     def correction(self) -> _Bounded: ...
@@ -61,9 +85,10 @@ class StatesStore(Protocol):
 class SealedStore:
     """The store of one axis's compensation.
 
-    password: opens this axis's entries; builder_public: verifies the signature; builder_key: needed for saving
-    bound: of the axis, a correction beyond it is neither saved nor loaded; zero_path: of the axis's zero (`hil.records.zero`), to
-    which the contents are bound
+    password: opens this axis's entries, but for the tables in `own`, by name (`TABLES`), which have passwords of their own
+    builder_public: verifies the signature; builder_key: needed for saving
+    bound: of the axis, a correction beyond it is neither saved nor loaded
+    zero_path, made_with_path: of the axis's zero and the drive's parameters (`hil.records`), to which the contents are bound
     """
 
     path: Path
@@ -73,19 +98,37 @@ class SealedStore:
     builder_key: Ed25519PrivateKey | None = None
     bound: CorrectionBound = field(default=CAREFUL, kw_only=True)
     zero_path: Path | None = field(default=None, kw_only=True)
+    made_with_path: Path | None = field(default=None, kw_only=True)
+    own: Mapping[str, str] = field(default_factory=dict, kw_only=True)
 
     @classmethod
-    def of(cls, axis: StatesStore, password: str, key_password: str | None = None) -> SealedStore:
-        """The store an axis file names; with `key_password`, the builder's, it can be written.
+    def of(
+        cls,
+        axis: StatesStore,
+        password: str,
+        key_password: str | None = None,
+        *,
+        own: Mapping[str, str] = MappingProxyType({}),
+    ) -> SealedStore:
+        """The store an axis file names; with `key_password`, the builder's, it can be written. own: passwords of single tables;
+        password: "" to take the axis's tables out of force only.
 
         Raises InputError when a key is missing or no half of a pair, WrongPasswordError for the key's password, and, where a store is
-        to be written, the SealedError that says why the one there now is not this builder's.
+        to be written, the SealedError that says why the one there now is not this builder's, and InputError for a new password that is
+        too weak (`require_strong`).
         """
         config = axis.store
+        of_axis: dict[str, Any] = {
+            "bound": axis.correction.bound,
+            "zero_path": axis.zero_path,
+            "made_with_path": axis.made_with_path,
+            "own": own,
+        }
+        if unknown := [name for name in own if name not in TABLES]:
+            raise InputError(f"a password is given for table {unknown[0]}, expected one of {', '.join(TABLES)}")
         if key_password is None:
             public = load_public_key(config.builder_public)
-            bound = axis.correction.bound
-            return cls(axis.tables_path, axis.name, password, public, bound=bound, zero_path=axis.zero_path)
+            return replace(cls(axis.tables_path, axis.name, password, public), **of_axis)
         if not config.builder_key.exists():
             raise InputError(
                 "is not there; tables are stored sealed, `hil sign --new-key builder` makes the builder's pair of keys",
@@ -100,13 +143,32 @@ class SealedStore:
         if axis.tables_path.exists():  # said now, not after hours of measuring
             with naming(axis.tables_path):
                 check(read_bytes(axis.tables_path), public)
-        return cls(
-            axis.tables_path, axis.name, password, public, key, bound=axis.correction.bound, zero_path=axis.zero_path
-        )
+        store = replace(cls(axis.tables_path, axis.name, password, public, key), **of_axis)
+        if password:
+            store._check_passwords(read_bytes(store.path) if store.path.exists() else None)
+        return store
 
     @property
     def _names(self) -> tuple[str, str]:
         return f"{self.axis}.tables", f"{self.axis}.effects"
+
+    def _passwords(self, names: Iterable[str]) -> dict[str, str]:
+        """By entry; the axis's common password but for tables with one of their own."""
+        own = {f"{self.axis}.{table}": password for table, password in self.own.items()}
+        return {name: own.get(name, self.password) for name in names}
+
+    def _check_passwords(self, present: bytes | None) -> None:
+        """Raises InputError for a new password that is too weak, or where a table's own one is not given."""
+        if present is not None:
+            self._require_own(self._bound(present).separate)
+        names = [self._names[0], *(f"{self.axis}.{table}" for table in self.own)]
+        require_strong_new(self._passwords(names), present, self.builder_public)
+
+    def _require_own(self, separate: Iterable[str]) -> None:
+        if lacking := [table for table in separate if table not in self.own]:
+            raise InputError(
+                f"{self.path}: table {lacking[0]} of axis {self.axis} has a password of its own (--table-password {lacking[0]}=FILE)"
+            )
 
     @property
     def _rise_name(self) -> str:
@@ -116,8 +178,10 @@ class SealedStore:
         """The entry's name where the file has one."""
         return tuple(name for name in check(data, builder_public).entries if name == self._rise_name)
 
-    def save(self, compensation: Compensation) -> None:
+    def save(self, compensation: Compensation, *, measured: bool = True) -> None:
         """Replace this axis's entries as a whole, others in the file kept.
+
+        measured: made on the machine, so that what the drive had at the last measurement is what it was made with, unless it states it
 
         Raises StateError without the builder's key, CorrectionBoundError for a correction beyond the axis's bound.
         """
@@ -125,52 +189,98 @@ class SealedStore:
             raise StateError(f"{self.path} is locked: changing it needs the builder's private key")
         compensation.check(self.bound, f"{self.path}: correction not stored")
         tables, effects = self._names
-        changes = {tables: _dump(compensation.tables.to_dict()), effects: _dump(_terms(compensation))}
+        form = compensation.tables.to_dict()
+        changes = {f"{self.axis}.{table}": _dump(form[table]) for table in self.own}
+        form |= {"format": SEPARATE_FORMAT, **dict.fromkeys(self.own)} if self.own else {}
+        changes |= {tables: _dump(form), effects: _dump(_terms(compensation))}
         rise = {self._rise_name: _dump(_rise(compensation))}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with held(self.path.parent, wait=True):  # another axis may be about to change its own entries
             if self.path.exists():
                 with naming(self.path):
                     before = read_bytes(self.path)
+                    self._check_passwords(before)
                     there = self._rise_entry(before, self.builder_key.public_key())
                     changes |= rise if there or compensation.rise is not None else {}
-                    bound_to = self._bound_to(check(before, self.builder_key.public_key()).binding)
-                    data = reseal(before, changes, self.password, self.builder_key, bound_to=bound_to)
+                    now = check(before, self.builder_key.public_key()).binding
+                    bound_to = self._bound_to(now, compensation, measured)
+                    data = reseal(before, changes, self._passwords(changes), self.builder_key, bound_to=bound_to)
             else:
                 changes |= rise if compensation.rise is not None else {}
-                data = seal(changes, self.password, self.builder_key, bound_to=self._bound_to(None))
+                self._check_passwords(None)
+                bound_to = self._bound_to(None, compensation, measured)
+                data = seal(changes, self._passwords(changes), self.builder_key, bound_to=bound_to)
             replace_file(self.path, data)
 
-    def _bound_to(self, before: Binding | None) -> dict[str, Any]:
-        """This axis's entries to the zero that the axis has now, the other axes' as they were."""
+    def _bound_to(self, before: Binding | None, compensation: Compensation, measured: bool) -> dict[str, Any]:
+        """This axis's entries to the zero that the axis has now and to the drive's parameters, the other axes' as they were."""
         of: Mapping[str, Any] = {} if before is None else before.of
         axes = dict(of.get("axes", {}))
         zero = None if self.zero_path is None else read_zero(self.zero_path)
-        axes[self.axis] = {"zero": None if zero is None else zero.to_json()}
+        made_with = compensation.made_with
+        if made_with is None and measured and self.made_with_path is not None:
+            made_with = read_made_with(self.made_with_path)
+        axes[self.axis] = {
+            "zero": None if zero is None else zero.to_json(),
+            "made_with": None if made_with is None else made_with.to_json(),
+            "corrects_reversal": compensation.corrects_reversal,
+        }
+        if self.own:
+            axes[self.axis]["separate"] = sorted(self.own)
         return {**of, "axes": axes}
 
-    def _zero(self, data: bytes) -> Zero | None:
-        """The zero that this axis's entries are bound to; None where the file names none."""
-        binding = check(data, self.builder_public).binding
-        try:
-            form = None if binding is None else binding.of["axes"][self.axis]["zero"]
-            return None if form is None else Zero.from_json(form)
-        except (KeyError, TypeError):
-            return None
-        except ValueError as error:
-            raise InputError(f"header does not say what zero axis {self.axis} has") from error
+    def _bound(self, data: bytes) -> BoundTables:
+        return _bound(check(data, self.builder_public).binding, self.axis)
+
+    def states(self) -> BoundTables | None:
+        """What the present file states of this axis's tables; None without a file, or tables of the axis in it."""
+        return _bound_in(self.path, self.axis, self.builder_public)
 
     def warning(self) -> str | None:
         """A warning about the present file, which can be opened nevertheless; None for no warning, or no file."""
         if not self.path.exists():
             return None
         with naming(self.path):
-            if self._zero(read_bytes(self.path)) is not None:
-                return None
+            found = self._bound(read_bytes(self.path))
+        if found.zero is not None:
+            return found.warning(f"{self.path}: ")
         return (
             f"{self.path}: states no zero of axis {self.axis}, its tables were made before, or without, one: that the axis is in the"
             " same cannot be shown (calibrate anew to bind them)"
         )
+
+    def withdraw(self) -> BoundTables:
+        """Take this axis's entries out of the file, which puts its tables out of force; others in the file are kept. What they stated.
+
+        Without other entries there is no file afterwards. Raises StateError without the builder's key, and where there are none.
+        """
+        if self.builder_key is None:
+            raise StateError(f"{self.path} is locked: changing it needs the builder's private key")
+        nothing = StateError(f"{self.path}: holds no tables of axis {self.axis}, nothing is in force")
+        if not self.path.exists():
+            raise nothing
+        with held(self.path.parent, wait=True), naming(self.path):
+            data = read_bytes(self.path)
+            present = check(data, self.builder_key.public_key())
+            ours = {
+                *self._names,
+                self._rise_name,
+                *(f"{self.axis}.{table}" for table in TABLES),
+            } & present.entries.keys()
+            if not ours:
+                raise nothing
+            of: Mapping[str, Any] = {} if present.binding is None else present.binding.of
+            left = {**of, "axes": {name: bound for name, bound in of.get("axes", {}).items() if name != self.axis}}
+            if ours == present.entries.keys():
+                self.path.unlink()
+                sync_directory(self.path.parent)
+            else:
+                replace_file(self.path, reseal(data, {}, {}, self.builder_key, bound_to=left, without=ours))
+            return _bound(present.binding, self.axis)
+
+    def stored(self, effects: Sequence[Effect] = ALL) -> Compensation | None:
+        """The stored compensation, None where the axis has none. Raises what `load` raises."""
+        return None if self.states() is None else self.load(effects)
 
     def save_tables(self, tables: TableSet) -> None:
         """Replace this axis's entries with tables and no further effects."""
@@ -181,17 +291,85 @@ class SealedStore:
         CorrectionBoundError where it exceeds the axis's bound."""
         with naming(self.path):
             data = read_bytes(self.path)
-            names = [*self._names, *self._rise_entry(data, self.builder_public)]
-            opened = open_sealed(data, self.password, self.builder_public, names=names)
+            of = self._bound(data)
+            self._require_own(of.separate)
+            separate = {table: f"{self.axis}.{table}" for table in of.separate}
+            names = [*self._names, *self._rise_entry(data, self.builder_public), *separate.values()]
+            opened = open_sealed(data, self._passwords(names), self.builder_public, names=names)
             tables, terms = (_parse(opened[name], name) for name in self._names)
+            if separate and isinstance(tables, dict) and tables.get("format") == SEPARATE_FORMAT:
+                tables |= {"format": FORMAT, **{table: _parse(opened[name], name) for table, name in separate.items()}}
             rise = _parse(opened.get(self._rise_name, b"null"), self._rise_name)
             if not isinstance(terms, list):
                 raise InputError(f"entry {self._names[1]} is not a list of effects")
             loaded = [term_from_json(term, effects, f"{self._names[1]}[{index}]") for index, term in enumerate(terms)]
             parsed = None if rise is None else rise_from_json(rise, self._rise_name)
-            compensation = Compensation(TableSet.from_dict(tables), tuple(loaded), parsed, zero=self._zero(data))
+            compensation = Compensation(
+                TableSet.from_dict(tables), tuple(loaded), parsed, zero=of.zero, made_with=of.made_with
+            )
         compensation.check(self.bound, f"{self.path}: correction not used")
         return compensation
+
+
+@dataclass(frozen=True)
+class BoundTables:
+    """What a sealed file states of one axis's tables without a password; None where it does not state it.
+
+    corrects_reversal: whether they take the reversal out, so that the drive must not do it too; separate: tables with a password of
+    their own
+    """
+
+    axis: str
+    zero: Zero | None = None
+    made_with: MadeWith | None = None
+    corrects_reversal: bool | None = None
+    separate: tuple[str, ...] = ()
+
+    def warning(self, where: str) -> str | None:
+        """That the drive's parameters are not stated, None where they are."""
+        if self.made_with is not None:
+            return None
+        return (
+            f"{where}does not state which parameters the drive of axis {self.axis} had when its tables were made: that it has the same"
+            " cannot be shown (calibrate anew to bind them)"
+        )
+
+
+def bound_tables(axis: LocatesStore) -> BoundTables | None:
+    """What the axis's store states of its tables, the builder's signature checked; None where the axis has none.
+
+    Raises SealedError or InputError, naming the file, where the store or the builder's public key cannot be read.
+    """
+    if not axis.tables_path.exists():
+        return None
+    return _bound_in(axis.tables_path, axis.name, load_public_key(axis.store.builder_public))
+
+
+def _bound_in(path: Path, axis: str, builder_public: Ed25519PublicKey) -> BoundTables | None:
+    if not path.exists():
+        return None
+    with naming(path):
+        info = check(read_bytes(path), builder_public)
+        return _bound(info.binding, axis) if f"{axis}.tables" in info.entries else None
+
+
+def _bound(binding: Binding | None, axis: str) -> BoundTables:
+    try:
+        of = {} if binding is None else dict(binding.of["axes"][axis])
+    except (KeyError, TypeError, ValueError):
+        of = {}
+    try:
+        zero, made_with = of.get("zero"), of.get("made_with")
+        reversal = of.get("corrects_reversal")
+        return BoundTables(
+            axis,
+            None if zero is None else Zero.from_json(zero),
+            None if made_with is None else MadeWith.from_json(made_with),
+            reversal if isinstance(reversal, bool) else None,
+            tuple(table for table in TABLES if table in of.get("separate", ())),
+        )
+    except ValueError as error:
+        raise InputError(f"header does not say what the tables of axis {axis} belong to") from error
 
 
 def compensation_in_force(compensation: Compensation) -> dict[str, Any]:

@@ -8,6 +8,7 @@ Between nodes corrections are linear in position; beyond the ends the end value 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.errors import InputError
+from drivers.toml_types import Number, Sign
 from hil.records.rows import Floats, Records
 
 FORMAT = "hil-tables/1"
@@ -29,6 +31,7 @@ class TableMode(Enum):
 
     BIDIRECTIONAL = "bidirectional"  # one pitch table per direction; the backlash is inside them
     UNIDIRECTIONAL_BACKLASH = "unidirectional+backlash"  # the + direction, and the backlash beside it
+    MEAN_BACKLASH = "mean+backlash"  # the mean of both directions, and the backlash beside it, half of it each way
 
 
 def _column(values: ArrayLike, what: str) -> Floats:
@@ -153,7 +156,9 @@ class TableSet:
 
     mode: how `pitch` is to be read. In BIDIRECTIONAL mode `pitch` holds both directions, and `backlash`, when present, is
     knowledge kept for machines that can store one direction only: it is **not** added. In UNIDIRECTIONAL_BACKLASH mode only
-    `pitch.plus_um` is used and the - direction is plus - backlash.
+    `pitch.plus_um` is used and the - direction is plus - backlash. In MEAN_BACKLASH mode the mean of both of `pitch` is used, and the
+    directions are mean + backlash/2 and mean - backlash/2: a backlash that was measured by other means takes the place of the
+    directions' own difference, so that it is counted once.
     specified: the specified-accuracy correction (E in the + direction, F in the - direction), or None
     straightness: a correction in µm from a straightness (tilt) measurement, or None
     straightness_axis: which axis's command it is added to; "" is this axis, otherwise the name of the cross axis
@@ -167,8 +172,8 @@ class TableSet:
     straightness_axis: str = ""
 
     def __post_init__(self) -> None:
-        if self.mode is TableMode.UNIDIRECTIONAL_BACKLASH and self.backlash is None:
-            raise InputError("table mode unidirectional+backlash needs a backlash table")
+        if self.mode is not TableMode.BIDIRECTIONAL and self.backlash is None:
+            raise InputError(f"table mode {self.mode.value} needs a backlash table")
 
     @classmethod
     def zero(cls, position_mm: Floats) -> TableSet:
@@ -179,7 +184,7 @@ class TableSet:
     def nodes_mm(self) -> Floats:
         """The nodes of all parts that are added to the axis's own command, ascending: between them `correction_um` is linear."""
         parts = [self.pitch.position_mm]
-        if self.mode is TableMode.UNIDIRECTIONAL_BACKLASH and self.backlash is not None:
+        if self.mode is not TableMode.BIDIRECTIONAL and self.backlash is not None:
             parts.append(self.backlash.position_mm)
         if self.specified is not None:
             parts.append(self.specified.position_mm)
@@ -187,12 +192,20 @@ class TableSet:
             parts.append(self.straightness.position_mm)
         return np.unique(np.concatenate(parts))
 
+    @property
+    def corrects_reversal(self) -> bool:
+        """Whether the pitch part differs in the two directions anywhere."""
+        nodes = self.nodes_mm
+        return bool(np.any(self.pitch_um(nodes, 1) != self.pitch_um(nodes, -1)))
+
     def pitch_um(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
         """The pitch part with the direction's share of the backlash, counted once, µm."""
         if self.mode is TableMode.BIDIRECTIONAL or self.backlash is None:
             return self.pitch.at(position_mm, direction)
-        plus = self.pitch.at(position_mm, 1)
-        return np.asarray(np.where(_is_plus(direction), plus, plus - self.backlash.at(position_mm)))
+        plus, amount = self.pitch.at(position_mm, 1), self.backlash.at(position_mm)
+        if self.mode is TableMode.MEAN_BACKLASH:
+            plus = (plus + self.pitch.at(position_mm, -1) + amount) / 2
+        return np.asarray(np.where(_is_plus(direction), plus, plus - amount))
 
     def correction_um(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
         """The whole correction at rest on a position, arrived at in a direction, µm."""
@@ -208,6 +221,14 @@ class TableSet:
         if self.straightness is None or not cross_axis or cross_axis != self.straightness_axis:
             return np.zeros(np.shape(position_mm))
         return self.straightness.at(position_mm)
+
+    def with_backlash(self, backlash: SingleTable) -> TableSet:
+        """The same pitch with a backlash that was measured by other means, on positions of its own; it counts once.
+
+        Beside two-directional tables it takes the place of their own difference; beside one-directional ones the + direction stays.
+        """
+        one = self.mode is TableMode.UNIDIRECTIONAL_BACKLASH
+        return replace(self, mode=self.mode if one else TableMode.MEAN_BACKLASH, backlash=backlash)
 
     def combined(self) -> TableSet:
         """Pitch and specified-accuracy in one table with one look-up; the same output everywhere.
@@ -373,14 +394,44 @@ def compute_tables(
 # -- specified accuracy ------------------------------------------------------------------------------------------------
 
 
+_SAME_MM = 1e-6  # between two targets that are the same one: rows state them to the nanometre
+
+
+@dataclass(frozen=True)
+class SignedSections:
+    """The sign of a specified accuracy in the sections from a position up to, and not including, another, mm.
+
+    plus, minus: of the + and of the - direction, +1 or -1: system A lets the builder choose it for E and F of every section (S14)
+    """
+
+    from_mm: Number
+    to_mm: Number
+    plus: Sign = 1
+    minus: Sign = 1
+
+    def __post_init__(self) -> None:
+        if not self.from_mm < self.to_mm:
+            raise InputError(f"sections from {self.from_mm:g} to {self.to_mm:g} mm, expected from_mm < to_mm")
+        if not {self.plus, self.minus} <= {1, -1}:
+            raise InputError(f"signs are {self.plus} and {self.minus}, expected 1 or -1")
+
+
 @dataclass(frozen=True)
 class Band:
-    """A specified accuracy: the machine's mean error is to lie between low and high, µm, in every section and direction."""
+    """A specified accuracy: the machine's mean error is to lie between low and high, µm, in every section and direction.
+
+    signs: where it is to lie between -high and -low instead; sections and directions that are not named have the sign +
+    """
 
     low_um: float
     high_um: float
+    signs: tuple[SignedSections, ...] = ()
 
     def __post_init__(self) -> None:
+        ordered = sorted(self.signs, key=lambda sections: sections.from_mm)
+        for one, other in itertools.pairwise(ordered):
+            if other.from_mm < one.to_mm:
+                raise InputError(f"sections from {other.from_mm:g} mm have two signs, another ends at {one.to_mm:g} mm")
         if not (math.isfinite(self.low_um) and math.isfinite(self.high_um) and self.low_um < self.high_um):
             raise InputError(f"band is {self.low_um} to {self.high_um} µm, expected low < high")
 
@@ -393,6 +444,41 @@ class Band:
     def width_um(self) -> float:
         """Width of the band, µm."""
         return self.high_um - self.low_um
+
+    def at(self, position_mm: float, direction: int) -> Band:
+        """The band of one section and direction, with its sign."""
+        for one in self.signs:
+            if one.from_mm <= position_mm < one.to_mm:
+                sign = one.plus if direction > 0 else one.minus
+                return Band(self.low_um, self.high_um) if sign > 0 else Band(-self.high_um, -self.low_um)
+        return Band(self.low_um, self.high_um)
+
+    def nearest_um(self, error_um: float) -> float:
+        """The error itself inside the band, else its nearer end, µm."""
+        return min(max(error_um, self.low_um), self.high_um)
+
+    def stretches(self, low_mm: float, high_mm: float) -> list[tuple[float, float, Band, Band]]:
+        """From, to, mm, and the bands of the + and - direction there: between low and high, cut where a sign may change."""
+        cuts = {end for one in self.signs for end in (one.from_mm, one.to_mm) if low_mm < end < high_mm}
+        ends = sorted({low_mm, *cuts, high_mm})
+        return [(start, end, self.at(start, 1), self.at(start, -1)) for start, end in itertools.pairwise(ends)]
+
+    def unlike_targets(
+        self, position_mm: float, direction: int, targets_mm: Sequence[float]
+    ) -> tuple[float, float] | None:
+        """The targets on both sides, mm, where they have bands of different sign, so that the correction between them runs from one to
+        the other and the band is asked for at neither value; None where they have one, as at a target itself.
+
+        targets_mm: that the tables were made at
+        """
+        if not self.signs or not targets_mm:
+            return None
+        low = max((t for t in targets_mm if t <= position_mm + _SAME_MM), default=min(targets_mm))
+        high = min((t for t in targets_mm if t >= position_mm - _SAME_MM), default=max(targets_mm))
+        return None if self.at(low, direction) == self.at(high, direction) else (low, high)
+
+    def __str__(self) -> str:
+        return f"{self.low_um:g} to {self.high_um:g} µm{', with the signs of its sections' if self.signs else ''}"
 
     def holds(self, error_um: ArrayLike) -> NDArray[np.bool_]:
         """True where an error lies inside; NaN (not measured) lies outside."""
@@ -415,8 +501,9 @@ class Band:
 
 
 def initial_specified(target_mm: Floats, band: Band) -> DirectionalTable:
-    """E = F = the middle of the band with its sign, in every section and direction."""
-    return DirectionalTable.constant(target_mm, band.middle_um)
+    """The middle of the band with its sign: E in the + direction, F in the - direction, in every section."""
+    plus, minus = ([band.at(float(target), sign).middle_um for target in target_mm] for sign in (1, -1))
+    return DirectionalTable(target_mm, np.array(plus), np.array(minus))
 
 
 def revised_value_um(
@@ -448,9 +535,42 @@ def sections_outside(means: SectionMeans, band: Band) -> list[Outside]:
     found = []
     for direction, errors in ((1, means.plus_um), (-1, means.minus_um)):
         for target, error in zip(means.target_mm, errors, strict=True):
-            if not math.isnan(error) and not bool(band.holds(error)):
+            if not math.isnan(error) and not bool(band.at(float(target), direction).holds(error)):
                 found.append(Outside(float(target), direction, float(error)))
     return sorted(found, key=lambda section: (section.target_mm, -section.direction))
+
+
+@dataclass(frozen=True)
+class NotJudged:
+    """One section and direction that no band is asked for: it lies between targets whose bands differ in sign.
+
+    low_mm, high_mm: those targets; the correction runs from the one's specified value to the other's
+    """
+
+    target_mm: float
+    direction: int
+    low_mm: float
+    high_mm: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.target_mm:g} mm {'+' if self.direction > 0 else '-'}, between the targets {self.low_mm:g} and {self.high_mm:g} mm:"
+            " their specified values differ in sign, and the correction runs from one to the other"
+        )
+
+
+def judge(
+    means: SectionMeans, band: Band, targets_mm: Sequence[float]
+) -> tuple[tuple[Outside, ...], tuple[NotJudged, ...]]:
+    """The sections outside the band, and those not judged (`Band.unlike_targets`). targets_mm: that the tables were made at."""
+    unlike = []
+    for direction, errors in ((1, means.plus_um), (-1, means.minus_um)):
+        for target in means.target_mm[~np.isnan(errors)].tolist():
+            if (beside := band.unlike_targets(target, direction, targets_mm)) is not None:
+                unlike.append(NotJudged(target, direction, *beside))
+    places = {(one.target_mm, one.direction) for one in unlike}
+    outside = [one for one in sections_outside(means, band) if (one.target_mm, one.direction) not in places]
+    return tuple(outside), tuple(sorted(unlike, key=lambda one: (one.target_mm, -one.direction)))
 
 
 def revise(
@@ -466,11 +586,12 @@ def revise(
         index = int(np.argmin(np.abs(specified.position_mm - section.target_mm)))
         if abs(specified.position_mm[index] - section.target_mm) > 1e-6:
             raise InputError(f"no section of the specified-accuracy table at {section.target_mm:g} mm")
+        wanted_um = band.at(section.target_mm, section.direction).middle_um
         if fine_step_um is None:
             old = float(values[section.direction][index])
-            values[section.direction][index] = revised_value_um(0.0, old, section.error_um, band.middle_um)
+            values[section.direction][index] = revised_value_um(0.0, old, section.error_um, wanted_um)
         else:
-            step = math.copysign(fine_step_um, band.middle_um - section.error_um)
+            step = math.copysign(fine_step_um, wanted_um - section.error_um)
             values[section.direction][index] += step
     return DirectionalTable(specified.position_mm, values[1], values[-1])
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.latency import ENOUGH_S, measure_latency
 from hil.doctor.procedure import Check, doctor, reach_mm
 from hil.figures.alignment import Alignment
+from hil.machine.who_is_there import naming_who_is_there
 from hil.machine.wiring import Machine, connected, connected_registers
 from hil.records.journal import Campaign
 
@@ -25,6 +27,7 @@ EXAMPLE = """\
 example:
   hil doctor X.toml
   hil doctor X.toml --no-move                look only, move nothing
+  hil doctor X.toml --home                   and home it: proves what its register map says of homing
   hil doctor X.toml --latency 20,110         passes up and down at these feeds: how late the instrument's readings are
   hil doctor X.toml --probe-order position=120345 --tolerance 50
                                              which type, word and byte order show what the drive's own display shows (Modbus)
@@ -50,6 +53,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--trust-file",
         action="store_true",
         help="tell what the drive says of its units, but hold the axis file for right",
+    )
+    parser.add_argument(
+        "--home",
+        action="store_true",
+        help="when all is good, also home the axis: proves what its register map says of homing",
     )
     parser.add_argument(
         "--latency",
@@ -82,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
             what += f"; then make passes of {args.stretch:g} mm and their ramps at {_listed(args.latency)} mm/s over its targets"
         print(f"axis {axis.name} over {axis.drive.backend}: would read drive and instrument, and {what}")
         return 0
-    with connected(axis) as machine:
-        checks = doctor(machine.session, move=not args.no_move, trust_file=args.trust_file)
+    with _connected(axis) as machine:
+        checks = doctor(machine.session, move=not args.no_move, trust_file=args.trust_file, home=args.home)
         if args.latency and not args.no_move and all(check.good for check in checks):
             checks.append(_latency(args, machine))
     if (beam := axis.instrument.alignment) is not None:
@@ -94,6 +102,15 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"axis": axis.name, "good": good, "checks": [vars(check) for check in checks]})
     return 0 if good else 1
+
+
+@contextmanager
+def _connected(axis: AxisConfig) -> Iterator[Machine]:
+    """As `connected`; a drive that does not answer is named with who answers instead."""
+    with ExitStack() as stack:
+        with naming_who_is_there(axis):
+            machine = stack.enter_context(connected(axis))
+        yield machine
 
 
 def _latency(args: argparse.Namespace, machine: Machine) -> Check:

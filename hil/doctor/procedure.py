@@ -7,17 +7,29 @@ Each check has one sentence as its result. The first failure that makes moving u
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.clock import NS_PER_S
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState
-from drivers.errors import BridgeError, MotionTimeoutError, OverspeedError, RemoteError, SafetyError
+from drivers.errors import (
+    BridgeError,
+    LimitError,
+    MotionTimeoutError,
+    OverspeedError,
+    ProtocolError,
+    RemoteError,
+    SafetyError,
+    StateError,
+)
+from drivers.instrument import Reading
 from hil.doctor.drive_units import compare_units
 from hil.machine.session import AxisSession
-from hil.machine.supervisor import SLICE_S
-from hil.records.zero import describe_homing, homing_risk
+from hil.machine.supervisor import SLICE_S, Look
+from hil.records.zero import describe_homing, explain_homing, homing_risk
 
 PROOF_TRAVEL_MM = 2.0
 """Travel of the proof, mm."""
@@ -27,6 +39,15 @@ CAREFUL_TOLERANCE = 0.3
 """Tolerance of the ratio over the first move: cyclic errors of a screw (5 µm) make 0.05 of it, a wrong unit at least 0.5."""
 SLOW_SHARE = 0.01
 """Share of the axis's largest velocity for the first moves, so that a velocity wrong by a factor of 100 does not exceed it."""
+CAREFUL_MM_S = 0.2
+"""Speed of the first move, mm/s: with a unit of speed wrong by a factor of 100 it is 20 mm/s, 0.1 mm between two samples. A drive
+that takes whole r/min is asked for one at least."""
+CAREFUL_SPEED = 2.0
+"""Factor by which the first move may be too fast or too slow: rounding to whole r/min makes at most 1.7, a wrong unit at least 6."""
+FENCE_MM = 0.3
+"""Distance from the first moves' stretch at which motor or table is stopped, mm: with the way of stopping below 1 mm."""
+STOP_TRAVEL_MM = 1.0
+"""Longest travel from a quick stop to rest, mm, at the slow speed of the check: a ramp of the axis needs a tenth."""
 SPEED_S, SPEED_LEAST_S = 2.0, 0.5
 """Duration of the speed check, s, shortened to PROOF_TRAVEL_MM of travel, but not below the second value."""
 SPEED_SLICE_S = 0.005
@@ -46,10 +67,12 @@ class Check:
     detail: str
 
 
-def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False) -> list[Check]:
+def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False, home: bool = False) -> list[Check]:
     """Run the preflight on an entered session; returns all checks made. move: the axis is enabled and moved by up to `reach_mm` and
     back.
 
+    home: also home the axis, which proves what its drive's description says of homing. What the checks have proven of a description is
+    remembered for this drive.
     trust_file: units reported by the drive are shown but do not fail a check, for drives whose factory values are meaningless.
     Raises for a lost link only. An axis found disabled is disabled again.
     """
@@ -57,13 +80,32 @@ def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False)
     if checks[-1].good:
         checks.append(_limits(session))
         checks.append(_scaling(session, trust_file))
+        checks += _motion_units(session)
+        checks += _description(session)
         checks += _zero(session)
         checks += _own_table(session)
         checks.append(_instrument(session))
         checks += [Check("note", True, note) for note in session.drive.notes]
     if move and all(check.good for check in checks):
-        checks += _moved(session)
+        checks += _moved(session, home=home)
+        if all(check.good for check in checks):
+            homed = {"homing"} if home else set()
+            session.drive.proven(frozenset({"reading", "enabling", "move", "stop"} | homed))
+            checks += _not_homed(session)
     return checks
+
+
+def _description(session: AxisSession) -> list[Check]:
+    try:
+        return [Check(*found) for found in session.drive.preflight()]
+    except RemoteError as error:
+        return [Check("registers", False, f"the drive does not fit its description: {error}")]
+
+
+def _not_homed(session: AxisSession) -> list[Check]:
+    if "homing" not in session.drive.unproven():
+        return []
+    return [Check("homing", True, "what its description says of homing is not proven yet: hil doctor AXIS.toml --home")]
 
 
 def reach_mm(limits: DriveLimits) -> float:
@@ -102,6 +144,23 @@ def _scaling(session: AxisSession, trust_file: bool) -> Check:
     return Check("scaling", verdict.agrees, verdict.detail)
 
 
+def _motion_units(session: AxisSession) -> list[Check]:
+    """The units of velocity and acceleration, and what says so; a drive whose units are ambiguous is not moved."""
+    units = session.drive.motion_scaling()
+    if units is None:
+        return []
+    if units.ambiguous:
+        return [Check("units of motion", False, units.ambiguous)]
+    text = "; ".join(
+        f"{what} in {unit.text}, by {unit.source} (1 is {worth:.4g} {si})"
+        for what, unit, worth, si in (
+            ("velocity", units.velocity, units.mm_s(1), "mm/s"),
+            ("acceleration", units.acceleration, units.mm_s2(1), "mm/s²"),
+        )
+    )
+    return [Check("units of motion", True, text)]
+
+
 def _zero(session: AxisSession) -> list[Check]:
     """Source of the zero. A homing method that depends on the present position is a risk, but not a failure."""
     if not session.how.home:
@@ -114,6 +173,8 @@ def _zero(session: AxisSession) -> list[Check]:
         return [Check("zero", False, f"how the drive homes cannot be read: {error}")]
     risk = homing_risk(session.how.home, zero.method)
     named = describe_homing(True, zero.method, zero.home_position_mm)
+    if explained := explain_homing(zero.method, zero.home_position_mm):
+        named = f"{named}, {explained}"
     return [Check("zero", True, named if risk is None else f"RISK: {named}: {risk}")]
 
 
@@ -147,14 +208,30 @@ def _instrument(session: AxisSession) -> Check:
     return Check("instrument", True, f"{len(positions)} readings in 1 s, {lost} lost, noise {noise_um:.3f} µm at rest")
 
 
-def _moved(session: AxisSession) -> list[Check]:
+def _moved(session: AxisSession, *, home: bool) -> list[Check]:
     """Move a little and compare with instrument and clock: direction, amount and speed tell wrong units from right ones."""
+    with session.drive.proving():
+        return _moved_in_doubt(session, home=home)
+
+
+def _moved_in_doubt(session: AxisSession, *, home: bool) -> list[Check]:
     drive = session.drive
     enabled_here = drive.sample().state is not DriveState.ENABLED
-    if enabled_here:
-        drive.enable()
     try:
-        return _proofs(session)
+        if not enabled_here and "enabling" in drive.unproven() and not drive.falls_without_power:
+            drive.disable()
+        drive.enable()
+    except (MotionTimeoutError, StateError, ProtocolError) as error:
+        return [Check("enabling", False, str(error))]
+    try:
+        checks = _proofs(session)
+        if all(check.good for check in checks) and "stop" in drive.unproven():
+            checks.append(_stop(session))
+        if home and all(check.good for check in checks):
+            session.supervisor.home()
+            at_mm = drive.sample().position_load_mm
+            checks.append(Check("homing", True, f"homed, and stands at {at_mm:.4f} mm of the drive's new zero"))
+        return checks
     except (OverspeedError, MotionTimeoutError) as error:
         return [Check("speed", False, f"{error}; the axis was stopped")]
     except SafetyError as error:
@@ -166,9 +243,16 @@ def _moved(session: AxisSession) -> list[Check]:
 
 def _proofs(session: AxisSession) -> list[Check]:
     """Very slowly over very little first; only what that shows to be near the truth is moved further, then faster."""
-    slow_mm_s = _slow_mm_s(session.drive.limits)
-    with session.axis.travel_unproven():
-        careful = _step_ratio(session, CAREFUL_TRAVEL_MM, slow_mm_s)
+    slow_mm_s = _slow_for(session)
+    scaling = session.drive.scaling
+    rpm_mm_s = scaling.feed_mm_per_shaft_rev / float(scaling.motor_revs_per_shaft_rev) / 60.0
+    careful_mm_s = _in_drive_units(session, min(slow_mm_s, max(CAREFUL_MM_S, rpm_mm_s)))
+    seen: list[DriveSample] = []
+    with session.axis.travel_unproven(), _fenced(session, seen) as look:
+        careful = _step_ratio(session, CAREFUL_TRAVEL_MM, careful_mm_s, look)
+    first_speed = _first_speed(seen, careful_mm_s)
+    if first_speed is not None:
+        return [first_speed]
     if abs(careful - 1.0) > CAREFUL_TOLERANCE:
         return [Check("units", False, explain_ratio(careful))]
     speed = _speed(session)
@@ -178,14 +262,104 @@ def _proofs(session: AxisSession) -> list[Check]:
     return [speed, Check("units", abs(ratio - 1.0) <= RATIO_TOLERANCE, explain_ratio(ratio))]
 
 
-def _step_ratio(session: AxisSession, step_mm: float, velocity_mm_s: float) -> float:
-    """Instrument travel over commanded travel: a step to take up the backlash, a second one that is measured, and back."""
+@contextmanager
+def _fenced(session: AxisSession, seen: list[DriveSample]) -> Iterator[Look]:
+    """Stop motor and table where either leaves the stretch of the first moves: one of them may be wrong by any factor. Gives the
+    function that judges the motor's samples, and adds them to `seen`; both raise LimitError."""
+    here_mm = session.drive.sample().position_load_mm
+    reach_mm = 2.0 * CAREFUL_TRAVEL_MM + FENCE_MM
+    first_mm: list[float] = []
+    before = session.axis.on_readings
+
+    def judge(place_mm: float, from_mm: float, what: str) -> None:
+        way_mm = place_mm - from_mm
+        if abs(way_mm) <= reach_mm:
+            return
+        text = f"the {what} was {abs(way_mm):.3f} mm away when at most {2.0 * CAREFUL_TRAVEL_MM:g} mm were commanded"
+        motor_mm = seen[-1].position_load_mm - here_mm if seen else 0.0
+        ratio = way_mm / motor_mm if abs(motor_mm) >= 0.1 * CAREFUL_TRAVEL_MM else 1.0
+        if what == "table" and abs(ratio - 1.0) > RATIO_TOLERANCE:
+            raise LimitError(f"{text}; {explain_ratio(ratio, within=CAREFUL_TOLERANCE)}")
+        raise LimitError(f"{text}: unit, word order or kind of target (absolute, relative) is wrong")
+
+    def look(sample: DriveSample) -> None:
+        seen.append(sample)
+        judge(sample.position_load_mm, here_mm, "motor")
+
+    def readings(new: Sequence[Reading]) -> None:
+        if before is not None:
+            before(new)
+        for reading in new:
+            if reading.position_mm is not None:
+                first_mm.append(reading.position_mm)
+                judge(reading.position_mm, first_mm[0], "table")
+        del first_mm[1:]
+
+    session.axis.on_readings = readings
+    try:
+        yield look
+    finally:
+        session.axis.on_readings = before
+
+
+def _first_speed(seen: Sequence[DriveSample], commanded_mm_s: float) -> Check | None:
+    """What is wrong with the speed of the first careful step, None where it is near."""
+    starts_mm = seen[0].position_load_mm if seen else 0.0
+    share = [abs(sample.position_load_mm - starts_mm) / CAREFUL_TRAVEL_MM for sample in seen]
+    middle = [sample for sample, part in zip(seen, share, strict=True) if 0.1 <= part <= 0.9]
+    if len(middle) < 2:
+        text = f"the first {CAREFUL_TRAVEL_MM:g} mm were over at once when {commanded_mm_s:.3g} mm/s were commanded"
+        return Check("speed", False, f"{text}: the drive's unit of velocity is wrong, or its word order")
+    seconds = (middle[-1].time_ns - middle[0].time_ns) / NS_PER_S
+    measured = abs(middle[-1].position_load_mm - middle[0].position_load_mm) / max(seconds, 1e-9)
+    if 1.0 / CAREFUL_SPEED <= measured / commanded_mm_s <= CAREFUL_SPEED:
+        return None
+    return Check("speed", False, explain_speed(measured, commanded_mm_s))
+
+
+class _HalfWayError(SafetyError):
+    """Raised by the check of the quick stop to have the axis stopped."""
+
+
+def _stop(session: AxisSession) -> Check:
+    """Quick-stop a slow move half way, and see where the axis comes to rest; enable anew and move back."""
+    drive, slow_mm_s = session.drive, _slow_for(session)
+    here = drive.sample().position_load_mm
+    travel = _towards_room(session, here, PROOF_TRAVEL_MM)
+    stopped_at: list[float] = []
+
+    def look(sample: DriveSample) -> None:
+        if abs(sample.position_load_mm - here) >= 0.5 * PROOF_TRAVEL_MM:
+            stopped_at.append(sample.position_load_mm)
+            raise _HalfWayError("half way")
+
+    with suppress(_HalfWayError):
+        session.move_uncorrected(here + travel, slow_mm_s, slice_s=SPEED_SLICE_S, look=look)
+    first = drive.sample()
+    drive.clock.sleep_s(0.3)
+    rest = drive.sample()
+    beyond_mm = abs(rest.position_load_mm - stopped_at[0]) if stopped_at else math.inf
+    rests = abs(rest.position_load_mm - first.position_load_mm) <= STOP_TRAVEL_MM / 10.0
+    text = f"{beyond_mm:.3f} mm to rest after a quick stop from {slow_mm_s:g} mm/s"
+    if not rests or beyond_mm > STOP_TRAVEL_MM:
+        drive.disable()
+        return Check("quick stop", False, text if rests else f"{text}, and still moving then; the axis was disabled")
+    drive.enable()
+    session.move_uncorrected(here, slow_mm_s)
+    return Check("quick stop", True, text)
+
+
+def _step_ratio(session: AxisSession, step_mm: float, velocity_mm_s: float, look: Look | None = None) -> float:
+    """Instrument travel over commanded travel: a step to take up the backlash, a second one that is measured, and back.
+
+    look: called with each sample of the first two, which are then closer."""
+    slice_s = SLICE_S if look is None else SPEED_SLICE_S
     here = session.drive.sample().position_load_mm
     step = _towards_room(session, here, 2 * step_mm) / 2
     start, end = here + step, here + 2 * step
-    session.move_uncorrected(start, velocity_mm_s)
+    session.move_uncorrected(start, velocity_mm_s, slice_s=slice_s, look=look)
     first = session.raw_average()
-    session.move_uncorrected(end, velocity_mm_s)
+    session.move_uncorrected(end, velocity_mm_s, slice_s=slice_s, look=look)
     second = session.raw_average()
     session.move_uncorrected(here, velocity_mm_s)
     session.raw_average()  # an instrument that was lost on the way back is noticed here
@@ -194,6 +368,16 @@ def _step_ratio(session: AxisSession, step_mm: float, velocity_mm_s: float) -> f
 
 def _slow_mm_s(limits: DriveLimits) -> float:
     return SLOW_SHARE * limits.max_velocity_mm_s
+
+
+def _slow_for(session: AxisSession) -> float:
+    return _in_drive_units(session, _slow_mm_s(session.drive.limits))
+
+
+def _in_drive_units(session: AxisSession, velocity_mm_s: float) -> float:
+    """The speed in whole units of the drive's velocity, mm/s: rpm are coarse."""
+    units = session.drive.motion_scaling()
+    return velocity_mm_s if units is None else units.representable_mm_s(velocity_mm_s)
 
 
 def _speed_travel_mm(limits: DriveLimits) -> float:
@@ -208,7 +392,7 @@ def _towards_room(session: AxisSession, here_mm: float, travel_mm: float) -> flo
 
 def _speed(session: AxisSession) -> Check:
     """The motor's speed by the times of its samples, over the middle half of a slow move."""
-    slow_mm_s = _slow_mm_s(session.drive.limits)
+    slow_mm_s = _slow_for(session)
     here = session.drive.sample().position_load_mm
     travel_mm = _towards_room(session, here, _speed_travel_mm(session.drive.limits))
     seen: list[DriveSample] = []
@@ -219,8 +403,14 @@ def _speed(session: AxisSession) -> Check:
         return Check(
             "speed", False, f"{travel_mm:g} mm at {slow_mm_s:g} mm/s gave {len(middle)} samples, too few to tell"
         )
+    shown = [abs(s.velocity_mm_s) for s in middle if s.velocity_mm_s is not None]
     times_s = np.array([(s.time_ns - middle[0].time_ns) / NS_PER_S for s in middle])
     measured = abs(float(np.polyfit(times_s, [s.position_load_mm for s in middle], 1)[0]))
+    if abs(measured / slow_mm_s - 1.0) <= SPEED_TOLERANCE and shown and measured > 0.0:
+        says_mm_s = float(np.median(shown))
+        if not 1.0 / CAREFUL_SPEED <= says_mm_s / measured <= CAREFUL_SPEED:
+            text = f"the drive shows {says_mm_s:.4g} mm/s while its position moves at {measured:.4g} mm/s"
+            return Check("speed", False, f"{text}: the unit of the velocity shown is wrong")
     return Check("speed", abs(measured / slow_mm_s - 1.0) <= SPEED_TOLERANCE, explain_speed(measured, slow_mm_s))
 
 
@@ -240,8 +430,8 @@ def explain_speed(measured_mm_s: float, commanded_mm_s: float) -> str:
     return f"{text}: the drive's unit of velocity is wrong by that factor{slower}"
 
 
-def explain_ratio(ratio: float) -> str:
-    """What a ratio of measured to commanded travel means, in words."""
+def explain_ratio(ratio: float, *, within: float = RATIO_TOLERANCE) -> str:
+    """What a ratio of measured to commanded travel means, in words. within: of the causes' factors, for one measured in motion."""
     text = f"the table moved {ratio:.5f} mm for each mm commanded"
     if abs(ratio - 1.0) <= RATIO_TOLERANCE:
         return text
@@ -249,11 +439,11 @@ def explain_ratio(ratio: float) -> str:
         return f"{text}: it does not follow the motor, or the instrument does not look at it"
     if ratio < 0:
         sign = "direction is reversed ([scaling] direction or [instrument] direction)"
-        return f"{text}: {sign}" + ("" if abs(ratio + 1.0) <= RATIO_TOLERANCE else f", and {_factor(-ratio)}")
-    return f"{text}: {_factor(ratio)}"
+        return f"{text}: {sign}" + ("" if abs(ratio + 1.0) <= within else f", and {_factor(-ratio, within)}")
+    return f"{text}: {_factor(ratio, within)}"
 
 
-def _factor(ratio: float) -> str:
+def _factor(ratio: float, within: float) -> str:
     for factor, cause in (
         (2.0, "a factor of 2: wavelength_fraction, or a double-start screw"),
         (0.5, "a factor of 1/2: wavelength_fraction, or encoder counts before quadrature"),
@@ -262,6 +452,6 @@ def _factor(ratio: float) -> str:
         (10.0, "a factor of 10: feed per revolution"),
         (0.1, "a factor of 1/10: feed per revolution"),
     ):
-        if abs(ratio / factor - 1.0) <= RATIO_TOLERANCE:
+        if abs(ratio / factor - 1.0) <= within:
             return cause
     return "gear ratio, feed or encoder counts are wrong by that factor"

@@ -20,6 +20,7 @@ from drivers.drive import DriveState, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from hil.machine.one_correction import switch_table
 from hil.records.files import read_text, replace_file
+from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 
 Tell = Callable[[str], None]
@@ -197,9 +198,10 @@ def zero_note(directory: Path, axis: str) -> Path:
     return directory / f"{axis}.drive-table.json"
 
 
-def remember_zero(note: Path, raw: RawTable, zero: Zero | None) -> None:
-    """Notes the axis's zero in which the drive's table was made; a drive cannot store it."""
+def remember_zero(note: Path, raw: RawTable, zero: Zero | None, made_with: MadeWith | None = None) -> None:
+    """Notes the axis's zero in which the drive's table was made, and the drive's other parameters; a drive cannot store it."""
     form = {"table": _digest(raw), "zero": None if zero is None else zero.to_json()}
+    form |= {} if made_with is None else {"made_with": made_with.to_json()}
     note.parent.mkdir(parents=True, exist_ok=True)
     replace_file(note, (json.dumps(form, indent=1) + "\n").encode())
 
@@ -216,6 +218,20 @@ def remembered_zero(note: Path, raw: RawTable) -> Zero | None:
         return zero if form["table"] == _digest(raw) else None
     except (ValueError, KeyError, TypeError) as error:
         raise InputError("does not say in which zero the drive's table was made", path=note) from error
+
+
+def remembered_made_with(note: Path, raw: RawTable) -> MadeWith | None:
+    """The drive's parameters that its table was made with; None where none were noted. Raises InputError for a note that
+    cannot be read.
+    """
+    if not note.exists():
+        return None
+    try:
+        form = json.loads(read_text(note))
+        noted = form.get("made_with") if form["table"] == _digest(raw) else None
+        return None if noted is None else MadeWith.from_json(noted)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("does not say which parameters the drive's table was made with", path=note) from error
 
 
 def _digest(raw: RawTable) -> str:

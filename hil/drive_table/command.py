@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from drivers.correction_table import TableDescription
+from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
@@ -20,7 +22,7 @@ from hil.app.terminal.axis_options import (
 from hil.app.terminal.output import number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
-from hil.axis.zero import zero_keeper
+from hil.axis.zero import made_with_keeper, zero_keeper
 from hil.correction.compensation import Compensation
 from hil.correction.formats.common import tables_only
 from hil.correction.store import compensation_in_force
@@ -40,6 +42,7 @@ from hil.drive_table.change import (
     changing,
     held_table,
     remember_zero,
+    remembered_made_with,
     remembered_zero,
     snapshot,
     zero_note,
@@ -50,6 +53,7 @@ from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import Machine, connected, connected_drive, described_table, predicted_table_s
 from hil.records.journal import Campaign
+from hil.records.made_with import MadeWith, MadeWithError
 from hil.records.zero import read_zero
 
 
@@ -258,11 +262,13 @@ def _download(args: argparse.Namespace) -> int:
     with terminal_progress() as listener:
         if args.prove_by == "instrument":
             with connected(axis) as machine, changing(machine.session.drive, note, say) as change:
+                made_with = _made_with(axis, change.drive, compensation)
                 change.write(made.raw)
                 proof: Proof | None = _by_instrument(args, axis, machine, compensation, listener)
                 _settle(change, proof)
         else:
             with connected_drive(axis) as drive, changing(drive, note, say) as change:
+                made_with = _made_with(axis, drive, compensation)
                 change.write(made.raw)
                 proof = None
                 if args.prove_by == "drive":
@@ -270,13 +276,31 @@ def _download(args: argparse.Namespace) -> int:
                         proof = _by_drive(args, axis, moving, wanted, listener)
                 _settle(change, proof)
     if not change.undone:
-        remember_zero(_zero_note(axis), made.raw, compensation.zero or zero or read_zero(axis.zero_path))
+        zero = compensation.zero or zero or read_zero(axis.zero_path)
+        remember_zero(_zero_note(axis), made.raw, zero, made_with)
     print_facts({**facts, "written and read back in": f"{change.seconds * 1000:.0f} ms"})
     print_proof(proof)
     print("put back as it was found" if change.undone else "the drive corrects by it now; the bridge must not")
     if args.json:
         write_json(args.json, {**proof_form(axis.name, proof), **made_form(made), "seconds": change.seconds})
     return 0 if proof is None or proof.good else 1
+
+
+def _made_with(axis: AxisConfig, drive: ServoDrive, compensation: Compensation) -> MadeWith:
+    """What the open drive has. Raises MadeWithError unless the tables were made with it; tables that take the reversal out and state
+    nothing must find the drive's own amount 0.
+    """
+    keeper, reversal = made_with_keeper(axis), compensation.corrects_reversal
+    keeper.check(drive, compensation.made_with, reversal=reversal)
+    now = keeper.now(drive, compensation.made_with)
+    held = {address: value for address, value in now.backlash.items() if value}
+    if compensation.made_with is None and reversal and held:
+        raise MadeWithError(
+            f"axis {axis.name}: its tables do not state which parameters the drive had, and with {', '.join(held)} ="
+            f" {', '.join(f'{value:g}' for value in held.values())} the reversal may be taken out twice: calibrate anew"
+            f" (hil calibrate {axis.path}), or set it to 0"
+        )
+    return now
 
 
 def _settle(change: TableChange, proof: Proof | None) -> None:
@@ -292,7 +316,7 @@ def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, D
     compensation = load_stored(open_store(args, axis, writing=False))
     wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
     return (
-        Compensation(tables_only(compensation, leave_out_effects=True), zero=compensation.zero)
+        replace(compensation, tables=tables_only(compensation, leave_out_effects=True), terms=(), rise=None)
         if args.tables_only
         else compensation
     ), wanted
@@ -327,12 +351,13 @@ def _prove(args: argparse.Namespace) -> int:
 
 
 def _held(drive: Any, wanted: DirectionalTable, axis: AxisConfig) -> float:
-    """Deviation of the drive's table from the stored ones, µm. Raises ZeroError, before any motion, for a table of
-    another zero.
+    """Deviation of the drive's table from the stored ones, µm. Raises ZeroError and MadeWithError, before any motion,
+    for a table of another zero, or made with other parameters.
     """
     table = held_table(drive)
     raw = table.read()
     zero_keeper(axis).kept(tables=remembered_zero(_zero_note(axis), raw))
+    made_with_keeper(axis).check(drive, remembered_made_with(_zero_note(axis), raw), reversal=True)
     curve = DriveCurve(table.description, raw, axis.scaling)
     check_curve(curve, axis.limits, axis.correction.bound)  # the proof switches it on
     return largest_deviation_um(curve, wanted, axis.limits.travel_min_mm, axis.limits.travel_max_mm)

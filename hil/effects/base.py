@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,10 @@ from hil.effects.survey import Survey
 
 UM_PER_MM_PPM = 1e-3
 """µm in a mm times a ppm, or in a mm times a µrad."""
+MOST_UNSURE = 0.5
+"""Relative standard deviation up to which a positive parameter is given as a value; beyond it its interval of two of them would
+hold zero, and it is given as the bounds that the rows do determine.
+"""
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 """Column name -> values of shape (n,), rows in the order of time; the unit is the end of the name."""
@@ -47,7 +51,8 @@ class Estimate:
     std: float
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} ± {self.std:.2g}"
+        std = float(f"{self.std:.2g}")
+        return f"{self.value:.4g} ± {std:g}"
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,7 @@ class Form:
     scan: part of the first search; the others only refine an effect already found
     exhaustive: the grid holds every parameter value that makes a difference
     shrunk: many coefficients with a common normal prior (ridge) instead of free ones
+    log_odds: prior log odds against the other forms
     """
 
     effect: str
@@ -102,6 +108,7 @@ class Form:
     scan: bool = True
     exhaustive: bool = False
     shrunk: bool = False
+    log_odds: float = 0.0
 
 
 class Effect(ABC):
@@ -117,6 +124,10 @@ class Effect(ABC):
     rivals: ClassVar[tuple[Rival, ...]] = ()
     static: ClassVar[bool] = False
     """A function of position and direction alone: a table measured after the cause appeared contains it already."""
+    several: ClassVar[bool] = False
+    """Whether a machine may have it more than once (two periods, two worn zones, two jumps). Two terms of any other effect are one
+    course, of which only the sum is determined.
+    """
     log_odds: ClassVar[float] = 0.0
     """Prior log odds against the other effects; they decide where the records cannot."""
     least_over_noise: ClassVar[float] = 0.0
@@ -155,6 +166,13 @@ class Effect(ABC):
         tables.
         """
         del form, theta, survey
+        return False
+
+    def is_exceeded(self, form: Form, theta: Sequence[float]) -> bool:
+        """Whether the records want more than the effect can be, at these parameters: then it is another effect, and is not
+        ranked.
+        """
+        del form, theta
         return False
 
     def implausible(self, term: Term) -> str | None:
@@ -210,6 +228,35 @@ class Term:
         k = len(self.coefficients)
         return Estimate(self.theta[index], math.sqrt(max(self.covariance[k + index][k + index], 0.0)))
 
+    def positive(self, index: int, name: str) -> dict[str, Estimate]:
+        """A positive non-linear parameter under its name, or what is known of it: "least_" and "most_", two standard deviations
+        of its logarithm away, none beyond the range that was searched.
+        """
+        parameter, found = self.form.nonlinear[index], self.nonlinear(index)
+        if found.std <= MOST_UNSURE * found.value:
+            return {name: found}
+        factor = math.exp(min(2.0 * found.std / found.value, 50.0))
+        bounds = {f"least_{name}": found.value / factor, f"most_{name}": found.value * factor}
+        return {key: Estimate(bound, 0.0) for key, bound in bounds.items() if parameter.lower < bound < parameter.upper}
+
+    def positive_text(self, index: int, unit: str) -> str:
+        """The same in words."""
+        known = self.positive(index, "x")
+        if "x" in known:
+            return f"{known['x']} {unit}"
+        words = {"least_x": "at least", "most_x": "at most"}
+        said = " and ".join(f"{words[key]} {bound.value:.3g} {unit}" for key, bound in known.items())
+        return said or f"an undetermined number of {unit}"
+
+    def at(self, columns: Mapping[str, float]) -> Estimate:
+        """The error of one row of these columns, µm, with its uncertainty to first order in coefficients and parameters."""
+        row = {name: np.array([value]) for name, value in columns.items()}
+        basis = self.effect.basis(self.form, self.theta, row)
+        coefficients = np.array(self.coefficients)
+        gradient = np.hstack([basis, slopes_of(row, self, coefficients)])[0]
+        variance = float(gradient @ np.array(self.covariance) @ gradient)
+        return Estimate(float(basis[0] @ coefficients), math.sqrt(max(variance, 0.0)))
+
     def amplitude(self, i: int, j: int) -> Estimate:
         """√(a² + b²) of coefficients i and j, with first-order uncertainty."""
         a, b = self.coefficients[i], self.coefficients[j]
@@ -241,3 +288,27 @@ class Term:
             "coefficients": list(self.coefficients),
             "covariance": [list(row) for row in self.covariance],
         }
+
+
+class Parametrised(Protocol):
+    """An effect in one form, with its non-linear parameters."""
+
+    @property
+    def effect(self) -> Effect: ...
+    @property
+    def form(self) -> Form: ...
+    @property
+    def theta(self) -> tuple[float, ...]: ...
+
+
+def slopes_of(columns: Columns, one: Parametrised, coefficients: Floats) -> Floats:
+    """Derivative of the effect's error to its non-linear parameters, shape (n, t)."""
+    out = np.zeros((len(next(iter(columns.values()))), len(one.theta)))
+    for i, value in enumerate(one.theta):
+        step = 1e-4 * max(abs(value), 1e-9)
+        sides = []
+        for shifted in (value + step, value - step):
+            theta = (*one.theta[:i], shifted, *one.theta[i + 1 :])
+            sides.append(one.effect.basis(one.form, theta, columns) @ coefficients)
+        out[:, i] = (sides[0] - sides[1]) / (2 * step)
+    return out

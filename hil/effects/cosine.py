@@ -50,14 +50,23 @@ class Cosine(Effect):
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         scale = term.coefficient(0)
-        angle = math.sqrt(2e6 * max(scale.value, 0.0))
-        return {"scale_ppm": scale, "angle_urad": Estimate(angle, 1e6 * scale.std / max(angle, 1.0))}
+        if scale.value <= 2.0 * scale.std:  # an angle whose square may be zero has a bound and no value
+            most = math.sqrt(2e6 * max(scale.value + 2.0 * scale.std, 0.0))
+            return {"scale_ppm": scale, "most_angle_urad": Estimate(most, 0.0)}
+        angle = math.sqrt(2e6 * scale.value)
+        return {"scale_ppm": scale, "angle_urad": Estimate(angle, 1e6 * scale.std / angle)}
 
     def explain(self, term: Term) -> str:
         rest = "a lead error of the screw looks the same" if term.form.name == SCALE else "realigning it took that away"
+        known = self.parameters(term)
+        if "angle_urad" not in known:
+            return (
+                f"The reading differs by {term.coefficient(0)} ppm of the position; a beam misaligned by at most"
+                f" {known['most_angle_urad'].value:.3g} µrad would make it short; {rest}."
+            )
         return (
             f"The reading is short by {term.coefficient(0)} ppm of the position, as a beam misaligned by"
-            f" {term.parameters['angle_urad']} µrad is; {rest}."
+            f" {known['angle_urad']} µrad is; {rest}."
         )
 
     def implausible(self, term: Term) -> str | None:

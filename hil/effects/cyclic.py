@@ -53,6 +53,7 @@ class Cyclic(Effect):
     title: ClassVar[str] = "cyclic error of screw, coupling or encoder"
     action: ClassVar[Action] = Action.COMPENSATE
     static: ClassVar[bool] = True
+    several: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("pitch_shape", "a dense sweep over two periods, and targets at random offsets from the pitch"),
         Rival("local_wear", "a dense sweep over two periods somewhere else on the travel"),
@@ -62,7 +63,7 @@ class Cyclic(Effect):
         grid = period_grid(survey)
         if not grid:
             return ()
-        period = NonLinear("period_mm", min(grid)[0] / 2, 2 * survey.half_span_mm)
+        period = NonLinear("period_mm", min(grid)[0] / 2, survey.half_span_mm)  # twice in the travel, or it is no cycle
         constants = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         inputs = ("target_mm",)
         return (

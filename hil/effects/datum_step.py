@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -19,6 +20,7 @@ class DatumStep(Effect):
     id: ClassVar[str] = "datum_step"
     title: ClassVar[str] = "a jump at one moment"
     action: ClassVar[Action] = Action.RE_MEASURE
+    several: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("thermal_drift", "repeat a reference point several times within a run"),
         Rival("beam_drift", "repeat a reference point several times within a run"),
@@ -29,8 +31,9 @@ class DatumStep(Effect):
             return ()
         lower, upper = survey.moments[0], survey.moments[-1]
         moment = NonLinear("moment", lower, upper, logarithmic=False)
+        between = {"interval": survey.interval_s}
         starts = tuple((m,) for m in survey.moments)
-        return (Form(self.id, STEP, (survey.time_column,), {}, (moment,), starts, exhaustive=True),)
+        return (Form(self.id, STEP, (survey.time_column,), between, (moment,), starts, exhaustive=True),)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         if form.name != STEP:
@@ -42,7 +45,8 @@ class DatumStep(Effect):
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         unit = "rows" if term.form.inputs[0] == "row_order" else "s"
-        return {"step_um": term.coefficient(0), f"moment_{unit}": term.nonlinear(0)}
+        between = term.form.constants.get("interval", 0.0) / math.sqrt(12.0)  # anywhere between two rows
+        return {"step_um": term.coefficient(0), f"moment_{unit}": Estimate(term.theta[0], between)}
 
     def explain(self, term: Term) -> str:
         unit = "rows" if term.form.inputs[0] == "row_order" else "s"

@@ -13,12 +13,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.base import MOST_UNSURE, Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
 from hil.effects.survey import Survey
 
 EXPONENTIAL = "exponential"
 TANH = "tanh"
 TWO_STAGE = "two lengths"
+SEEN_FROM = 0.9
+"""Share of the amount that must be there at the shortest travel of the rows for the amount itself to be stated: what lies before
+that travel is an extrapolation, so otherwise the value at it is stated.
+"""
 
 
 class LostMotion(Effect):
@@ -42,10 +46,11 @@ class LostMotion(Effect):
         second = NonLinear("second_length_mm", low / 4, high)
         pairs = tuple((a[0], b[0]) for a in starts[::3] for b in starts[::3] if b[0] > 2 * a[0])
         inputs = ("since_reversal_mm", "direction")
+        seen = {"shortest_mm": survey.ranges.get("since_reversal_mm", (0.0, 0.0))[0]}
         return (
-            Form(self.id, EXPONENTIAL, inputs, {}, (length,), starts),
-            Form(self.id, TANH, inputs, {}, (length,), starts),
-            Form(self.id, TWO_STAGE, inputs, {}, (length, second), pairs, scan=False),
+            Form(self.id, EXPONENTIAL, inputs, seen, (length,), starts),
+            Form(self.id, TANH, inputs, seen, (length,), starts),
+            Form(self.id, TWO_STAGE, inputs, seen, (length, second), pairs, scan=False),
         )
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
@@ -59,13 +64,29 @@ class LostMotion(Effect):
         raise KeyError(form.name)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        found = {"amount_um": term.coefficient(0), "length_mm": term.nonlinear(0)}
+        amount, at_mm = shown_amount(term)
+        if at_mm == 0.0:
+            found = {"amount_um": amount}
+        else:
+            found = {"amount_at_shortest_travel_um": amount, "shortest_travel_mm": Estimate(at_mm, 0.0)}
+        found |= term.positive(0, "length_mm")
         if term.form.name == TWO_STAGE:
-            found |= {"second_amount_um": term.coefficient(1), "second_length_mm": term.nonlinear(1)}
+            found |= term.positive(1, "second_length_mm")
         return found
 
     def explain(self, term: Term) -> str:
+        amount, at_mm = shown_amount(term)
+        where = f", {at_mm:.3g} mm after it," if at_mm else ""
         return (
-            f"After a reversal the table is off by {term.coefficient(0)} µm (in the direction of motion), fading over"
-            f" {term.nonlinear(0)} mm of travel ({term.form.name}): wind-up and friction not yet overcome."
+            f"After a reversal{where} the table is off by {amount} µm (in the direction of motion), fading over"
+            f" {term.positive_text(0, 'mm')} of travel ({term.form.name}): wind-up and friction not yet overcome."
         )
+
+
+def shown_amount(term: Term) -> tuple[Estimate, float]:
+    """The amount, µm, and the travel since the reversal that it is stated for, mm: 0, or the shortest of the rows."""
+    nearest = term.form.constants.get("shortest_mm", 0.0)
+    whole, seen = (term.at({"since_reversal_mm": s, "direction": 1.0}) for s in (0.0, nearest))
+    if seen.value / (whole.value or 1.0) >= SEEN_FROM and whole.std <= MOST_UNSURE * abs(whole.value):
+        return whole, 0.0
+    return seen, nearest

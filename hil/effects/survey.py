@@ -22,6 +22,15 @@ MOST_MOMENTS = 500
 """Most times between rows that are kept as candidates for a step."""
 VARIES = 1e-9
 """Smallest relative spread that counts as varying."""
+READ_AFTER_MOTION = ("motor_mm", "torque_percent")
+"""Columns that are read at the capture: the axis's own answer to a command."""
+FOLLOWS = 0.99
+"""Share of such a column's variance which the way to the target must explain for it to be no cause of its own: what is left is then
+a tenth of its amplitude, the noise of the reading. A torque that changes with the reversals alone is friction: no load was varied, and
+what goes with it is lost motion.
+"""
+REVERSAL_NODES = 6
+"""Nodes of the piecewise linear course over the logarithm of the travel since the reversal, in that test."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,9 @@ class Survey:
     centre_mm, half_span_mm: of the targets; spacing_mm: median distance of neighbouring distinct targets of a pass
     time_column, time_start: `time_s`, or `row_order` (in rows) where no time was recorded
     duration_s, interval_s: of the whole campaign, and the median between rows, in units of the time column
-    varying: columns that are filled in every row and vary; mean: the mean of each filled column
+    varying: columns that are filled in every row and vary, but for readings that follow the way to the target (`follows_way`);
+    mean: the mean of each filled column
+    ranges: least and largest value of each filled column
     moments: times between rows at which a step may have occurred: all up to MOST_MOMENTS, run boundaries always
     pitches_mm: periods of the mechanics (screw pitch, rack tooth …), where the axis file gives them
     """
@@ -46,6 +57,7 @@ class Survey:
     interval_s: float
     varying: frozenset[str]
     mean: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     moments: tuple[float, ...] = field(default=())
     pitches_mm: tuple[float, ...] = field(default=())
 
@@ -83,12 +95,14 @@ def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ())
     intervals = np.diff(time)
     intervals = intervals[intervals > 0]
     mean: dict[str, float] = {}
+    ranges: dict[str, tuple[float, float]] = {}
     varying: set[str] = set()
     for name, values in columns.items():
         if not np.all(np.isfinite(values)):
             continue
         mean[name] = float(np.mean(values))
-        if varies(values):
+        ranges[name] = float(np.min(values)), float(np.max(values))
+        if varies(values) and not (name in READ_AFTER_MOTION and follows_way(values, columns)):
             varying.add(name)
     return Survey(
         rows=len(target),
@@ -101,6 +115,7 @@ def survey_of(columns: Mapping[str, Floats], pitches_mm: tuple[float, ...] = ())
         interval_s=float(np.median(intervals)) if len(intervals) else 1.0,
         varying=frozenset(varying),
         mean=mean,
+        ranges=ranges,
         moments=_moments(time, columns["run"]),
         pitches_mm=pitches_mm,
     )
@@ -111,6 +126,19 @@ def varies(values: Floats) -> bool:
     if not np.all(np.isfinite(values)):
         return False
     return bool(np.ptp(values) > VARIES * max(1.0, float(np.max(np.abs(values)))))
+
+
+def follows_way(values: Floats, columns: Mapping[str, Floats]) -> bool:
+    """Whether a reading, (n,), is a function of target, direction and travel since the reversal, but for `FOLLOWS`."""
+    d, since = columns["direction"], np.log(np.maximum(columns["since_reversal_mm"], 1e-3))
+    nodes = np.linspace(float(np.min(since)), float(np.max(since)) + 1e-9, REVERSAL_NODES)
+    course = np.column_stack([np.interp(since, nodes, row) for row in np.eye(REVERSAL_NODES)])
+    way = np.hstack([columns["target_mm"][:, None], course, course * d[:, None]])
+    if len(values) <= way.shape[1]:
+        return False
+    rest = values - way @ np.linalg.lstsq(way, values, rcond=None)[0]
+    left, whole = float(np.sum(rest**2)) / (len(values) - way.shape[1]), float(np.var(values))
+    return bool(left < (1.0 - FOLLOWS) * whole)
 
 
 def _moments(time: Floats, run: Floats) -> tuple[float, ...]:

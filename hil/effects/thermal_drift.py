@@ -14,7 +14,17 @@ import numpy as np
 
 from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
-from hil.effects.warming import SINCE_START, WARMING, rise, temperature_forms, time_constants, time_unit
+from hil.effects.warming import (
+    SINCE_START,
+    UNMEASURED,
+    WARMING,
+    rise,
+    seen_in_rows,
+    temperature_forms,
+    time_constants,
+    time_of_rows,
+    time_unit,
+)
 
 UNEVEN = "warming since the start, unlike along the travel"
 POWERS = 4
@@ -44,8 +54,9 @@ class ThermalDrift(Effect):
         if not any(form.name == WARMING for form in forms) or not survey.has("target_mm"):
             return forms
         parameter, grid = time_constants(survey)
-        travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
-        return (*forms, Form(self.id, UNEVEN, (survey.time_column, "target_mm"), travel, (parameter,), grid[::2]))
+        travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm, **time_of_rows(survey)}
+        inputs, odds = (survey.time_column, "target_mm"), UNMEASURED if survey.temperatures else 0.0
+        return (*forms, Form(self.id, UNEVEN, inputs, travel, (parameter,), grid[::2], log_odds=odds))
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         if form.name != UNEVEN:
@@ -55,6 +66,11 @@ class ThermalDrift(Effect):
         return np.asarray(shape * (1.0 - np.exp(-columns[form.inputs[0]] / theta[0]))[:, None])
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
+        if term.form.name in (UNEVEN, *SINCE_START) and not (seen := seen_in_rows(term)).determined:
+            return {
+                "drift_over_the_rows_um": seen.change,
+                f"least_time_constant_{time_unit(term)}": Estimate(seen.at_least, 0.0),
+            }
         if term.form.name == UNEVEN:
             found = {"drift_um": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
             return found | {f"along_the_travel_{i}_um": term.coefficient(i) for i in range(1, POWERS)}
@@ -62,10 +78,16 @@ class ThermalDrift(Effect):
             return {"drift_um": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
         found = {"coefficient_um_per_k": term.coefficient(0)}
         if term.theta:
-            found[f"lag_{time_unit(term)}"] = term.nonlinear(0)
+            found |= term.positive(0, f"lag_{time_unit(term)}")
         return found
 
     def explain(self, term: Term) -> str:
+        if term.form.name in (UNEVEN, *SINCE_START) and not (seen := seen_in_rows(term)).determined:
+            where = "on average over the travel" if term.form.name == UNEVEN else "as a whole"
+            return (
+                f"The axis drifts by {seen.change} µm from the first row to the last, {where}; where it ends, and a time constant"
+                f" beyond {seen.at_least:.3g} {time_unit(term)}, these rows do not determine: something warms up from the start."
+            )
         if term.form.name == UNEVEN:
             return (
                 f"The axis drifts by {term.coefficient(0)} µm on average over the travel, unlike along it, and settles with a"
@@ -76,5 +98,5 @@ class ThermalDrift(Effect):
                 f"The whole axis drifts by {term.coefficient(0)} µm and settles with a time constant of"
                 f" {term.nonlinear(0)} {time_unit(term)}: something warms up from the start."
             )
-        lag = f" seen through a lag of {term.nonlinear(0)} {time_unit(term)}" if term.theta else ""
+        lag = f" seen through a lag of {term.positive_text(0, time_unit(term))}" if term.theta else ""
         return f"The whole axis drifts with {term.form.inputs[0]}{lag} by {term.coefficient(0)} µm/K."

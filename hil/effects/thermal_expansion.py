@@ -1,28 +1,45 @@
 """Thermal expansion of screw or scale: an error proportional to position and temperature rise, x·α·ΔT, or x·(1 -
 e^(-t/τ)) while it warms.
 
-The coefficient is in ppm/K. The growth is about the zero of the axis; growth about another point shows as
-`thermal_drift` beside it.
+The coefficient is in ppm/K. The growth is about the zero of the axis or, in forms of their own, about the point at which
+screw or scale is held (a bearing at the far end, a home in mid-travel), which is fitted.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
 from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
-from hil.effects.warming import REFERENCE_C, SINCE_START, rise, temperature_forms, time_unit
+from hil.effects.warming import (
+    ABOUT_A_POINT,
+    REFERENCE_C,
+    is_about_a_point,
+    is_since_start,
+    rise,
+    seen_in_rows,
+    temperature_forms,
+    time_unit,
+)
 
 STEEL_TO_ALUMINIUM_PPM_K = (2.0, 35.0)
 """Low-expansion alloys to above aluminium (about 23); a steel screw is 11 to 12."""
+FARTHEST = 3.0
+"""Distance of the fixed point from mid-travel, in half travels, beyond which no machine holds its screw: one travel past
+either end.
+"""
+KNOWN_TO = 3.0
+"""Standard deviations by which the growth must differ from zero for the point it is about to be given as a value."""
 
 
 class ThermalExpansion(Effect):
-    """error_um = α·x·(T - 20 °C)·10⁻³, α in ppm/K, x in mm, reference temperature of ISO 1; or by time since the start,
-    in ppm.
+    """error_um = α·(x - x₀)·(T - 20 °C)·10⁻³, α in ppm/K, x in mm, reference temperature of ISO 1; or by time since the
+    start, in ppm. x₀ is zero, or free: then the basis is x·rise and rise, so that both are linear.
     """
 
     id: ClassVar[str] = "thermal_expansion"
@@ -35,39 +52,82 @@ class ThermalExpansion(Effect):
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
-        return temperature_forms(self.id, survey, extra_inputs=("target_mm",))
+        forms = temperature_forms(self.id, survey, extra_inputs=("target_mm",))
+        travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
+        about = (replace(f, name=f.name + ABOUT_A_POINT, constants={**f.constants, **travel}) for f in forms)
+        return (*forms, *about) if survey.has("target_mm") else forms
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         x = columns["target_mm"] * UM_PER_MM_PPM
-        return np.asarray(x[:, None] * rise(form, theta, columns))
+        risen = rise(form, theta, columns)
+        grown = x[:, None] * risen
+        return np.hstack([grown, risen]) if is_about_a_point(form) else np.asarray(grown)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        if term.form.name in SINCE_START:
-            return {"expansion_ppm": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
-        found = {"coefficient_ppm_per_k": term.coefficient(0)}
-        if term.theta:
-            found[f"lag_{time_unit(term)}"] = term.nonlinear(0)
-        return found
+        if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:
+            least = Estimate(seen.at_least, 0.0)
+            found = {"expansion_over_the_rows_ppm": seen.change, f"least_time_constant_{time_unit(term)}": least}
+        elif is_since_start(term.form):
+            found = {"expansion_ppm": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
+        else:
+            found = {"coefficient_ppm_per_k": term.coefficient(0)}
+            if term.theta:
+                found |= term.positive(0, f"lag_{time_unit(term)}")
+        point = fixed_point_mm(term)
+        return found if point is None else found | {"fixed_point_mm": point}
 
     def explain(self, term: Term) -> str:
         first = term.coefficient(0)
-        if term.form.name in SINCE_START:
+        point = fixed_point_mm(term)
+        about = f" about a fixed point at {point} mm" if point is not None else ""
+        if is_about_a_point(term.form) and point is None:
+            about = " about a point that these records do not determine"
+        if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:
+            return (
+                f"The axis grows with time since the start{about}, by {seen.change} ppm of the position from the first row to the"
+                f" last; where it ends, and a time constant beyond {seen.at_least:.3g} {time_unit(term)}, these rows do not determine."
+            )
+        if is_since_start(term.form):
             tau = term.nonlinear(0)
             return (
-                f"The axis grows with time since the start, by {first} ppm of the position in the end,"
+                f"The axis grows with time since the start{about}, by {first} ppm of the position in the end,"
                 f" with a time constant of {tau} {time_unit(term)}: it warms up."
             )
-        lag = f" seen through a lag of {term.nonlinear(0)} {time_unit(term)}" if term.theta else ""
+        lag = f" seen through a lag of {term.positive_text(0, time_unit(term))}" if term.theta else ""
         return (
-            f"The error grows with position and {term.form.inputs[0]}{lag}: {first} ppm/K (steel 11 to 12),"
+            f"The error grows with position{about} and {term.form.inputs[0]}{lag}: {first} ppm/K (steel 11 to 12),"
             f" reference {REFERENCE_C:g} °C."
         )
 
     def implausible(self, term: Term) -> str | None:
-        if term.form.name in SINCE_START:
+        if is_about_a_point(term.form) and term.coefficients[0]:
+            point = -term.coefficients[_offset_index(term)] / (term.coefficients[0] * UM_PER_MM_PPM)
+            if abs(point - term.form.constants["centre_mm"]) > FARTHEST * term.form.constants["half_span_mm"]:
+                return f"a fixed point at {point:.4g} mm lies more than a travel outside the travel"
+        if is_since_start(term.form):
             return None
         low, high = STEEL_TO_ALUMINIUM_PPM_K
         size = abs(term.coefficients[0])
         if low <= size <= high:
             return None
         return f"{size:.3g} ppm/K lies outside the {low:g} to {high:g} ppm/K of machine materials"
+
+
+def _offset_index(term: Term) -> int:
+    """Index of the coefficient of the rise itself."""
+    return len(term.coefficients) // 2
+
+
+def fixed_point_mm(term: Term) -> Estimate | None:
+    """The point about which the axis grows, with its first-order uncertainty; None for growth about zero, and where the
+    growth is not known well enough for a quotient by it.
+    """
+    growth = term.coefficient(0)
+    if not is_about_a_point(term.form) or abs(growth.value) <= KNOWN_TO * growth.std:
+        return None
+    i = _offset_index(term)
+    slope = growth.value * UM_PER_MM_PPM
+    point = -term.coefficients[i] / slope
+    c = term.covariance
+    variance = c[i][i] + 2 * point * UM_PER_MM_PPM * c[0][i] + (point * UM_PER_MM_PPM) ** 2 * c[0][0]
+    return Estimate(point, math.sqrt(max(variance, 0.0)) / abs(slope))

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.base import MOST_UNSURE, Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
 from hil.effects.survey import Survey
 
 PROPORTIONAL, SATURATING, CURVED = "proportional", "saturating", "with square"
@@ -33,12 +33,13 @@ class VelocityLag(Effect):
             return ()
         inputs = ("velocity_mm_s", "direction")
         size = max(abs(survey.mean["velocity_mm_s"]), 1e-3)
+        fastest = {"fastest_mm_s": max(map(abs, survey.ranges.get("velocity_mm_s", (size, size))))}
         knee = NonLinear("knee_mm_s", size / 10, size * 30)
         starts = tuple((size * factor,) for factor in (0.3, 1.0, 3.0))
         return (
             Form(self.id, PROPORTIONAL, inputs),
             Form(self.id, CURVED, inputs, scan=False),
-            Form(self.id, SATURATING, inputs, {}, (knee,), starts, scan=False),
+            Form(self.id, SATURATING, inputs, fastest, (knee,), starts, scan=False),
         )
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
@@ -52,13 +53,25 @@ class VelocityLag(Effect):
         raise KeyError(form.name)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        found = {"lag_ms": term.coefficient(0)}  # µm per mm/s = ms
+        lag = term.coefficient(0)  # µm per mm/s = ms
+        if term.theta and lag.std > MOST_UNSURE * abs(lag.value):
+            return {"error_at_fastest_um": _at_fastest(term), **term.positive(0, "knee_mm_s")}
+        found = {"lag_ms": lag}
         if term.form.name == CURVED:
             found["curvature_um_s2_per_mm2"] = term.coefficient(1)
-        if term.theta:
-            found["knee_mm_s"] = term.nonlinear(0)
-        return found
+        return found | (term.positive(0, "knee_mm_s") if term.theta else {})
 
     def explain(self, term: Term) -> str:
         kind = "" if term.form.name == PROPORTIONAL else f" ({term.form.name})"
+        if term.theta and "lag_ms" not in self.parameters(term):
+            fastest = term.form.constants.get("fastest_mm_s", term.theta[0])
+            return (
+                f"The error grows with velocity in the direction of motion{kind}, to {_at_fastest(term)} µm at"
+                f" {fastest:.4g} mm/s; the lag of slow motion these rows do not determine."
+            )
         return f"The error grows with velocity in the direction of motion{kind}: {term.coefficient(0)} µm per mm/s, a lag in ms."
+
+
+def _at_fastest(term: Term) -> Estimate:
+    """The error at the highest velocity of the rows, µm."""
+    return term.at({"velocity_mm_s": term.form.constants.get("fastest_mm_s", term.theta[0]), "direction": 1.0})

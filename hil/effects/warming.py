@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from hil.effects.base import Columns, Floats, Form, NonLinear, Term
+from hil.effects.base import MOST_UNSURE, Columns, Estimate, Floats, Form, NonLinear, Term
 from hil.effects.history import lagged
 from hil.effects.survey import Survey
 
@@ -21,6 +22,16 @@ LAGGED = "lagged temperature"
 WARMING = "warming since the start"
 SLOW_WARMING = "warming since the start through two lags"
 SINCE_START = (WARMING, SLOW_WARMING)
+ABOUT_A_POINT = ", about a fixed point"
+"""End of the name of a form that grows about a point which is fitted."""
+UNMEASURED = -3.0
+"""Prior log odds of a course of time where a temperature of the machine is logged: its time constant is free over a range of
+180 to 1 and found to a tenth or so, which is an Occam factor of 20 that the profile over it does not pay.
+"""
+LEAST_SEEN = 0.5
+"""Share of a course that settles which must lie between the first row and the last for its final value to be stated: beyond
+that it is an extrapolation.
+"""
 GRID = 12
 """Time constants in the grid."""
 
@@ -40,35 +51,91 @@ def time_constants(survey: Survey) -> tuple[NonLinear, tuple[tuple[float, ...], 
 
 
 def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...] = ()) -> tuple[Form, ...]:
-    """One form per temperature column, one per column through a lag (refinement), and warming with time, by one lag or two."""
+    """One form per temperature column, one per column through a lag, and warming with time, by one lag or two (refinement).
+
+    The lag belongs to the first search: a sensor's own noise enters an effect that reads it row by row, and a smooth
+    course of time would fit better than the temperature it stands for.
+    """
     forms = [Form(effect, TEMPERATURE, (name, *extra_inputs)) for name in survey.temperatures]
     if survey.rows < 4 or not survey.has(survey.time_column):
         return tuple(forms)
     parameter, grid = time_constants(survey)
-    forms.append(Form(effect, WARMING, (survey.time_column, *extra_inputs), nonlinear=(parameter,), starts=grid))
+    odds = UNMEASURED if survey.temperatures else 0.0
+    inputs, rows = (survey.time_column, *extra_inputs), time_of_rows(survey)
+    forms.append(Form(effect, WARMING, inputs, rows, nonlinear=(parameter,), starts=grid, log_odds=odds))
     forms.append(
-        Form(
-            effect,
-            SLOW_WARMING,
-            (survey.time_column, *extra_inputs),
-            nonlinear=(parameter,),
-            starts=grid,
-            scan=False,
-        )
+        Form(effect, SLOW_WARMING, inputs, rows, nonlinear=(parameter,), starts=grid, scan=False, log_odds=odds)
     )
     low, high = max(2 * survey.interval_s, survey.duration_s / 300), survey.duration_s
     lag = NonLinear("lag", low, high)
     starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 6))
     forms.extend(
-        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), nonlinear=(lag,), starts=starts, scan=False)
+        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), nonlinear=(lag,), starts=starts)
         for name in survey.temperatures
     )
     return tuple(forms)
 
 
+def time_of_rows(survey: Survey) -> dict[str, float]:
+    """Time of the first and of the last row, as constants of a form."""
+    return {"first_row": survey.time_start, "last_row": survey.time_start + survey.duration_s}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the rows show of a course that settles: its change from the first row to the last, in the unit of the coefficient.
+
+    determined: whether final value and time constant follow from the rows; else only the change, and this bound of the time
+    constant, do
+    """
+
+    change: Estimate
+    determined: bool
+    at_least: float
+
+
+def seen_in_rows(term: Term) -> Seen:
+    """Of the first coefficient of a form that follows the time since the start."""
+    c, tau = term.coefficient(0), term.nonlinear(0)
+    k = len(term.coefficients)
+    slow = term.form.name.removesuffix(ABOUT_A_POINT) == SLOW_WARMING
+    times = [term.form.constants.get(name, default) for name, default in (("first_row", 0.0), ("last_row", math.inf))]
+    settled = [_settled(t, tau.value) for t in times]
+    share, share_slope, second, second_slope = (b - a for a, b in zip(*settled, strict=True))
+    gradient = np.zeros(k + len(term.theta))
+    gradient[0], gradient[k] = share, c.value * share_slope
+    change = c.value * share
+    if slow:
+        gradient[1], gradient[k] = second, gradient[k] + term.coefficients[1] * second_slope
+        change += term.coefficients[1] * second
+    variance = float(gradient @ np.array(term.covariance) @ gradient)
+    known = all(one.std < MOST_UNSURE * abs(one.value) for one in (c, tau)) and share >= LEAST_SEEN
+    bound = tau.value * math.exp(-2.0 * tau.std / tau.value) if tau.value > 0.0 else 0.0
+    return Seen(Estimate(change, math.sqrt(max(variance, 0.0))), known, bound)
+
+
+def _settled(time: float, tau: float) -> tuple[float, float, float, float]:
+    """At a time, 1 - e^(-x) and x·e^(-x) with x = time / tau, each with its derivative to tau."""
+    x = time / tau
+    left = math.exp(-x)
+    if not math.isfinite(x):
+        return 1.0, 0.0, 0.0, 0.0
+    return 1.0 - left, -x * left / tau, x * left, -x * (1.0 - x) * left / tau
+
+
 def time_unit(term: Term) -> str:
     """'s', or 'rows' where the row order replaced the time."""
     return "rows" if "row_order" in term.form.inputs else "s"
+
+
+def is_since_start(form: Form) -> bool:
+    """Whether a form follows the time since the start and no sensor."""
+    return form.name.removesuffix(ABOUT_A_POINT) in SINCE_START
+
+
+def is_about_a_point(form: Form) -> bool:
+    """Whether a form grows about a point that is fitted."""
+    return form.name.endswith(ABOUT_A_POINT)
 
 
 def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
@@ -77,13 +144,14 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
 
     SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
-    if form.name in SINCE_START:
+    name = form.name.removesuffix(ABOUT_A_POINT)
+    if name in SINCE_START:
         x = columns[form.inputs[0]] / theta[0]
         settled = 1.0 - np.exp(-x)
-        return settled[:, None] if form.name == WARMING else np.column_stack([settled, x * np.exp(-x)])
+        return settled[:, None] if name == WARMING else np.column_stack([settled, x * np.exp(-x)])
     values = columns[form.inputs[0]] - REFERENCE_C
-    if form.name == LAGGED:
+    if name == LAGGED:
         values = lagged(columns[form.inputs[1]], values, theta[0])
-    elif form.name != TEMPERATURE:
+    elif name != TEMPERATURE:
         raise KeyError(form.name)
     return np.asarray(values)[:, None]

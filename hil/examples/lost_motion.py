@@ -13,7 +13,7 @@ def main(path: str) -> int:
     axis = hil.load_axis(path)
     how = axis.lost_motion or hil.default_lost_motion(axis.path, axis.limits, axis.measurement.targets_mm)
     store = hil.SealedStore.of(axis, os.environ["HIL_PASSWORD"], os.environ["HIL_KEY_PASSWORD"])
-    present = store.load() if store.path.exists() else None
+    present = store.stored()
     campaign = hil.Campaign.numbered(axis.store.directory, axis.purpose("lost-motion"), resume=False)
     with hil.connected(axis) as machine:
         machine.session.prepare()
@@ -25,8 +25,8 @@ def main(path: str) -> int:
     print(f"lost motion {result.estimate.parameters['amount_um']} µm, rising as {result.estimate.rise.shape.name}")
     before, after = abs(result.proof.before_um).max(), abs(result.proof.after_um).max()
     print(f"fresh moves: {before:.2f} µm off at worst before, {after:.2f} µm with the correction in force")
-    print(f"stored in {store.path}" if result.good else "not stored: it did not prove itself")
-    return 0 if result.good else 1
+    print(f"stored in {store.path}" if result.good else "not stored: it did not prove itself an improvement")
+    return 0 if result.good or result.needless else 1
 
 
 if __name__ == "__main__":

@@ -15,13 +15,15 @@ from hil.app.terminal.axis_options import (
     seed,
     tell_zero,
 )
+from hil.app.terminal.measuring_options import machine_of
 from hil.app.terminal.output import number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
-from hil.correction.store import SealedStore
+from hil.correction.rise import RUNNABLE
+from hil.correction.store import SealedStore, bound_tables
 from hil.lost_motion.job import (
     MeasuredLostMotion,
     facts,
@@ -32,21 +34,26 @@ from hil.lost_motion.job import (
     run_lost_motion,
     sentences,
 )
-from hil.machine.wiring import connected
+from hil.lost_motion.procedure import NoLostMotionError
 from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:
   hil lost-motion X.toml --dry-run                   what would move, how far, and how long it takes
   hil lost-motion X.toml --report lost-motion.html   measure, fit, prove, and store it beside the axis's tables
+  hil lost-motion X.toml --shape two-tanh            with the published two terms, whichever shape fits best
   hil lost-motion X.toml --only-measure              store nothing; needs no key
   hil circle X.toml Y.toml --report circle.html      the circle test with it
 
 The [lost_motion] section of the axis file says where and how far: at_mm, stroke_mm, places, finest_um, runs, proof_moves,
 shortest_rise_um. Calibrate first: the tables hold the correction of each direction, the rise is the transition from one to the
 other after a reversal. Without tables the axis gets the lost motion alone. A new calibration replaces it.
-Exit status 1: the proof in moves of all lengths failed, or the strokes were too short; nothing was stored.
+Stored is what leaves less than before in fresh moves of all lengths, by more than the uncertainty of the difference (k = 2).
+Exit status 0 also where nothing was to be corrected; 1: the proof failed, or the strokes were too short; nothing was stored.
 """
+
+
+_SHAPES = {shape.name.replace(" ", "-"): shape for shape in RUNNABLE}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -59,6 +66,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_axis_arguments(parser)
     parser.add_argument("--only-measure", action="store_true", help="measure, fit and prove, but store nothing")
+    parser.add_argument(
+        "--shape",
+        choices=list(_SHAPES),
+        help="of the rise (default: two tanh, unless another is better by a tenth on strokes held out)",
+    )
     parser.add_argument("--resume", action="store_true", help="continue an interrupted measurement")
     parser.add_argument("--seed", type=seed, default=1, help="chooses the moves of the proof (default 1)")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
@@ -69,16 +81,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Returns 0: measured, proven and stored; 1: not proven. Raises what `measure_lost_motion` raises."""
+    """Returns 0: measured, proven and stored, or nothing to improve; 1: not proven. Raises what `measure_lost_motion` raises."""
     axis = load_axis(args.axis)
     how = lost_motion_config(axis)
+    shape = _SHAPES[args.shape] if args.shape else None
     if args.dry_run:
         _print_plan(axis, how, args)
         return 0
     present, store = _present(args, axis)
-    with connected(axis) as machine, terminal_progress() as listener:
+    moves_axis = "" if present is None else present.moves_axis
+    with machine_of(args, axis, moves_axis=moves_axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
-        measured = run_lost_motion(machine, how, present, listener, seed=args.seed, resume=args.resume)
+        try:
+            measured = run_lost_motion(machine, how, present, listener, seed=args.seed, shape=shape, resume=args.resume)
+        except NoLostMotionError as error:
+            return _nothing_to_correct(args, axis, str(error))
         if store is not None and measured.result.good:
             store.save(measured.result.compensation)
     stored = str(store.path) if store is not None and measured.result.good else "nothing"
@@ -87,12 +104,21 @@ def run(args: argparse.Namespace) -> int:
         replace_file(args.report, report_html(axis, measured, stored).encode())
     if args.json:
         write_json(args.json, form(axis, measured, stored=stored != "nothing"))
-    return 0 if measured.result.good else 1
+    return 0 if measured.result.good or measured.result.needless else 1
+
+
+def _nothing_to_correct(args: argparse.Namespace, axis: AxisConfig, sentence: str) -> int:
+    print(sentence)
+    if args.json:
+        write_json(
+            args.json, {"axis": axis.name, "good": True, "needless": True, "stored": False, "verdict": [sentence]}
+        )
+    return 0
 
 
 def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation | None, SealedStore | None]:
     """The compensation in force, and the store for the new one; every password is asked for before any motion."""
-    there = axis.tables_path.exists()
+    there = bound_tables(axis) is not None
     if args.only_measure:
         readable = there and (args.password_file or os.environ.get("HIL_PASSWORD") or sys.stdin.isatty())
         return (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import InputError
-from hil.correction.rise import RUNNABLE, TWO_TANH, Rise
+from hil.correction.rise import RUNNABLE, TWO_TANH, Rise, Shape
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, uncertainties
 
 TWO_TANH_MARGIN = 1.1
@@ -41,6 +41,7 @@ class Estimate:
     uncertainties
     contenders: the best on held-out strokes first; reversals: as measured, over the motor's travel
     late_um: part of the lost motion that came back over the second half of the travel measured
+    asked_for: the shape was asked for, and not chosen
     """
 
     rise: Rise
@@ -49,6 +50,22 @@ class Estimate:
     contenders: tuple[Contender, ...]
     reversals: tuple[MeasuredReversal, ...]
     late_um: float
+    asked_for: bool = False
+
+    @property
+    def choice(self) -> str:
+        """Which shape is taken, and by how much it is better or worse on held-out strokes than two tanh or the best of the others."""
+        taken, *rest = sorted(self.contenders, key=lambda one: one.fitted.rise is not self.rise)
+        two_tanh = next((one for one in rest if one.fitted.shape is TWO_TANH), None)
+        other = two_tanh or min(rest, key=lambda one: one.held_out_rms_um)
+        if two_tanh is not None and self.asked_for:
+            other = min(rest, key=lambda one: one.held_out_rms_um)
+        taken_um, other_um = taken.held_out_rms_um, other.held_out_rms_um
+        share = "" if taken_um == 0.0 else f" ({100.0 * (other_um / taken_um - 1.0):+.0f} %)"
+        return (
+            f"{taken.fitted.shape.name} {'asked for' if self.asked_for else 'taken'}: {taken_um:.3f} µm RMS on strokes held out,"
+            f" {other.fitted.shape.name} {other_um:.3f}{share}"
+        )
 
     @property
     def amount_um(self) -> float:
@@ -74,6 +91,8 @@ class Estimate:
             "determined": sorted(self.determined),
             "published": _plain(self.published),
             "late_um": self.late_um,
+            "asked_for": self.asked_for,
+            "choice": self.choice if self.contenders else "",
             "contenders": [
                 {
                     "rise": one.fitted.rise.to_json(),
@@ -85,10 +104,11 @@ class Estimate:
         }
 
 
-def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float) -> Estimate:
+def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float, shape: Shape | None = None) -> Estimate:
     """The rise of these reversals, from which the errors of position have been removed.
 
-    shortest_mm: shortest rise length. Raises InputError with fewer than 3 reversals, of which one is held out.
+    shortest_mm: shortest rise length; shape: the one asked for, None for the best (`TWO_TANH_MARGIN`). Raises InputError with
+    fewer than 3 reversals, of which one is held out.
     """
     if len(reversals) < 3:
         raise InputError(f"{len(reversals)} reversals, expected at least 3")
@@ -96,12 +116,14 @@ def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float) -> Estim
     contenders = compete(by_load, shortest_mm, RUNNABLE, table=False)
     two_tanh = next(one for one in contenders if one.fitted.shape is TWO_TANH)
     chosen = two_tanh if two_tanh.held_out_rms_um <= TWO_TANH_MARGIN * contenders[0].held_out_rms_um else contenders[0]
+    if shape is not None:
+        chosen = next(one for one in contenders if one.fitted.shape is shape)
     rise = chosen.fitted.rise
     published = uncertain(two_tanh.fitted.rise, by_load, shortest_mm)
     parameters = published if chosen is two_tanh else uncertain(rise, by_load, shortest_mm)
     end_mm = max(float(reversal.travel_mm.max()) for reversal in by_load)
     late_um = rise.risen_um(end_mm) - rise.risen_um(end_mm / 2.0)
-    return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um)
+    return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um, shape is not None)
 
 
 def _plain(parameters: Mapping[str, Uncertain]) -> dict[str, dict[str, float]]:

@@ -18,16 +18,20 @@ from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
-from hil.correction.store import SealedStore, compensation_in_force
+from hil.correction.rise import Shape
+from hil.correction.store import SealedStore, bound_tables, compensation_in_force
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, separately_determined
 from hil.lost_motion.procedure import (
+    COVERAGE,
     LostMotionResult,
+    NoLostMotionError,
     measure_lost_motion,
     proof_steps,
     rms,
     stroke_steps,
     verdict,
 )
+from hil.lost_motion.published import BesidePublished, beside_published
 from hil.machine.computing import Computing, at_once, watched
 from hil.machine.events import Event, Listener, Point, silent
 from hil.machine.wiring import Machine
@@ -79,23 +83,36 @@ def run_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
+    shape: Shape | None = None,
     resume: bool = False,
     computing: Computing = at_once,
 ) -> MeasuredLostMotion:
-    """Prepares, measures, fits and proves; stores nothing. present: the compensation in force; computing: how the fit
-    is run.
+    """Prepares, measures, fits and proves; stores nothing. present: the compensation in force; shape: the one asked for, None
+    for the best; computing: how the fit is run.
 
     Raises what `measure_lost_motion` raises.
     """
     axis = machine.axis
-    purpose = {**axis.purpose(CAMPAIGN), "how": asdict(how), "seed": seed}
+    purpose = {**axis.purpose(CAMPAIGN), "how": _decides_rows(how), "seed": seed}
+    purpose |= {} if shape is None else {"shape": shape.name}  # the proof is of one shape
     purpose |= {} if present is None else compensation_in_force(present)
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     tell_unchecked(campaign, listener)
     machine.session.prepare(campaign.directory, present)
-    result = measure_lost_motion(machine.session, campaign, how, present, listener, seed=seed, computing=computing)
+    try:
+        result = measure_lost_motion(
+            machine.session, campaign, how, present, listener, seed=seed, shape=shape, computing=computing
+        )
+    except NoLostMotionError:
+        campaign.finish()  # it was measured as a whole
+        raise
     campaign.finish()
     return MeasuredLostMotion(how, result, present, campaign.directory)
+
+
+def _decides_rows(how: LostMotionConfig) -> dict[str, Any]:
+    """What of the section decides which rows are measured: the axis moves from place to place, not in streams."""
+    return {name: value for name, value in asdict(how).items() if name != "travel_by"}
 
 
 def measuring_job(
@@ -105,7 +122,7 @@ def measuring_job(
 
     def work(place: Workplace) -> MeasuredLostMotion:
         present = None if place.store is None else stored_now(place.store)
-        if present is None and axis.tables_path.exists():
+        if present is None and bound_tables(axis) is not None:
             place.tell(SEALED)
         machine = place.machine()
         with zero.applied(machine.session):
@@ -143,8 +160,8 @@ def unfinished(axis: DriveAxis) -> bool:
 
 # -- store ---------------------------------------------------------------------------------------------------------------
 def stored_now(store: SealedStore) -> Compensation | None:
-    """The stored compensation, None without a file. Raises what `SealedStore.load` raises."""
-    return store.load() if store.path.exists() else None
+    """The stored compensation, None without any. Raises what `SealedStore.load` raises."""
+    return store.stored()
 
 
 def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
@@ -152,7 +169,7 @@ def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
     compensation.
     """
     if not measured.result.good:
-        raise StateError("the correction did not prove itself: it is not stored")
+        raise StateError("the correction did not prove itself to be an improvement: it is not stored")
     now, then = stored_now(store), measured.present
     if _in_force(now) != _in_force(then):
         raise StateError(
@@ -188,14 +205,21 @@ def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
     )
     return {
         "lost motion": f"{found.amount_um:.2f} µm, rising as {found.rise.shape.name}",
+        **({"shape": found.choice, "published form": beside_proof(result).sentence} if found.contenders else {}),
         **{f"  {name}": text for name, text in parameters.items()},
         "noise of a reading": f"{result.stretch.noise_um:.3f} µm",
         "proof, before": f"{rms(proof.before_um):.2f} µm RMS, {abs(proof.before_um).max():.2f} at worst, with {before} in force",
         "proof, after": f"{rms(proof.after_um):.2f} µm RMS, {abs(proof.after_um).max():.2f} at worst",
+        "gain": f"{proof.improvement_um.value:.3f} ± {COVERAGE * proof.improvement_um.std:.3f} µm RMS (k = 2)",
         "over-compensated": f"{proof.over_um:.2f} µm at worst, {100.0 * proof.over_um / found.amount_um:.1f} % of the lost motion",
         "stored": stored,
         "rows": str(measured.kept),
     }
+
+
+def beside_proof(result: LostMotionResult) -> BesidePublished:
+    """The document's form beside the running one, along the moves of the proof."""
+    return beside_published(result.estimate, result.proof.after.target_mm.tolist())
 
 
 def sentences(measured: MeasuredLostMotion) -> Sequence[str]:
@@ -216,7 +240,9 @@ def report_html(axis: AxisConfig, measured: MeasuredLostMotion, stored: str) -> 
         "Proof": f"{how.proof_moves} moves of all lengths there, before and after",
     }
     title = f"Lost motion of axis {axis.name} after a reversal"
-    report = LostMotionReport(title, result.estimate, result.proof, verdict(result), identity, facts(measured, stored))
+    report = LostMotionReport(
+        title, result.estimate, result.proof, verdict(result), identity, facts(measured, stored), beside_proof(result)
+    )
     return render_lost_motion(report)
 
 
@@ -227,6 +253,7 @@ def form(axis: AxisConfig, measured: MeasuredLostMotion, *, stored: bool) -> dic
         "axis": axis.name,
         "good": result.good,
         "stored": stored,
+        "needless": result.needless,
         **result.estimate.to_json(),
         "noise_um": result.stretch.noise_um,
         "reversals": [
@@ -238,6 +265,8 @@ def form(axis: AxisConfig, measured: MeasuredLostMotion, *, stored: bool) -> dic
             "before": {"rms_um": rms(proof.before_um), "peak_um": float(abs(proof.before_um).max())},
             "after": {"rms_um": rms(proof.after_um), "peak_um": float(abs(proof.after_um).max())},
             "over_compensation_um": proof.over_um,
+            "improvement_um": {"value": proof.improvement_um.value, "std": proof.improvement_um.std},
         },
+        "published_form": beside_proof(result).to_json(),
         "verdict": list(verdict(result)),
     }

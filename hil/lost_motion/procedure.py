@@ -16,12 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import InputError
+from drivers.errors import InputError, StateError
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
+from hil.correction.rise import Shape
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects.base import Term
-from hil.lost_motion.estimate import Estimate, estimate
+from hil.lost_motion.estimate import Estimate, Uncertain, estimate
 from hil.lost_motion.fit import MeasuredReversal
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, silent
@@ -36,10 +37,16 @@ stored, unless noise explains more.
 """
 NOISE_FACTOR = 3.5
 """Standard deviations of noise that the largest of about forty rows may reach."""
+COVERAGE = 2.0
+"""k: a correction is stored only if it leaves less than before by more than so many standard uncertainties of the difference."""
 TABLE_MISMATCH_SHARE = 0.15
 """Allowed difference between the lost motion and the tables' difference of directions, as a share; beyond it the tables
 are refused.
 """
+
+
+class NoLostMotionError(StateError):
+    """There is nothing to correct: no lost motion shows above the noise, and nothing that is stored corrects one."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +81,36 @@ class Proof:
         return max(0.0, float(np.max(self.after_um * self.after.direction)))
 
     @property
+    def improvement_um(self) -> Uncertain:
+        """By how much the RMS of the moves fell. Each move is made before and after: the uncertainty is that of the mean of the
+        differences of their squares, so what both have in common does not count.
+        """
+        both = rms(self.before_um) + rms(self.after_um)
+        differences = self.before_um**2 - self.after_um**2
+        if both == 0.0:
+            return Uncertain(0.0, 0.0)
+        std = float(np.std(differences, ddof=1)) / math.sqrt(len(differences))
+        return Uncertain(float(np.mean(differences)) / both, std / both)
+
+    @property
+    def improves(self) -> bool:
+        """The moves show less lost motion than before, by more than the uncertainty of the difference (`COVERAGE`)."""
+        found = self.improvement_um
+        return found.value > COVERAGE * found.std
+
+    def _within(self, left_um: Floats) -> bool:
+        over_um = float(np.max(left_um * self.after.direction))
+        return max(rms(left_um), over_um) <= max(RESIDUAL_SHARE * self.amount_um, NOISE_FACTOR * self.noise_um)
+
+    @property
     def good(self) -> bool:
-        """Residual and over-compensation are within `RESIDUAL_SHARE` or the noise."""
-        return max(rms(self.after_um), self.over_um) <= max(
-            RESIDUAL_SHARE * self.amount_um, NOISE_FACTOR * self.noise_um
-        )
+        """Residual and over-compensation are within `RESIDUAL_SHARE` or the noise, and it is an improvement."""
+        return self._within(self.after_um) and self.improves
+
+    @property
+    def needless(self) -> bool:
+        """It is no improvement, and none is needed: the moves before were within the limits already."""
+        return self._within(self.before_um) and not self.improves
 
 
 @dataclass(frozen=True)
@@ -93,8 +125,13 @@ class LostMotionResult:
 
     @property
     def good(self) -> bool:
-        """The proof is good and the strokes were long enough."""
+        """To be stored: the proof is good and the strokes were long enough."""
         return self.proof.good and not self.estimate.still_rising
+
+    @property
+    def needless(self) -> bool:
+        """What is in force does as well, and stays."""
+        return self.proof.needless and not self.estimate.still_rising
 
 
 def rms(values: Floats) -> float:
@@ -200,6 +237,23 @@ def with_rise(
     return Compensation(present.tables, terms, found.rise)
 
 
+def _nothing_to_correct(
+    present: Compensation | None, found: Estimate, stretch: Stretch, how: LostMotionConfig
+) -> StateError:
+    """The error for an axis that loses nothing at its reversals; another one where what is stored corrects a reversal."""
+    seen = f"{found.amount_um:.2f} µm with a noise of {stretch.noise_um:.2f} µm"
+    stored_um = 0.0
+    if present is not None:
+        plus, minus = (float(present.tables.correction_um([how.at_mm], sign)[0]) for sign in (1, -1))
+        stored_um = abs(plus - minus)
+    if stored_um > NOISE_FACTOR * stretch.noise_um + found.amount_um:
+        return StateError(
+            f"no lost motion is left, {seen}, but what is stored corrects a reversal of {stored_um:.2f} µm at"
+            f" {how.at_mm:g} mm: calibrate again, or remove it"
+        )
+    return NoLostMotionError(f"no lost motion to correct: {seen}; nothing was stored, and nothing needs to be")
+
+
 def _is_lost_motion_alone(present: Compensation) -> bool:
     """Whether these tables came from an earlier measurement of this kind and hold nothing else."""
     tables = present.tables
@@ -234,27 +288,26 @@ def measure_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
+    shape: Shape | None = None,
     computing: Computing = at_once,
 ) -> LostMotionResult:
     """Measures, fits and proves on a prepared session. present: the compensation in force, None for none. Stores
     nothing.
 
     Afterwards no compensation is in force in the session, also after an error. An interrupted campaign continues with
-    its first missing row. computing: how the fit is run. Raises InputError where no lost motion shows above the noise,
-    or the tables do not agree with it, CorrectionBoundError where the correction exceeds the axis's bound, and what
-    stops the axis.
+    its first missing row. shape: the one asked for, None for the best; computing: how the fit is run. Raises
+    NoLostMotionError where no lost motion shows above the noise, InputError where the tables do not agree with it,
+    CorrectionBoundError where the correction exceeds the axis's bound, and what stops the axis.
     """
     try:
         session.compensation = None
         records = measure(session, campaign, "strokes", stroke_steps(how), listener)
         listener(Event("fit"))
         reversals = reversals_of(records, how)
-        found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0))
+        found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0, shape))
         stretch = stretch_of(records, how, found.amount_um)
         if found.amount_um < NOISE_FACTOR * stretch.noise_um:
-            raise InputError(
-                f"no lost motion to correct: {found.amount_um:.2f} µm with a noise of {stretch.noise_um:.2f} µm"
-            )
+            raise _nothing_to_correct(present, found, stretch, how)
         limits = session.drive.limits
         extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))
         extended.check(session.command_state.bound, "correction by the lost motion measured not used")
@@ -280,9 +333,21 @@ def verdict(result: LostMotionResult) -> Sequence[str]:
             f"{found.late_um:.2f} µm of {found.amount_um:.2f} µm came back over the second half of the places:"
             " the strokes are too short for the whole lost motion (stroke_mm)"
         )
-    if not proof.good:
+    left = f"{rms(proof.before_um):.2f} µm RMS before, {rms(proof.after_um):.2f} after"
+    if not proof.improves:
+        gain = proof.improvement_um
+        do = (
+            "what is in force stays, nothing has to be done"
+            if proof.needless
+            else "look for what changes at the axis, then measure again with more runs and proof_moves"
+        )
         said.append(
-            f"the correction did not prove itself: {rms(proof.before_um):.2f} µm RMS before, {rms(proof.after_um):.2f} after,"
-            f" {proof.over_um:.2f} µm over-compensated at worst"
+            f"no proven improvement, so nothing is stored: {left}, a gain of {gain.value:.3f} ± {COVERAGE * gain.std:.3f} µm (k = 2);"
+            f" {do}"
+        )
+    elif not proof.good:
+        said.append(
+            f"the correction did not prove itself: {left}, {proof.over_um:.2f} µm over-compensated at worst;"
+            " measure again with more places and runs, and strokes where the axis works (at_mm)"
         )
     return said

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import matplotlib as mpl
@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
+from hil.correction.compensation import LONG_STROKE_MM
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
+from hil.lost_motion.published import BesidePublished
 from hil.records.rows import Floats, Records
 
 NAMES = {1: "− → +", -1: "+ → −"}
@@ -42,6 +44,7 @@ class LostMotionReport:
     verdict: Sequence[str] = ()
     identity: Mapping[str, str] = field(default_factory=dict)
     facts: Mapping[str, str] = field(default_factory=dict)
+    published: BesidePublished | None = None
 
 
 def render_lost_motion(report: LostMotionReport) -> str:
@@ -63,6 +66,7 @@ def render_lost_motion(report: LostMotionReport) -> str:
         *(_data(number, found) for number in range(len(found.reversals))),
         _contenders(found),
         _parameters(found),
+        _published(report.published),
         "<h2>Fresh moves of all lengths</h2>"
         + markup.figure(
             proof,
@@ -169,7 +173,9 @@ def _contenders(estimate: Estimate) -> str:
         for one in estimate.contenders
     ]
     head = ["shape", "amount, µm", "RMS, µm", "RMS on strokes held out, µm"]
-    return "<h2>Shapes in competition</h2>" + markup.table(head, rows, css="numbers")
+    return f"<h2>Shapes in competition</h2><p>{markup.text(estimate.choice)}.</p>" + markup.table(
+        head, rows, css="numbers"
+    )
 
 
 def _parameters(estimate: Estimate) -> str:
@@ -181,6 +187,26 @@ def _parameters(estimate: Estimate) -> str:
     singly = separately_determined(estimate.published)
     note = "" if singly else f"<p>The amounts of the single terms are {NOT_SEPARATELY_DETERMINED}.</p>"
     return markup.table(head, rows, css="numbers") + note
+
+
+def _published(beside: BesidePublished | None) -> str:
+    if beside is None:
+        return ""
+    moves, form = beside.moves, beside.form
+    finite = [replace(move, stroke_mm=min(move.stroke_mm, LONG_STROKE_MM)) for move in moves]
+    columns = {
+        name: np.array([getattr(move, name) for move in finite], dtype=np.float64)
+        for name in ("target_mm", "branch", "last_um", "stroke_mm", "published_um")
+    }
+    columns["running_um"] = np.array(beside.running_um)
+    values = (form.amount_1_um, form.amount_2_um, form.rise_1_mm, form.rise_2_mm, form.onset_2_mm)
+    units = zip(("Pc1, µm", "Pc2, µm", "a1, mm", "a2, mm", "b2, mm"), values, strict=True)
+    return (
+        "<h2>The published form beside the running one</h2>"
+        + markup.table(["two tanh terms", "value"], [[n, markup.significant(v)] for n, v in units], css="numbers")
+        + f"<p>{markup.text(beside.sentence)}. It is the reference; in force is the running form, which has no step"
+        " (decision 0010).</p>" + markup.data_table("data-published", "Every move by both forms", columns)
+    )
 
 
 def _proof_data(proof: Proven) -> str:

@@ -15,17 +15,23 @@ from drivers.canopen.bus import CanLink
 from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import InputError
-from hil.axis.axis_file import AxisConfig
+from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
+from hil.axis.zero import zero_keeper
+from hil.correction.bound import CAREFUL
 from hil.machine.axis_lock import held_axis
 from hil.machine.bench_conditions import BenchConditions
+from hil.machine.conditions import Conditions
+from hil.machine.cross_axis import CrossAxis
 from hil.machine.instruments import build_instrument, with_instrument
 from hil.machine.signals import ending_by_signals
+from hil.machine.supervisor import Supervisor
+from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import (
     Links,
     Machine,
+    add_bench_node,
     bench_modbus,
     bench_parameters,
-    bench_table,
     canopen_drive,
     check_bench,
     hardware_drive,
@@ -36,6 +42,9 @@ from hil.machine.wiring import (
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.canopen_in_turn import drives_in_turn
 from sim_backends.clock import SimClock
+
+RUN_IN_MM = 1.0
+"""By which an axis without [measurement] comes to its place from below: the usual overrun_mm."""
 
 
 @contextmanager
@@ -62,8 +71,74 @@ def connected_axes(
         for one in machines:
             one.session.supervisor.beside = tuple(other.session.axis for other in machines if other is not one)
         for one in machines:
+            stack.callback(_left, one.session.axis, [other.session.supervisor for other in machines])
             stack.enter_context(one.session)
         yield machines
+
+
+def _left(axis: WatchedAxis, supervisors: Sequence[Supervisor]) -> None:
+    """An axis that was stopped, disabled and closed is not stopped again with those that are left after it."""
+    for supervisor in supervisors:
+        supervisor.beside = tuple(other for other in supervisor.beside if other is not axis)
+
+
+@contextmanager
+def connected_across(
+    axis: AxisConfig, conditions: Conditions | None = None, waiting: Waiting | None = None
+) -> Iterator[Machine]:
+    """Connect an axis with the one that its straightness moves, as its [straightness] names it: `session.cross` of the machine.
+
+    That axis needs no instrument; it is homed where its own file has [measurement] home. Each watches the other, an error stops both.
+    conditions, waiting: as for `connected`. Raises InputError for an axis file without [straightness], one that names itself, or an
+    axis on another kind of backend, and as `connected`.
+    """
+    config = axis.straightness
+    if config is None:
+        raise InputError("has no [straightness], which names the axis that straightness moves", path=axis.path)
+    other = load_drive_axis(config.axis_file)
+    if other.name == axis.name or other.path.resolve() == axis.path.resolve():
+        raise InputError("[straightness] axis_file names this axis itself, expected another", path=axis.path)
+    if (other.drive.backend == "bench", other.drive.face) != (axis.drive.backend == "bench", axis.drive.face):
+        raise InputError("one axis is on the bench and another is not, or behind another face: expected all alike")
+    with ExitStack() as stack:
+        stack.enter_context(ending_by_signals())
+        stack.enter_context(held_axis(axis))
+        stack.enter_context(held_axis(other))
+        if axis.drive.backend == "bench":
+            clock = SimClock(waiting=waiting)
+            parameters = [with_instrument(bench_parameters(axis), axis.instrument), bench_parameters(other)]
+            benches = _benches([axis, other], parameters, clock, stack)
+            drives = _bench_drives([axis, other], benches, clock, stack)
+            machine = _bench_machine(axis, benches[0], drives[0])
+        else:
+            wall, links = WallClock(waiting), Links()
+            drives = [hardware_drive(one, wall, stack, links) for one in (axis, other)]
+            instrument = build_instrument(axis.instrument, axis.instrument.port, wall)
+            machine = Machine(axis, session_of(axis, drives[0], instrument, conditions))
+        session = machine.session
+        session.cross = _cross_axis(other, drives[1], config.at_mm)
+        session.supervisor.beside = (session.cross.axis,)
+        session.cross.supervisor.beside = (session.axis,)
+        stack.enter_context(session.cross)
+        stack.callback(_left, session.axis, [session.cross.supervisor])
+        stack.enter_context(session)
+        yield machine
+
+
+def _cross_axis(other: DriveAxis, drive: ServoDrive, at_mm: float) -> CrossAxis:
+    measured = other if isinstance(other, AxisConfig) else None
+    cross = CrossAxis(
+        drive,
+        at_mm,
+        velocity_mm_s=other.limits.max_velocity_mm_s / 5.0 if measured is None else measured.measurement.velocity_mm_s,
+        run_in_mm=RUN_IN_MM if measured is None else measured.measurement.overrun_mm,
+        homes=measured is not None and measured.measurement.home,
+        zero=zero_keeper(other),
+        bound=CAREFUL if measured is None else measured.correction.bound,
+    )
+    if cross.zero is not None:
+        cross.zero.guard(drive)
+    return cross
 
 
 def _on_hardware(axes: Sequence[AxisConfig], stack: ExitStack, waiting: Waiting | None) -> tuple[Machine, ...]:
@@ -80,28 +155,33 @@ def _on_bench(
     axes: Sequence[AxisConfig], parameters: Sequence[BenchParameters], stack: ExitStack, waiting: Waiting | None
 ) -> tuple[Machine, ...]:
     clock = SimClock(waiting=waiting)
-    benches = []
+    wanted = [with_instrument(one, axis.instrument) for axis, one in zip(axes, parameters, strict=True)]
+    benches = _benches(axes, wanted, clock, stack)
+    drives = _bench_drives(axes, benches, clock, stack)
+    return tuple(_bench_machine(*each) for each in zip(axes, benches, drives, strict=True))
+
+
+def _benches(
+    axes: Sequence[DriveAxis], parameters: Sequence[BenchParameters], clock: SimClock, stack: ExitStack
+) -> list[Bench]:
+    """The simulated axes of one machine; two are at right angles."""
     for axis, wanted in zip(axes, parameters, strict=True):
         check_bench(axis, wanted)
-        benches.append(stack.enter_context(Bench(with_instrument(wanted, axis.instrument), clock=clock)))
-    drives = _bench_drives(axes, benches, clock, stack)
-    return tuple(
-        Machine(
-            axis,
-            session_of(
-                axis,
-                drive,
-                build_instrument(axis.instrument, bench.laser_path, clock),
-                BenchConditions(bench.plant, axis.conditions.levels),
-            ),
-            bench,
-        )
-        for axis, bench, drive in zip(axes, benches, drives, strict=True)
+    benches = [stack.enter_context(Bench(wanted, clock=clock)) for wanted in parameters]
+    if len(benches) == 2:
+        benches[0].cross(benches[1])
+    return benches
+
+
+def _bench_machine(axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
+    instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
+    return Machine(
+        axis, session_of(axis, drive, instrument, BenchConditions(bench.plant, axis.conditions.levels)), bench
     )
 
 
 def _bench_drives(
-    axes: Sequence[AxisConfig], benches: Sequence[Bench], clock: SimClock, stack: ExitStack
+    axes: Sequence[DriveAxis], benches: Sequence[Bench], clock: SimClock, stack: ExitStack
 ) -> list[ServoDrive]:
     """Drives for the simulated servos on the wire that the axis files name: nodes 1, 2 … of one bus, units 1, 2 … of one line."""
     pairs = list(zip(axes, benches, strict=True))
@@ -112,7 +192,7 @@ def _bench_drives(
         place = ("virtual", f"bench-{uuid.uuid4().hex}")
         bus = stack.enter_context(drives_in_turn(clock, place[1]))
         for number, (axis, bench) in enumerate(pairs, start=1):
-            bus.add(bench.servo, number, parameters=bench.parameters.objects, table=bench_table(axis, bench))
+            add_bench_node(bus, axis, bench, number)
         links = Links({place: stack.enter_context(CanLink(bus.master(), clock))})
         nodes = [replace(axis, drive=replace(axis.drive, node_id=n)) for n, axis in enumerate(axes, start=1)]
         return [canopen_drive(axis, clock, place, stack, links=links) for axis in nodes]

@@ -72,13 +72,16 @@ class Agreement:
         self._most: _Pair | None = None  # the one whose reading − motor is at least the largest
         self._travel_mm = (0.0, 0.0)
         self._rest: _Rest | None = None
+        self._followed: tuple[float, float] | None = None  # reading and motor position at `followed_ns`, mm
+        self.followed_ns: int | None = None
+        """Time of the last reading at rest that was seen to follow the motor; None before the first."""
 
     def forget(self) -> None:
         """Compare travel from the next reading on: call when either zero changes."""
         self._times_ns.clear()
         self._places_mm.clear()
         self._recent.clear()
-        self._least = self._most = None
+        self._least = self._most = self._followed = None
         self.forget_rest()
 
     def forget_rest(self) -> None:
@@ -125,6 +128,7 @@ class Agreement:
         if span is None:
             return None
         (low_mm, high_mm), position_mm = span, _position(reading)
+        self._follow(reading, low_mm, high_mm)
         wrong = self._at_rest(reading, low_mm, high_mm)
         if wrong is not None:
             return wrong
@@ -143,6 +147,18 @@ class Agreement:
         if self._most.bound_mm - self._least.bound_mm <= allowed_mm:
             return None
         return self._told(most, self._least if self._most is most else self._most, allowed_mm)
+
+    def _follow(self, reading: Reading, low_mm: float, high_mm: float) -> None:
+        """Note the time of a reading at rest that moved as the motor did since the one before: by half to twice of it, as the load may
+        wait within a reversal. A frozen reading moves by nothing."""
+        if high_mm - low_mm > STANDS_MM:
+            return
+        position_mm, motor_mm = _position(reading), (low_mm + high_mm) / 2.0
+        if self._followed is not None:
+            seen_mm, moved_mm = position_mm - self._followed[0], motor_mm - self._followed[1]
+            if abs(moved_mm) < STANDS_MM or not 0.5 <= seen_mm / moved_mm <= 2.0:
+                return
+        self._followed, self.followed_ns = (position_mm, motor_mm), reading.time_ns
 
     def _at_rest(self, reading: Reading, low_mm: float, high_mm: float) -> str | None:
         """What is wrong between readings at rest, where the motor's position does not depend on the time of the sample.

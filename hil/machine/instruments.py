@@ -24,6 +24,9 @@ from sim_backends.gauge import GaugeParameters
 PULSES_HZ = 10.0
 """Rate of the bench's pulse generator on the external input of a display, Hz."""
 
+STRAIGHTNESS = "straightness_um"
+"""The column of [instrument] beside for which the bench has straightness optics, on axis 2 of its display."""
+
 
 def build_instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
     """The instrument, not opened. port: of the axis file, or of the bench. The link opens a port again that disappears.
@@ -79,6 +82,9 @@ def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> Be
     simulate."""
     if config.trigger_input is not None:
         parameters = replace(parameters, trigger_input=config.trigger_input)
+    if (beside := (config.beside or {}).get(STRAIGHTNESS)) is not None:
+        laser = replace(parameters.laser, straightness_um_per_unit=beside[1])
+        parameters = replace(parameters, laser=laser)
     display = config.display
     if display is None:
         return parameters

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from drivers.errors import InputError
+from drivers.errors import InputError, MeasurementLostError
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command
 from hil.figures.reading import RULE
@@ -101,6 +101,7 @@ def measure(
         if 0 < done < len(steps):
             journal.note(f"resumed after {done} rows; homed and datum taken anew")
         readings: list[PositionReading] = []
+        read_ns: list[int] = []
         runner = _StepRunner(session, steps)
         listener(Event(name, done=done, total=len(steps)))
         for index, step in enumerate(steps[done:], start=done):
@@ -109,8 +110,16 @@ def measure(
                 journal.note(what)
                 listener(Event(name, what, done, len(steps)))
 
-            command, reading = retry_after_signal_loss(session, partial(runner.capture, index), tell)
+            try:
+                command, reading = retry_after_signal_loss(session, partial(runner.capture, index), tell)
+            except MeasurementLostError as lost:
+                _withdraw(journal, read_ns, lost)
+                raise
+            for note in session.untold_notes():
+                journal.note(note)
+                listener(Event(name, note, index, len(steps), warning=True))
             readings.append(reading)
+            read_ns.append(session.clock.now_ns())
             journal.append(_row(step, command, reading, session.known(), columns))
             listener(Event(name, f"{step.target_mm:.3f} mm", index + 1, len(steps), _point(name, step, reading)))
         if readings:
@@ -119,6 +128,13 @@ def measure(
     if records is None:
         raise ValueError(f"pass {name} has no steps")
     return records
+
+
+def _withdraw(journal: RowJournal, read_ns: Sequence[int], lost: MeasurementLostError) -> None:
+    """Withdraw the rows read since the instrument was last seen to follow the motor. read_ns: times of the latest rows."""
+    doubtful = 0 if lost.followed_ns is None else sum(time_ns > lost.followed_ns for time_ns in read_ns)
+    if doubtful:
+        journal.withdraw(doubtful, f"the instrument was not seen to follow the motor since; {lost}")
 
 
 def _point(name: str, step: Step, reading: PositionReading) -> Point:

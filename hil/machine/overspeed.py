@@ -18,38 +18,43 @@ class Overspeed:
     """Overspeed check of one axis."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[int, float]] = deque()
+        self._seen: deque[tuple[int, float, int]] = deque()
+        """Date, position, and a moment before it was asked for."""
         self._from: tuple[int, float] | None = None
+        self._before_ns: int | None = None  # the next position is asked for later
 
     def forget(self) -> None:
         """Drop the positions seen: call at the begin and end of a motion, and when the drive's zero changes."""
         self._seen.clear()
-        self._from = None
+        self._from = self._before_ns = None
 
     def stood(self, now_ns: int, position_mm: float) -> None:
         """Note where the motor stands before a motion is commanded."""
-        self._from = now_ns, position_mm
+        self._from, self._before_ns = (now_ns, position_mm), now_ns
 
     def look(self, time_ns: int, position_mm: float, speed_mm_s: float, *, now_ns: int) -> str | None:
         """Take a motor position, mm. speed_mm_s: commanded. now_ns: after the position was received. Returns what is wrong as a
         sentence, None when nothing is.
 
         From the rest before the command to the receipt of a position more time passes than the motor had for its travel, however late
-        the host is: no uncertainty of the moments is allowed for.
+        the host is: no uncertainty of the moments is allowed for. Between two positions of the motion at most the time from the look
+        before the first to the receipt of the second: a host that is held up dates a position late.
         """
         if self._from is not None:
             seconds, travel_mm = (now_ns - self._from[0]) / NS_PER_S, abs(position_mm - self._from[1])
             if travel_mm > speed_mm_s * (1.0 + FASTER_SHARE) * seconds + FLOOR_MM:
                 return _too_fast(travel_mm, seconds, speed_mm_s)
-        seen = self._seen
+        seen, asked_ns = self._seen, time_ns if self._before_ns is None else min(time_ns, self._before_ns)
+        self._before_ns = now_ns
         while seen and time_ns - seen[0][0] > OVER_S * NS_PER_S:
             seen.popleft()
         wrong = None
-        for before_ns, before_mm in (seen[0], seen[-1]) if seen else ():
+        for before_ns, before_mm, before_asked_ns in (seen[0], seen[-1]) if seen else ():
             seconds, travel_mm = (time_ns - before_ns) / NS_PER_S, abs(position_mm - before_mm)
-            if travel_mm > speed_mm_s * (1.0 + FASTER_SHARE) * (seconds + DATED_WITHIN_S) + FLOOR_MM:
+            longest_s = max(seconds + DATED_WITHIN_S, (now_ns - before_asked_ns) / NS_PER_S)
+            if travel_mm > speed_mm_s * (1.0 + FASTER_SHARE) * longest_s + FLOOR_MM:
                 wrong = _too_fast(travel_mm, seconds, speed_mm_s)
-        seen.append((time_ns, position_mm))
+        seen.append((time_ns, position_mm, asked_ns))
         return wrong
 
 

@@ -42,5 +42,6 @@ def replayed(axis: AxisConfig, path: Path) -> Iterator[Machine]:
     drive = ReplayDrive(axis.name, axis.scaling, axis.limits, replay)
     session = session_of(axis, drive, ReplayedInstrument(replay), None)
     session.zero = drive.before_homing = None  # the zero of a recording cannot change
+    session.made_with = None
     with session:
         yield Machine(axis, session)

@@ -29,15 +29,15 @@ def retry_after_signal_loss(session: AxisSession, measure: Callable[[], T], tell
     """Returns what `measure` returns. After a lost signal that comes back in time, `measure` is called again, from a new datum.
 
     measure: measures one point; tell: called with a message at each loss and resume. Raises MeasurementLostError in a session without
-    `resume_within_s`, when the signal does not come back within that, or at the loss number `MOST_LOSSES`. Errors of the drive
-    are raised at once.
+    `resume_within_s`, when the signal does not come back within that, at the loss number `MOST_LOSSES`, and at once where the readings
+    disagree with the motor. Errors of the drive are raised at once.
     """
     for times in count(1):
         try:
             return measure()
         except MeasurementLostError as lost:
-            if session.resume_within_s is None:
-                raise
+            if session.resume_within_s is None or lost.followed_ns is not None:
+                raise  # readings that disagree with the motor do not come back, and rows before may be wrong
             if times == MOST_LOSSES:
                 raise MeasurementLostError(
                     f"{lost}; it was lost {times} times on the way to the same point, which is not tried again: see what cuts the"

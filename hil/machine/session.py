@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -18,18 +19,21 @@ from typing import Self
 from drivers.drive import Capability, DriveSample, ServoDrive
 from drivers.errors import StateError
 from drivers.instrument import DistanceInstrument, Reading
-from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.set_points import FirstOfGroup, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command, Compensation, MotionHistory
+from hil.correction.tables import TableSet
 from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
+from hil.machine.cross_axis import CrossAxis
 from hil.machine.dwell import average_at_rest
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.set_points import CommandState
 from hil.machine.supervisor import SLICE_S, Look, Supervisor
 from hil.machine.watched_axis import STALE_AFTER_S, WatchedAxis
+from hil.records.made_with import MadeWithKeeper
 from hil.records.zero import ZeroKeeper
 
 
@@ -77,12 +81,18 @@ class AxisSession:
         self.resume_within_s: float | None = (
             None  # time limit for a lost signal to come back; None: no automatic resume
         )
+        self.cross: CrossAxis | None = (
+            None  # moved against this axis's straightness error; None: no such axis is connected
+        )
+        self.beside_in_stream: frozenset[str] = frozenset()  # axes whose set-points the caller moves by `across_um`
+        self.made_with: MadeWithKeeper | None = None  # None: as for zero
         self.zero: ZeroKeeper | None = None  # None: no record of earlier connections (a replayed recording)
         self.time_offset_s = 0.0  # added to `time_s` in rows, so that a resumed campaign continues its time
         self._datum_mm: float | None = None  # instrument's reading at load position 0
         self._entered = False
         self._homed_here = False  # since the session was entered
         self._keeps_home = False  # the homing of an earlier job is still valid
+        self._notes_told = 0  # of the drive's notes: those of `open` are the doctor's
 
     @property
     def drive(self) -> ServoDrive:
@@ -106,6 +116,7 @@ class AxisSession:
             undo_all((("", self.instrument.close), ("", self.drive.close)), during=error)
             raise
         self._entered = True
+        self._notes_told = len(self.drive.notes)
         self._homed_here = self._keeps_home = False
         self.drive.corrected_outside = self.compensation is not None
         return self
@@ -122,6 +133,12 @@ class AxisSession:
         finally:
             self._entered = self.drive.corrected_outside = False
             self.command_state.forget()
+
+    def untold_notes(self) -> list[str]:
+        """What was found of the drive while it moved, since the session was entered or this was last called; one sentence each."""
+        new = list(self.drive.notes[self._notes_told :])
+        self._notes_told += len(new)
+        return new
 
     @contextmanager
     def one_job(self) -> Iterator[None]:
@@ -149,8 +166,10 @@ class AxisSession:
         """The bridge's correction; None leaves commands as they are.
 
         Setting it raises StateError while the drive corrects by a table of its own (the error would be taken out twice), ZeroError for
-        tables of another zero, and CorrectionBoundError for a correction beyond the axis's bound. The drive's table is also checked
-        before each move.
+        tables of another zero, MadeWithError for tables made with other parameters of the drive, and CorrectionBoundError for a
+        correction beyond the axis's bound. The drive's table is also checked before each move. A straightness table that moves
+        another axis needs that axis connected and ready (StateError), and is held against its bound and travel too
+        (CorrectionBoundError, LimitError).
         """
         return self.command_state.compensation
 
@@ -160,10 +179,42 @@ class AxisSession:
             refuse_while_drive_corrects(self.drive)
             if self.zero is not None:
                 self.zero.check_tables(compensation.zero)
+            self._check_made_with(compensation)
         if compensation is not None:
             compensation.check(self.command_state.bound, "correction not put into force")
+            self._check_cross(compensation)
         self.command_state.compensation = compensation
         self.drive.corrected_outside = compensation is not None
+
+    def _check_cross(self, compensation: Compensation, *, ready: bool = True) -> None:
+        """Check the axis that the compensation moves, and, with `ready`, that it stands where it was commanded to."""
+        name = compensation.moves_axis
+        if not name or name in self.beside_in_stream:
+            return
+        if self.cross is None or self.cross.name != name:
+            raise StateError(
+                f"the straightness correction of axis {self.drive.name} moves axis {name}, which is not connected here"
+                " ([straightness] axis_file of the axis file names it)"
+            )
+        self.cross.check(compensation.tables)
+        if ready and not self.cross.ready:
+            raise StateError(f"axis {name}, which straightness moves, is not ready: prepare() first")
+
+    @property
+    def _cross_in_use(self) -> CrossAxis | None:
+        """The axis that straightness moves, while it stands ready or has to: then commands for it raise until it does."""
+        cross = self.cross
+        if cross is None or cross.ready:
+            return cross
+        return cross if self.compensation is not None and self.compensation.moves_axis == cross.name else None
+
+    @property
+    def _cross_tables(self) -> TableSet | None:
+        return None if self.compensation is None else self.compensation.tables
+
+    def _check_made_with(self, compensation: Compensation) -> None:
+        if self.made_with is not None:
+            self.made_with.check(self.drive, compensation.made_with, reversal=compensation.corrects_reversal)
 
     # -- watching ----------------------------------------------------------------------------------------------------
     def elapsed_s(self) -> float:
@@ -192,11 +243,14 @@ class AxisSession:
         The datum is taken once, at the reference position approached upwards and without correction, so that all passes of a session,
         with and without correction, share it. Raises StateError while the drive corrects by a table of its own: the datum, and tables
         made on it, would contain the drive's correction. Raises ZeroError, before any motion or at the reference position, where the
-        campaign, the tables or the axis have another zero than before. Raises what moving and reading raise.
+        campaign, the tables or the axis have another zero than before, and MadeWithError, before any motion, where the drive no longer
+        has the parameters that the tables, or the campaign's rows, were made with. Raises what moving and reading raise.
         """
         if not self._entered:
             raise StateError("prepare() needs the session to be entered first")
         refuse_while_drive_corrects(self.drive)
+        if compensation is not None:
+            self._check_cross(compensation, ready=False)
         self.drive.require(Capability.PROFILE_POSITION, *([Capability.HOMING] if self.how.home else []))
         self.await_instrument()
         readings = self.watch(max(self.how.reading_s, 2 * SLICE_S))
@@ -204,6 +258,12 @@ class AxisSession:
             stored = None if compensation is None else compensation.zero
             old = compensation is not None and stored is None
             self.zero.begin(self.drive, homes=self.how.home, campaign=campaign, tables=stored, old_tables=old)
+        if self.made_with is not None:
+            self.made_with.begin(self.drive, campaign)
+        if compensation is not None:
+            self._check_made_with(compensation)
+        if self.cross is not None:
+            self.cross.get_ready()
         self.supervisor.enable()
         stands = self.zero is not None and self.zero.homing_would_lose_zero
         anew = self.zero is not None and self.zero.anew
@@ -231,6 +291,8 @@ class AxisSession:
 
     def come_to_reference(self) -> None:
         """Move to the reference position from below, uncorrected; afterwards the direction of arrival is known."""
+        if self.cross is not None:
+            self.cross.get_ready()  # it lost its place where it was stopped
         reference = self.how.reference_mm
         here = self.drive.sample().position_load_mm
         self.move_uncorrected(reference - self.how.overrun_mm, self.how.velocity_mm_s)
@@ -244,6 +306,8 @@ class AxisSession:
         reference position, so that the direction of arrival is known. The datum is kept."""
         self.drive.disable()
         self.command_state.forget()
+        if self.cross is not None:
+            self.cross.without_power()
         yield
         self.drive.enable()
         self.come_to_reference()
@@ -296,18 +360,19 @@ class AxisSession:
         known.update(self.conditions.read())
         return known
 
-    def move_to(self, target_mm: float, velocity_mm_s: float | None = None) -> Command:
+    def move_to(self, target_mm: float, velocity_mm_s: float | None = None, *, across_um: float = 0.0) -> Command:
         """Move to a target, mm, with the correction in force; returns the command once the axis has arrived.
 
-        velocity_mm_s: None, the session's. Raises LimitError before any motion when the target or the corrected command leaves the
-        travel, StateError when the correction would reverse the motion, and what `Supervisor.move` raises.
+        velocity_mm_s: None, the session's; across_um: what other axes add for their straightness. Raises LimitError before any motion
+        when the target or the corrected command leaves the travel, StateError when the correction would reverse the motion, and what
+        `Supervisor.move` raises.
         """
-        command = self._command(target_mm)
+        command = self._command(target_mm, across_um)
         self._move(command, velocity_mm_s)
         return command
 
-    def _command(self, target_mm: float) -> Command:
-        return self.command_state.command(target_mm, self.known_for_commands())
+    def _command(self, target_mm: float, across_um: float = 0.0) -> Command:
+        return self.command_state.command(target_mm, self.known_for_commands(), across_um=across_um)
 
     def known_for_commands(self) -> dict[str, float]:
         """`known()` at the begin of a move or a stream. Raises StateError while bridge and drive both correct."""
@@ -319,7 +384,26 @@ class AxisSession:
         velocity = self.how.velocity_mm_s if velocity_mm_s is None else velocity_mm_s
         self.drive.limits.check_target(command.target_mm)
         self.command_state.check_way(command)
-        self.supervisor.move(command.command_mm, velocity, started=lambda: self.command_state.issued(command))
+        with self._cross_moving(command):
+            self.supervisor.move(command.command_mm, velocity, started=lambda: self.command_state.issued(command))
+
+    @contextmanager
+    def _cross_moving(self, command: Command) -> Iterator[None]:
+        """The block's move, together with that of the axis which straightness moves, to its place for the block's target."""
+        cross = self._cross_in_use
+        across = None if cross is None else self._across(cross, command)
+        if cross is None or across is None or cross.unchanged(across):
+            yield
+            return
+        cross.drive.limits.check_target(across.command_mm)
+        cross.state.check_way(across)
+        self.drive.limits.check_target(command.command_mm)
+        started = partial(cross.state.issued, across)
+        with self.supervisor.moving_beside(cross.axis, across.command_mm, cross.velocity_mm_s, started):
+            yield
+
+    def _across(self, cross: CrossAxis, command: Command) -> Command:
+        return cross.command(self._cross_tables, command.target_mm, self.elapsed_s())
 
     def stream_along(
         self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]
@@ -327,9 +411,14 @@ class AxisSession:
         """Follow a path, one set-point per period, each with the correction in force.
 
         path_mm: (target in mm, velocity in mm/s) of each period, starting where the axis stands; at: called after each set-point.
-        Raises LimitError for a target outside the travel, and what the stream raises; any error stops the axis.
+        Where straightness moves another axis, that axis gets its set-point in the same period. Raises LimitError for a target outside
+        the travel, CapabilityError for axes that cannot stream together, and what the stream raises; any error stops the axes.
         """
         known = self.known_for_commands()
+        cross = self._cross_in_use
+        if cross is not None:
+            self._stream_with(cross, path_mm, settings, at, known)
+            return
         with (
             self.supervisor.stopping_on_error(),
             self.axis.following() as found,
@@ -337,20 +426,55 @@ class AxisSession:
         ):
             for target_mm, velocity_mm_s in path_mm:
                 command = self.set_point(target_mm, velocity_mm_s, known)
-                stream.cycle(command.command_mm)
+                place_mm = stream.cycle(command.command_mm)
                 self.command_state.issued(command)
+                self.command_state.found_at(place_mm)
                 found(*stream.found, velocity_mm_s)
                 at(stream)
 
-    def set_point(self, target_mm: float, velocity_mm_s: float, known: dict[str, float]) -> Command:
-        """Command for one set-point of a stream, with the correction in force. target_mm, velocity_mm_s: at this period.
+    def _stream_with(
+        self,
+        cross: CrossAxis,
+        path_mm: Iterable[tuple[float, float]],
+        settings: SetPointSettings,
+        at: Callable[[SetPointStream], None],
+        known: dict[str, float],
+    ) -> None:
+        with (
+            self.supervisor.stopping_on_error(),
+            self.axis.following() as found,
+            cross.axis.following() as found_across,
+            self.drive.stream_with([cross.drive], settings) as group,
+        ):
+            own = FirstOfGroup(group)
+            for target_mm, velocity_mm_s in path_mm:
+                command = self.set_point(target_mm, velocity_mm_s, known)
+                across = self._across(cross, command)
+                place_mm, _ = group.cycle([command.command_mm, across.command_mm])
+                self.command_state.issued(command)
+                self.command_state.found_at(place_mm)
+                cross.state.issued(across)
+                found(*group.found[0], velocity_mm_s)
+                found_across(*group.found[1], velocity_mm_s)
+                at(own)
+
+    def across_um(self, target_mm: float, other: str) -> float:
+        """What this axis's straightness adds to the set-points of another while its own target is `target_mm`, µm."""
+        tables = self._cross_tables
+        return 0.0 if tables is None else float(tables.cross_correction_um(target_mm, other))
+
+    def set_point(
+        self, target_mm: float, velocity_mm_s: float, known: dict[str, float], *, across_um: float = 0.0
+    ) -> Command:
+        """Command for one set-point of a stream, with the correction in force. target_mm, velocity_mm_s: at this period; across_um:
+        what other axes add for their straightness.
 
         The caller reports it to `command_state.issued` once the drive has it. Raises LimitError for a target outside the travel.
         """
         self.drive.limits.check_target(target_mm)
         known["velocity_mm_s"] = velocity_mm_s
         known["time_s"] = self.elapsed_s() + self.time_offset_s
-        return self.command_state.command(target_mm, known)
+        return self.command_state.command(target_mm, known, across_um=across_um, streamed=True)
 
     @property
     def history(self) -> MotionHistory | None:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.clock import NS_PER_S
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState
+from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, HomingSpeeds
 from drivers.errors import (
     BridgeError,
     FollowingErrorError,
@@ -21,6 +21,7 @@ from drivers.errors import (
     LocalError,
     MeasurementLostError,
     MotionTimeoutError,
+    SafetyError,
 )
 from drivers.instrument import Reading
 from drivers.shared_time import SharedTime
@@ -32,6 +33,9 @@ SLICE_S = 0.05
 """Interval between samples of an axis in motion, s."""
 REST_SLICE_S = 0.2
 """Interval between samples at rest, s: shorter than the time for which instruments buffer their readings."""
+UNSEEN_S, UNSEEN_TIMES = 0.5, 5
+"""A motion ends when the looks at its axes take longer than this, s, so many times in a row. A request that is lost once takes up to a
+second and is no reason; at 50 mm/s five such looks are 125 mm seen at five places only."""
 FIRST_READING_S = 2.0
 """Time limit from opening an instrument to its first reading, s: some send it only after their air sensors have reported in turn."""
 ARRIVED_WITHIN_MM = 0.1
@@ -40,7 +44,8 @@ LONGER, LONGER_S = 3.0, 5.0
 """Time limit of a move: this factor times its duration by speed and ramps, and so many seconds more (an override of 50 %, a slow
 start)."""
 HOMING_SHARE, HOMING_S = 0.01, 30.0
-"""Time limit of a homing: the whole travel at this share of the largest velocity, and so many seconds more."""
+"""Time limit of a homing: the whole travel at this share of the largest velocity, or at the drive's own speed of homing where that is
+lower, and so many seconds more."""
 
 Look = Callable[[DriveSample], None]
 """Called with every sample of the axis in motion; an exception that it raises stops the machine."""
@@ -59,10 +64,20 @@ def finish_despite_interrupt(undo: Callable[[], None]) -> None:
         raise
 
 
-def homing_time_s(limits: DriveLimits) -> float:
-    """Time limit of a homing, s (`HOMING_SHARE`, `HOMING_S`)."""
+def homing_time_s(limits: DriveLimits, speeds: HomingSpeeds | None = None) -> float:
+    """Time limit of a homing, s (`HOMING_SHARE`, `HOMING_S`). speeds: of the drive, as far as they are known."""
     slowest_mm_s = HOMING_SHARE * limits.max_velocity_mm_s
-    return HOMING_S + (limits.travel_max_mm - limits.travel_min_mm) / slowest_mm_s
+    known = speeds or HomingSpeeds()
+    search_mm_s = min(slowest_mm_s, known.switch_mm_s or slowest_mm_s)
+    to_index_s = (
+        2.0 * known.turn_mm / known.zero_mm_s if known.zero_mm_s else 0.0
+    )  # back over the switch, and a turn to the index
+    return HOMING_S + (limits.travel_max_mm - limits.travel_min_mm) / search_mm_s + to_index_s
+
+
+def _time_limit_s(limits: DriveLimits, travel_mm: float, speed_mm_s: float) -> float:
+    """Time limit of a move, s (`LONGER`, `LONGER_S`)."""
+    return LONGER_S + LONGER * (travel_mm / speed_mm_s + speed_mm_s / limits.max_acceleration_mm_s2)
 
 
 class Supervisor:
@@ -172,7 +187,10 @@ class Supervisor:
         """Sample all other axes that were not sampled for `SLICE_S`."""
         for other in (*self.axes, *self.beside):
             if other is not axis and self.clock.now_ns() - other.looked_ns >= SLICE_S * NS_PER_S:
-                other.look()
+                if other.kept_for:
+                    other.look_enabled(other.kept_for)
+                else:
+                    other.look()
 
     def readings(self) -> list[tuple[int, Reading]]:
         """New readings of the first axis's instrument, each with its number; for use while a stream samples the drive."""
@@ -224,14 +242,23 @@ class Supervisor:
 
         what: name of the motion, for messages; slice_s: interval between samples; look: called with each sample.
         Raises MotionTimeoutError, with the likely reason, when no sample does within `timeout_s`, or when an axis that was commanded
-        to move has stood for `STALLED_S`. Raises StateError for a drive that is no longer enabled, and what `WatchedAxis.look` raises.
+        to move has stood for `STALLED_S`; SafetyError when looks take too long (`UNSEEN_S`); StateError for a drive that is no longer
+        enabled, and what `WatchedAxis.look` raises.
         """
         axis = axis or self.axes[0]
-        deadline = self.clock.deadline(timeout_s)
+        deadline, unseen = self.clock.deadline(timeout_s), 0
         with self.stopping_on_error():
             while True:
+                began_ns = self.clock.now_ns()
                 self._look_beside(axis)
                 sample = axis.look_enabled(what)
+                took_s = (self.clock.now_ns() - began_ns) / NS_PER_S
+                unseen = unseen + 1 if took_s > UNSEEN_S else 0
+                if unseen == UNSEEN_TIMES:
+                    raise SafetyError(
+                        f"drive {axis.drive.name}: {what} cannot be watched, {unseen} looks in a row took longer than {UNSEEN_S:g} s"
+                        f" (the last {took_s:.1f} s); the line loses answers, or the host is busy"
+                    )
                 if look is not None:
                     look(sample)
                 if condition(sample):
@@ -273,10 +300,11 @@ class Supervisor:
         """Run the drive's own homing, watched to its end. Raises as `watch_until`; time limit: `homing_time_s`."""
         axis = axis or self.axes[0]
         drive = axis.drive
+        speeds = drive.homing_speeds()
         with self._ordered(axis, Motion("homing"), drive.start_homing):
             self.watch_until(
                 lambda sample: bool(sample.homed) and sample.target_reached,
-                homing_time_s(drive.limits),
+                homing_time_s(drive.limits, speeds),
                 "homing",
                 axis=axis,
                 look=look,
@@ -311,6 +339,28 @@ class Supervisor:
         sample = self.move_until(
             arrived, target_mm, speed_mm_s, what, axis=axis, started=started, slice_s=slice_s, look=look
         )
+        self._check_arrival(axis, sample, target_mm, within_mm)
+        return sample
+
+    @contextmanager
+    def moving_beside(
+        self, axis: WatchedAxis, target_mm: float, speed_mm_s: float, started: Callable[[], None]
+    ) -> Iterator[None]:
+        """Start a move of another axis, mm, and wait for its arrival at the end of the block, in which this one moves. An error in
+        the block stops both. Raises as `move`."""
+        what, found = f"the move to {target_mm:.4f}", axis.drive.sample()
+        travel_mm = abs(target_mm - found.position_load_mm)
+        timeout_s = _time_limit_s(axis.drive.limits, travel_mm, speed_mm_s)
+        order = partial(axis.drive.start_move, target_mm, speed_mm_s)
+        with self._ordered(axis, Motion(what, target_mm, speed_mm_s), order, found):
+            with self.stopping_on_error():
+                started()
+                yield
+            sample = self.watch_until(lambda now: now.target_reached, timeout_s, what, axis=axis)
+        self._check_arrival(axis, sample, target_mm, ARRIVED_WITHIN_MM)
+
+    def _check_arrival(self, axis: WatchedAxis, sample: DriveSample, target_mm: float, within_mm: float) -> None:
+        """Raises FollowingErrorError, with all axes stopped, for an arrival outside the tolerance."""
         if abs(sample.position_load_mm - target_mm) > within_mm:
             with self.stopping_on_error():
                 limited = ", its internal limit is active: a target beyond a software limit" if sample.limited else ""
@@ -318,7 +368,6 @@ class Supervisor:
                     f"drive {axis.drive.name} says it arrived, but is at {sample.position_load_mm:.4f} mm,"
                     f" expected {target_mm:.4f} mm{limited}"
                 )
-        return sample
 
     def move_until(
         self,
@@ -341,9 +390,7 @@ class Supervisor:
         drive = axis.drive
         found = drive.sample()
         if timeout_s is None:
-            travel_mm = abs(target_mm - found.position_load_mm)
-            expected_s = travel_mm / speed_mm_s + speed_mm_s / drive.limits.max_acceleration_mm_s2
-            timeout_s = LONGER_S + LONGER * expected_s
+            timeout_s = _time_limit_s(drive.limits, abs(target_mm - found.position_load_mm), speed_mm_s)
         motion = Motion(what, target_mm, speed_mm_s)
         with self._ordered(axis, motion, partial(drive.start_move, target_mm, speed_mm_s), found):
             with self.stopping_on_error():

@@ -47,6 +47,7 @@ class WatchedAxis:
 
     on_stop: called when the axis is stopped, as its rest position is not known then; on_readings: called with new readings
     saw_fault: the drive was in a fault since this was last set to False; motion: the motion under way, None at rest
+    kept_for: what the axis is kept enabled for beside others, in words; "" where it may be disabled
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class WatchedAxis:
         self.on_readings: Callable[[Sequence[Reading]], None] | None = None
         self.saw_fault = False
         self.motion: Motion | None = None
+        self.kept_for = ""
         self.looked_ns = 0
         self._stale_ns = round(stale_after_s * NS_PER_S)
         self._agreement = Agreement(agreement or AgreementLimits(), drive.limits.max_velocity_mm_s)
@@ -274,7 +276,7 @@ class WatchedAxis:
             if wrong is None and compared and not homing:
                 wrong = self._agreement.compare(reading, self._speed_mm_s)
             if wrong is not None:
-                raise self._lost(wrong)
+                raise self._lost(wrong, followed_ns=self._agreement.followed_ns)
         if readings:
             self._latest = readings[-1]
 
@@ -312,5 +314,5 @@ class WatchedAxis:
         if now_ns - newest_ns > self._stale_ns:
             raise self._lost(f"no reading for {(now_ns - newest_ns) / NS_PER_S:.2f} s")
 
-    def _lost(self, what: str) -> MeasurementLostError:
-        return MeasurementLostError(f"instrument {self.instrument_name}: {what}")
+    def _lost(self, what: str, *, followed_ns: int | None = None) -> MeasurementLostError:
+        return MeasurementLostError(f"instrument {self.instrument_name}: {what}", followed_ns=followed_ns)

@@ -6,13 +6,15 @@ All other modules of `hil` work against `ServoDrive` and `DistanceInstrument`, s
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
+from drivers.canopen.eds import load_eds
 from drivers.canopen.sdo_cost import table_bits
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import Clock, Waiting, WallClock
@@ -22,13 +24,15 @@ from drivers.errors import CapabilityError, InputError
 from drivers.instrument import DistanceInstrument
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.link import ModbusLink
+from drivers.modbus.map_facts import FactLedger
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.parameters import ModbusParameters
+from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis
-from hil.axis.zero import zero_keeper
+from hil.axis.zero import made_with_keeper, zero_keeper
 from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
@@ -36,8 +40,11 @@ from hil.machine.instruments import build_instrument, with_instrument
 from hil.machine.session import AxisSession
 from hil.machine.signals import ending_by_signals, stopped_by_signals
 from sim_backends.bench import Bench, BenchParameters, known_bench
-from sim_backends.canopen_in_turn import drives_in_turn
+from sim_backends.canopen_drive import CanOpenSlave
+from sim_backends.canopen_in_turn import DrivesInTurn, drives_in_turn
+from sim_backends.canopen_quirks import ProfiledSlave, machine_objects, profile_counts
 from sim_backends.clock import SimClock
+from sim_backends.drive_profiles import load_profile
 from sim_backends.machine import modbus_face
 from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.own_table import TableForm, known_table
@@ -194,16 +201,27 @@ def _bench_drive(axis: DriveAxis, bench: Bench, stack: ExitStack) -> ServoDrive:
     if face == "canopen":
         channel = f"bench-{uuid.uuid4().hex}"
         bus = stack.enter_context(drives_in_turn(clock, channel))
-        bus.add(
-            bench.servo,
-            axis.drive.node_id,
-            parameters=bench.parameters.objects,
-            table=bench_table(axis, bench),
-        )
+        add_bench_node(bus, axis, bench, axis.drive.node_id)
         links = Links({("virtual", channel): stack.enter_context(CanLink(bus.master(), clock))})
         return canopen_drive(axis, clock, ("virtual", channel), stack, links=links)
     endpoint = bench_modbus({axis.drive.unit: (axis, bench)}, clock, stack)
     return modbus_drive(axis, clock, endpoint, axis.drive.unit)
+
+
+def bench_node(axis: DriveAxis, bench: Bench) -> tuple[Mapping[tuple[int, int], int], Callable[..., CanOpenSlave]]:
+    """Factory settings of the bench's CANopen drive, and what makes it: the documented drive that the axis file names, else the
+    standard's."""
+    if not axis.drive.profile:
+        return bench.parameters.objects, CanOpenSlave
+    profile = load_profile(axis.drive.profile)
+    lead_m = bench.parameters.plant.screw.lead_mm / 1000.0
+    return machine_objects(profile, bench.parameters), partial(ProfiledSlave, profile=profile, lead_m=lead_m)
+
+
+def add_bench_node(bus: DrivesInTurn, axis: DriveAxis, bench: Bench, node_id: int) -> None:
+    """Put the bench's servo on a bus."""
+    parameters, make = bench_node(axis, bench)
+    bus.add(bench.servo, node_id, parameters=parameters, table=bench_table(axis, bench), make=make)
 
 
 def bench_modbus(units: Mapping[int, tuple[DriveAxis, Bench]], clock: SimClock, stack: ExitStack) -> Endpoint:
@@ -240,6 +258,10 @@ def canopen_drive(
         sample_timeout_s=config.sample_timeout_s,
         heartbeat_s=config.heartbeat_s,
         guard_s=config.guard_s,
+        velocity_unit=config.velocity_unit,
+        acceleration_unit=config.acceleration_unit,
+        modes=config.modes,
+        axis=config.axis,
         homing=HomingSettings(homing.method, homing.speed_switch_mm_s, homing.speed_zero_mm_s, homing.home_position_mm),
     )
     drive = stopped_by_signals(
@@ -251,6 +273,7 @@ def canopen_drive(
             link=shared.can[bus],
             node_id=config.node_id,
             settings=settings,
+            eds=None if config.eds is None else load_eds(config.eds, config.node_id),
             table=load_table_map(config.correction_table) if config.correction_table else None,
         )
     )
@@ -272,6 +295,9 @@ def modbus_drive(
             unit=unit,
             drive_map=load_drive_map(axis.drive.register_map),
             wear=WearLedger(axis.store.directory / "eeprom-writes.json"),
+            ledger=FactLedger(
+                axis.store.directory / "drive-facts.json", f"{endpoint} unit {unit}", find_map(axis.drive.register_map)
+            ),
         )
     )
     return _guarded(axis, drive)
@@ -331,6 +357,8 @@ def session_of(
     session.resume_within_s = axis.instrument.resume_within_s
     session.material = axis.instrument.material
     session.command_state.bound = axis.correction.bound
+    session.made_with = made_with_keeper(axis)
+    session.command_state.by_estimate = axis.lost_motion is not None and axis.lost_motion.travel_by == "estimate"
     session.zero = zero_keeper(axis)
     session.zero.guard(drive)
     return session
@@ -339,6 +367,9 @@ def session_of(
 def check_bench(axis: DriveAxis, parameters: BenchParameters) -> None:
     """Raises InputError for an axis file whose scaling or travel is not the bench's."""
     found: tuple[AxisScaling, DriveLimits] = (parameters.scaling, parameters.limits)
+    if axis.drive.profile:
+        counts = profile_counts(load_profile(axis.drive.profile), parameters)
+        found = (replace(found[0], encoder_counts_per_motor_rev=counts), found[1])
     if axis.scaling != found[0]:
         raise InputError(
             f"[scaling] does not describe the bench: expected encoder_counts_per_motor_rev ="

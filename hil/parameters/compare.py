@@ -9,7 +9,14 @@ from typing import Any
 
 from drivers.parameters import ParameterValue
 from drivers.raw_parameters import DriveIdentity, RawParameters, Steps, WireTime
-from hil.parameters.preflight import Objection, match_set, objections_to_identity
+from hil.parameters.preflight import (
+    Objection,
+    left_out,
+    match_set,
+    notes_of_file,
+    objections_to_file,
+    objections_to_identity,
+)
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.tasks import Progress, no_progress, run_together, serialized
 from hil.parameters.transaction import DriveJob, ended_in
@@ -51,6 +58,7 @@ class Comparison:
     cost: WireTime = field(default_factory=WireTime)
     answer_s: float = 0.0  # drive's own time for one answer, without the bus
     error: str = ""
+    notes: list[str] = field(default_factory=list)
 
     @property
     def same(self) -> bool:
@@ -63,6 +71,7 @@ class Comparison:
             "drive": self.drive.name,
             "good": self.same,
             "error": self.error,
+            "notes": self.notes,
             "objections": [vars(each) for each in self.objections],
             "parameters": [
                 {
@@ -105,6 +114,10 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
     comparison.objections += objections_to_identity(
         contents.identity, comparison.identity, any_version=comparison.any_version
     )
+    comparison.notes += [each.why for each in objections_to_file(drive, comparison.identity)]
+    omitted = left_out(drive, contents)
+    comparison.notes += [omitted] if omitted else []
+    comparison.notes += notes_of_file(drive)
     accesses = yield from drive.read([each.address for each in wanted], tell)
     comparison.job.latencies.note(comparison.job.latencies.read_s, accesses)
     differing: list[tuple[str, bytes]] = []

@@ -17,8 +17,19 @@ from functools import partial
 from drivers.drive import DriveState
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, LinkLostError, StateError
 from drivers.raw_parameters import DriveIdentity, RawParameters, Steps
+from hil.correction.store import BoundTables
 from hil.parameters.journal import Journal, Noted, Phase
-from hil.parameters.preflight import Objection, match_set, objection_to_state, objections_to_identity
+from hil.parameters.preflight import (
+    Objection,
+    left_out,
+    match_set,
+    notes_of_file,
+    notes_of_units,
+    objection_to_state,
+    objections_to_file,
+    objections_to_identity,
+    objections_to_reversal,
+)
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import Ask, audit
 from hil.parameters.set_file import ParameterSet
@@ -28,12 +39,19 @@ from hil.parameters.transaction import DriveJob, ended_in
 
 @dataclass
 class Target:
-    """One drive of a download: its set and its journal. any_version: a set of another revision or firmware is allowed."""
+    """One drive of a download: its set and its journal. any_version: a set of another revision or firmware is allowed.
+
+    other_eds: a maker's file of another vendor or product is allowed;
+    tables: what the axis's stored tables were made with, None where it has none; backlash: addresses of the drive's own compensation
+    """
 
     drive: RawParameters
     contents: ParameterSet
     journal: Journal
     any_version: bool = False
+    other_eds: bool = False
+    tables: BoundTables | None = None
+    backlash: Sequence[str] = ()
 
 
 @dataclass
@@ -109,6 +127,14 @@ def _look(work: _Download, store: bool) -> Steps[None]:
         work.after[each.address] = each.after
     work.identity = yield from drive.identify()
     work.objections += objections_to_identity(contents.identity, work.identity, any_version=work.target.any_version)
+    differing = objections_to_file(drive, work.identity)
+    if work.target.other_eds:
+        work.notes += [each.why for each in differing]
+    else:
+        work.objections += differing
+    omitted = left_out(drive, contents)
+    work.notes += [omitted] if omitted else []
+    work.notes += notes_of_file(drive)
     objection = objection_to_state((yield from drive.state()))
     if objection is not None:
         work.objections.append(objection)
@@ -117,6 +143,10 @@ def _look(work: _Download, store: bool) -> Steps[None]:
         if why is not None:
             work.objections.append(Objection("", "", why))
     yield from snapshot(work)
+    tables = work.target.tables
+    if tables is not None:
+        work.objections += objections_to_reversal(drive, tables, work.target.backlash, wanted, work.old)
+        work.notes += notes_of_units(drive, tables, wanted)
 
 
 def snapshot(work: DriveTask) -> Steps[None]:

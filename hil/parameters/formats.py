@@ -5,10 +5,14 @@ A DCF needs the maker's EDS. A concise DCF names neither drive nor parameters; t
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
-from drivers.canopen.eds import load_eds
+from drivers.canopen.eds import EdsFile, Key, load_eds
+from drivers.canopen.objects import DataType
+from drivers.canopen.pdo import EXISTS_NOT
+from drivers.canopen.whole_pdo import Block, pdo_at, pdo_of, wholes
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity, RawParameters
 from hil.parameters.preflight import match_set
@@ -24,33 +28,93 @@ def format_of(path: Path) -> str:
     return suffix if suffix in FORMATS else "toml"
 
 
-def read_any(path: str | Path) -> ParameterSet:
-    """Read a set of any form. Raises InputError naming the file."""
+def read_any(path: str | Path, node_id: int | None = None, *, pdos: bool = True) -> ParameterSet:
+    """Read a set of any form. node_id: the drive's, for $NODEID in a DCF, else the DCF's own; pdos: of a DCF or concise DCF, take each
+    PDO as a whole, else leave PDOs out.
+
+    Raises InputError naming the file; also for a DCF of another node whose PDOs carry that node's COB-IDs.
+    """
     path = Path(path)
     form = format_of(path)
     if form == "dcf":
-        return _read_dcf(path)
+        return _read_dcf(path, node_id, pdos)
     if form == "cdcf":
         with naming(path):
             objects = unpack_concise(read_bytes(path))
-        entries = tuple(SetEntry(object_address(*key), None, data.hex()) for key, data in objects)
-        return ParameterSet(path.name, None, entries, None, path)
+        # repeated in order (disabled, filled, enabled): what a device holds at the end is its last value
+        last = {key: SetEntry(object_address(*key), None, data.hex()) for key, data in _in_last_order(objects).items()}
+        return ParameterSet(path.name, None, _with_pdos(last, objects, pdos), None, path, foreign=True)
     return read_set(path)
 
 
-def _read_dcf(path: Path) -> ParameterSet:
+def _in_last_order(objects: Sequence[tuple[Key, bytes]]) -> dict[Key, bytes]:
+    """Each object once, in the place and with the value of its last occurrence."""
+    last: dict[Key, bytes] = {}
+    for key, data in objects:
+        last.pop(key, None)
+        last[key] = data
+    return last
+
+
+def _with_pdos(
+    entries: Mapping[Key, SetEntry], objects: Sequence[tuple[Key, bytes]], pdos: bool
+) -> tuple[SetEntry, ...]:
+    """The entries with those of each PDO taken together at the end. pdos False: as they are, so that they are left out and listed."""
+    if not pdos:
+        return tuple(entries.values())
+    found = wholes(objects)
+    singles = [entry for key, entry in entries.items() if pdo_of(key[0]) is None]
+    together = [SetEntry(pdo.address, None, block.pack().hex(), "PDO", "", pdo.name) for pdo, block in found.items()]
+    return (*singles, *together)
+
+
+def _read_dcf(path: Path, node_id: int | None, pdos: bool) -> ParameterSet:
     """The set of a DCF: objects with a ParameterValue. Raises InputError for a DCF without any."""
-    dcf = load_eds(path)
-    entries = tuple(
-        SetEntry(object_address(*key), found.value, None, found.entry.type.name, "", found.entry.name)
-        for key, found in sorted(dcf.entries.items())
-        if found.value is not None and found.writable
-    )
-    if not entries:
+    dcf = load_eds(path, node_id)
+    found = {key: each for key, each in sorted(dcf.entries.items()) if each.value is not None and each.writable}
+    if not found:
         raise InputError("configures nothing, expected objects with a ParameterValue", path=path)
-    given = {"vendor_id": dcf.vendor_number, "product_code": dcf.product_number}
-    model = {name: value for name, value in given.items() if value is not None}
-    return ParameterSet(path.name, DriveIdentity("canopen", model), entries, None, path)
+    entries = {
+        key: SetEntry(
+            object_address(*key),
+            each.value.hex() if isinstance(each.value, bytes) else each.value,
+            None,
+            each.entry.type.name,
+            "",
+            each.entry.name,
+        )
+        for key, each in found.items()
+    }
+    objects = [
+        (key, each.entry.pack(each.value))
+        for key, each in found.items()
+        if pdo_of(key[0]) is not None and each.value is not None and each.entry.type is not DataType.DOMAIN
+    ]
+    if pdos:
+        _refuse_pdos_of_another_node(dcf, objects, node_id, path)
+    given = {
+        "vendor_id": dcf.vendor_number or next(iter(dcf.vendors()), 0),
+        "product_code": dcf.product_number or next(iter(dcf.products()), 0),
+    }
+    model = {name: value for name, value in given.items() if value}
+    identity = DriveIdentity("canopen", model)
+    return ParameterSet(path.name, identity, _with_pdos(entries, objects, pdos), None, path, foreign=True)
+
+
+def _refuse_pdos_of_another_node(
+    dcf: EdsFile, objects: Sequence[tuple[Key, bytes]], node_id: int | None, path: Path
+) -> None:
+    """Raises InputError where the DCF is of another node, and a PDO in use carries a COB-ID of that node's predefined set."""
+    if node_id is None or dcf.node_id in (None, node_id):
+        return
+    for pdo, block in wholes(objects).items():
+        cob_id = block.cob_id
+        if cob_id is not None and not cob_id & EXISTS_NOT and cob_id & 0x7F == dcf.node_id:
+            raise InputError(
+                f"is of node {dcf.node_id}, and its {pdo.name} has the COB-ID {cob_id & 0x7FF:03X}h of that node; this drive is"
+                f" node {node_id}: --without-pdos leaves the PDOs out",
+                path=path,
+            )
 
 
 def write_any(path: Path, contents: ParameterSet, drive: RawParameters, form: str | None, eds: Path | None) -> None:
@@ -65,8 +129,11 @@ def write_any(path: Path, contents: ParameterSet, drive: RawParameters, form: st
     wanted, objections = match_set(drive, contents)
     if objections and any(objection.address not in drive.entries for objection in objections):
         raise InputError(f"cannot be written as {form}: {objections[0]}", path=path)
-    values = []
+    values: list[tuple[Key, bytes]] = []
     for each in wanted:
+        if pdo_at(each.address) is not None:
+            values += Block.unpack(each.data).items
+            continue
         key = object_key(each.address)
         if key is None:
             raise InputError(f"cannot be written as {form}: {each.address} is no CANopen object", path=path)
@@ -76,4 +143,5 @@ def write_any(path: Path, contents: ParameterSet, drive: RawParameters, form: st
         return
     if eds is None:
         raise InputError("cannot be written as DCF: the axis file names no eds", path=path)
-    replace_file(path, render_dcf(eds, values, getattr(drive, "node_id", None)).encode())
+    model = {} if contents.identity is None else contents.identity.model
+    replace_file(path, render_dcf(eds, values, getattr(drive, "node_id", None), model=model).encode())

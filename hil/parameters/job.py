@@ -17,7 +17,9 @@ from drivers.errors import InputError, StateError
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Plan, Write
 from hil.axis.axis_file import DriveAxis
+from hil.axis.backlash import object_key
 from hil.correction.sealed import check_detached, load_public_key
+from hil.correction.store import bound_tables
 from hil.machine.events import Event
 from hil.parameters.compare import Comparison, compare
 from hil.parameters.download import Target, download
@@ -26,7 +28,7 @@ from hil.parameters.journal import Download, Journal
 from hil.parameters.recover import Unfinished, recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import Ask
-from hil.parameters.set_file import FORMAT, ParameterSet
+from hil.parameters.set_file import FORMAT, ParameterSet, object_address
 from hil.parameters.snapshot import Backup, back_up
 from hil.parameters.tasks import Progress, no_progress
 from hil.parameters.wiring import connected_parameters, journal_of
@@ -38,13 +40,13 @@ RESUME, ROLLBACK = "parameters resume", "parameters rollback"
 
 
 # -- sets ----------------------------------------------------------------------------------------------------------------
-def load_set(path: str | Path, axis: DriveAxis, *, signed: bool = False) -> ParameterSet:
-    """Read a set; a signature beside it is checked. signed: there must be one.
+def load_set(path: str | Path, axis: DriveAxis, *, signed: bool = False, pdos: bool = True) -> ParameterSet:
+    """Read a set; a signature beside it is checked. signed: there must be one; pdos: as for `read_any`.
 
     Raises InputError for a wrong file or a missing signature, SealedError for a wrong signature.
     """
     check_signature(Path(path), axis, demanded=signed)
-    return read_any(path)
+    return read_any(path, axis.drive.node_id if axis.drive.backend != "modbus" else None, pdos=pdos)
 
 
 def check_signature(path: Path, axis: DriveAxis, *, demanded: bool) -> None:
@@ -123,16 +125,25 @@ def write_axes(
     store: bool = False,
     ask: Ask | None = None,
     any_version: bool = False,
+    other_eds: bool = False,
     progress: Progress = no_progress,
     waiting: Waiting | None = None,
 ) -> list[JobReport]:
-    """Write each drive's set, all or nothing over all of them. store, ask: as for `download`. Raises as `download`, and connecting."""
+    """Write each drive's set, all or nothing over all of them. store, ask: as for `download`; any_version, other_eds: as for `Target`.
+    Raises as `download`, and connecting."""
     with connected_parameters(axes, waiting) as drives:
         targets = [
-            Target(drive, contents, journal_of(axis), any_version)
+            Target(drive, contents, journal_of(axis), any_version, other_eds, bound_tables(axis), _backlash_of(axis))
             for drive, contents, axis in zip(drives, sets, axes, strict=True)
         ]
         return download(targets, store=store, ask=ask, progress=progress)
+
+
+def _backlash_of(axis: DriveAxis) -> tuple[str, ...]:
+    """Addresses of the drive's own backlash compensation, as the axis file names it."""
+    named = () if axis.backlash is None else (axis.backlash.parameter, axis.backlash.acceleration)
+    keys = {name: object_key(name) for name in named if name is not None}
+    return tuple(name if key is None else object_address(*key) for name, key in keys.items())
 
 
 def recover_axes(

@@ -62,7 +62,8 @@ def _draw_interrupted(view: View, stored: Reading[Stored]) -> Refresh:
 
     def refresh() -> None:
         cut_off, job = None if stored.value is None else stored.value.cut_off, view.desk.job()
-        box.set_visibility(cut_off is not None and not (job is not None and job.running))
+        # What a running download has in its journal is not cut off: only what is read once it is over counts.
+        box.set_visibility(cut_off is not None and stored.current and not (job is not None and job.running))
         if cut_off is not None:
             note.set_text(view.t("parameters.unfinished", name=cut_off.set_name, began=cut_off.began))
         for button in (finish, take_back):

@@ -9,10 +9,14 @@ from drivers.drive import DriveState
 from drivers.errors import InputError, ProtocolError
 from drivers.parameters import ParameterKind
 from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters
+from hil.correction.store import BoundTables
 from hil.parameters.set_file import ParameterSet, SetEntry
+from hil.records.made_with import same
 
-WITHOUT_POWER = (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
+WITHOUT_POWER = (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
 """States in which parameters are written."""
+_NAMED = 4
+"""Number of addresses named of each kind that is left out."""
 _AGREES = 1e-6
 """Relative tolerance between an entry's value and its raw form."""
 
@@ -47,11 +51,20 @@ class Wanted:
 
 
 def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted], list[Objection]]:
-    """The set as the drive's bytes, and objections: missing, wrong type, out of limits, read-only, moves the axis."""
+    """The set as the drive's bytes, and objections: missing, wrong type, out of limits, read-only, moves the axis.
+
+    What is no parameter is an objection in a set of this program, and left out of one of a commissioning tool.
+    """
     wanted: list[Wanted] = []
     objections: list[Objection] = []
+    missing: list[str] = []
     for entry in contents.entries:
         parameter = drive.find(entry.address)
+        if contents.foreign and parameter is not None and parameter.refusal is not None:
+            continue  # `left_out` lists it
+        if parameter is None and contents.foreign:
+            missing.append(entry.address)
+            continue
         if parameter is None:
             objections.append(
                 Objection(entry.address, entry.name, "the drive's file has no such parameter", entry.line)
@@ -69,7 +82,37 @@ def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted
         if why is not None:
             objections.append(Objection(entry.address, parameter.info.name, why, entry.line))
         wanted.append(Wanted(parameter, data, entry.after))
+    if missing:
+        what = f"{len(missing)} objects of the set are not in the drive's file ({_listed(missing)})"
+        objections.append(Objection("", "", f"{what}: expected the axis file's eds to have them"))
     return wanted, objections
+
+
+def _listed(addresses: Sequence[str]) -> str:
+    return ", ".join(addresses[:_NAMED]) + (", …" if len(addresses) > _NAMED else "")
+
+
+def left_out(drive: RawParameters, contents: ParameterSet) -> str:
+    """What of a commissioning tool's set is no parameter and never written, by kind in one line; "" for nothing."""
+    if not contents.foreign:
+        return ""
+    kinds: dict[str, list[str]] = {}
+    for entry in contents.entries:
+        parameter = drive.find(entry.address)
+        if parameter is not None and parameter.refusal is not None:
+            kinds.setdefault(parameter.kind, []).append(entry.address)
+    listed = [f"{kind}: {len(found)} ({_listed(found)})" for kind, found in sorted(kinds.items())]
+    return f"left out are {'; '.join(listed)}" if listed else ""
+
+
+def notes_of_file(drive: RawParameters) -> list[str]:
+    """The deviations that were accepted in a drive's maker's file, by kind; empty without a file."""
+    return [f"the maker's file: {note}" for note in drive.file_notes]
+
+
+def objections_to_file(drive: RawParameters, found: DriveIdentity) -> list[Objection]:
+    """Objections to the maker's file of a drive: it is of another vendor or product than the drive reports."""
+    return [Objection("", "", why) for why in drive.doubts_of_file(found)]
 
 
 def data_of(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> bytes:
@@ -150,3 +193,51 @@ def objection_to_state(state: DriveState) -> Objection | None:
     if state in WITHOUT_POWER:
         return None
     return Objection("", "", f"the drive is {state.value}: parameters are written while it is disabled")
+
+
+# -- the tables that the bridge applies --------------------------------------------------------------------------------
+def objections_to_reversal(
+    drive: RawParameters,
+    tables: BoundTables,
+    backlash: Sequence[str],
+    wanted: Sequence[Wanted],
+    old: Mapping[str, bytes],
+) -> list[Objection]:
+    """Objections to another amount of the drive's own backlash compensation than tables that take the reversal out were made with.
+
+    backlash: its addresses by the axis file, which count where the tables state none; old: what the drive holds
+    """
+    if tables.corrects_reversal is False:
+        return []
+    made_with = {} if tables.made_with is None else tables.made_with.backlash
+    objections = []
+    for each in wanted:
+        if each.address not in made_with and each.address not in backlash:
+            continue
+        present = None if each.address not in old else drive.decode(each.parameter, old[each.address])
+        was, value = made_with.get(each.address, present), drive.decode(each.parameter, each.data)
+        if isinstance(was, int | float) and isinstance(value, int | float) and not same(was, value):
+            objections.append(
+                Objection(
+                    each.address,
+                    each.parameter.info.name,
+                    f"would be {value:g}, the stored tables of axis {tables.axis} were made with {was:g} and would take the reversal"
+                    " out a second time; leave it out of the set, or take the tables out of force first (hil calibrate --withdraw) and"
+                    " calibrate anew",
+                )
+            )
+    return objections
+
+
+def notes_of_units(drive: RawParameters, tables: BoundTables, wanted: Sequence[Wanted]) -> list[str]:
+    """That the stored tables do not hold with the units of a set, one line each."""
+    units = {} if tables.made_with is None else tables.made_with.units
+    notes = []
+    for each in wanted:
+        value, was = drive.decode(each.parameter, each.data), units.get(each.address)
+        if was is not None and isinstance(value, int | float) and not same(was, value):
+            notes.append(
+                f"{each.address} {each.parameter.info.name}: the stored tables of axis {tables.axis} were made with {was:g} and are"
+                f" refused with {value:g}: calibrate anew"
+            )
+    return notes

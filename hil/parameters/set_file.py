@@ -60,6 +60,7 @@ class SetEntry:
 class ParameterSet:
     """A set. identity: None where the file names none (a concise DCF); hash: None where the file has none.
 
+    foreign: written by a commissioning tool, with commands, targets and volatile values among the parameters, which are left out.
     Raises InputError for an address that occurs twice.
     """
 
@@ -68,6 +69,7 @@ class ParameterSet:
     entries: tuple[SetEntry, ...]
     hash: str | None = None
     path: Path | None = field(default=None, compare=False)
+    foreign: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         seen: dict[str, SetEntry] = {}

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from drivers.errors import BridgeError, TransportError
 from drivers.parameters import ParameterKind
 from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, Steps
+from hil.parameters.preflight import notes_of_file, objections_to_file
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.tasks import Progress, no_progress, run_together, serialized
 from hil.parameters.transaction import DriveJob, ended_in
@@ -23,6 +24,7 @@ class Backup:
     contents: ParameterSet | None = None
     unreadable: dict[str, str] | None = None
     error: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def back_up(
@@ -53,6 +55,7 @@ def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> St
         progress("read", drive.name, done, len(wanted))
 
     identity = yield from drive.identify()
+    backup.notes = (*(each.why for each in objections_to_file(drive, identity)), *notes_of_file(drive))
     starts = drive.restarts
     accesses = yield from drive.read([entry.address for entry in wanted], tell)
     backup.job.latencies.note(backup.job.latencies.read_s, accesses)

@@ -22,7 +22,7 @@ from drivers.modbus.wire import Endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis, modbus_endpoint
-from hil.machine.wiring import bench_parameters
+from hil.machine.wiring import bench_node, bench_parameters
 from hil.parameters.journal import Journal
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import attach_to_wire
@@ -106,7 +106,8 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
     if axis.drive.backend == "bench" and axis.drive.face == "canopen":
         bench = stack.enter_context(_bench(axis, lines.waiting))
         wire = SimWire(bench.clock, axis.drive.bitrate)  # waiting for an answer lets the bench's time pass
-        attach_to_wire(wire, bench.servo, axis.drive.node_id, parameters=bench.parameters.objects)
+        parameters, make = bench_node(axis, bench)
+        attach_to_wire(wire, bench.servo, axis.drive.node_id, parameters=parameters, make=make)
         bus = ("bench", axis.name)
         lines.can[bus] = CanLine(stack.enter_context(CanLink(wire.port(), bench.clock)))
         bench.clock.sleep_s(_BOOT_S)

@@ -17,15 +17,22 @@ from hil.app.terminal.progress import terminal_progress
 from hil.machine.events import Listener
 from hil.probe import job as probe
 from hil.probe.machine_file import MODES, ProbeMachineConfig, load_probe_machine
-from hil.probe.procedure import BoreCentre, Correction, RunOutMeasurement, on_schedule
+from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasurement, on_schedule, ways
 from hil.probe.runout import CorrectionCode, RunOut
 from hil.probe.store import RunOutStore
+from hil.probe.wiring import before_feature
 from hil.records.files import replace_file
-from sim_backends.plant.touch_probe import Bore
+from sim_backends.plant.touch_probe import Bore, Boss, Solid, Wall
 from sim_backends.probe_bench import ProbeBench
 
 
-def print_measured(measured: RunOutMeasurement, refusal: str | None, path: Path, bench: ProbeBench | None) -> None:
+def print_measured(
+    config: ProbeMachineConfig,
+    measured: RunOutMeasurement,
+    refusal: str | None,
+    path: Path,
+    bench: ProbeBench | None,
+) -> None:
     """Prints the contacts, the run-out and the verdict."""
     rows = [
         [
@@ -38,6 +45,7 @@ def print_measured(measured: RunOutMeasurement, refusal: str | None, path: Path,
     print_table(["turn", "N0, mm", "N90, mm", "N180, mm", "N270, mm", "closure, µm"], rows)
     facts = {
         "run-out": run_out_text(measured.run_out),
+        "z": approach_text(config, config.block.z_mm),
         "machine time": f"{measured.seconds:.1f} s, by {measured.mode}",
     }
     if bench is not None:
@@ -75,6 +83,7 @@ def print_measure_plan(config: ProbeMachineConfig, mode: str) -> None:
     if block.y_mm is not None:
         print(f"would move y to {block.y_mm:g} mm")
     print(f"would move x to {block.start_mm:g} mm at {probe.position_mm_s:g} mm/s")
+    print(f"z: {approach_text(config, block.z_mm)}")
     print(
         f"would feed x by up to {block.search_mm:g} mm in {sign} direction at {probe.touch_mm_s:g} mm/s, contact by {by}, and back"
     )
@@ -82,32 +91,45 @@ def print_measure_plan(config: ProbeMachineConfig, mode: str) -> None:
     print(f"would write {config.store.directory}")
 
 
-def print_centre(found: BoreCentre, bench: ProbeBench | None) -> None:
+def approach_text(config: ProbeMachineConfig, z_mm: float | None) -> str:
+    """How Z gets to the height of a measurement."""
+    heights_mm = config.heights_mm(z_mm)
+    if heights_mm is None:
+        return "the operator's: not moved, as [machine] names no z axis; the ball has to be at the right height already"
+    return f"at {heights_mm[0]:g} mm on the way, lowered to {heights_mm[1]:g} mm to measure"
+
+
+def print_centre(config: ProbeMachineConfig, found: BoreCentre, bench: ProbeBench | None) -> None:
     """Prints a bore's centre and the correction made."""
     centring = found.centring
     facts = {
         "half the travel": f"X {centring.middle_mm[0]:.4f} mm, Y {centring.middle_mm[1]:.4f} mm",
         "centre": f"X {centring.centre_mm[0]:.4f} mm, Y {centring.centre_mm[1]:.4f} mm",
         "diameter": f"{centring.diameter_mm:.4f} mm",
+        "z": approach_text(config, config.require_bore().z_mm),
     }
     for solid in () if bench is None else bench.probe.parameters.solids:
         if isinstance(solid, Bore):
             facts["simulated"] = f"centre X {solid.point_mm[0]:.4f} mm, Y {solid.point_mm[1]:.4f} mm"
-    print_facts({**facts, **correction_facts(found.correction)})
+    print_facts({**facts, **correction_facts(config, found.correction)})
 
 
-def correction_facts(done: Correction) -> dict[str, str]:
+def correction_facts(config: ProbeMachineConfig, done: Correction) -> dict[str, str]:
     """A correction as label -> text."""
     (x_um, y_um), (left_x, left_y) = ([1000 * mm for mm in pair] for pair in (done.driven_mm, done.counter_mm))
     return {
-        done.code.value: f"driven by X {x_um:+.2f} µm, Y {y_um:+.2f} µm",
+        config.codes.name(done.code): f"driven by X {x_um:+.2f} µm, Y {y_um:+.2f} µm",
         "counter": f"ends at X {left_x:+.2f} µm, Y {left_y:+.2f} µm",
     }
 
 
-def correction_form(done: Correction) -> dict[str, Any]:
+def correction_form(config: ProbeMachineConfig, done: Correction) -> dict[str, Any]:
     """A correction as plain values, mm."""
-    return {"code": done.code.value, "driven_mm": list(done.driven_mm), "counter_mm": list(done.counter_mm)}
+    return {
+        "code": config.codes.name(done.code),
+        "driven_mm": list(done.driven_mm),
+        "counter_mm": list(done.counter_mm),
+    }
 
 
 EXAMPLE = """\
@@ -118,12 +140,21 @@ example:
   hil probe measure mill.toml --every 30             again every 30 minutes, until interrupted
   hil probe correct mill.toml --code M91             move X by the run-out in force (M92: Y, M93: both)
   hil probe centre mill.toml                         touch a bore on both sides in X and Y, go to its centre
+  hil probe face mill.toml --spindle 30              where a face is; also: boss, reference, angle
+  hil probe codes mill.toml                          do so when the control asks for it by its M codes
 
-Jog the probe in front of the block (or into the bore) first: Z is not moved. hil/examples/probe_machine.toml shows a machine file.
+Where [machine] names no z axis, Z is the operator's: jog the probe to the height of block, bore or face first.
+hil/examples/probe_machine.toml shows a machine file.
 Exit status 1: the measurement was refused, as the contacts do not close, do not repeat, or give another radius; nothing was stored.
 """
-CODES = tuple(code.value for code in CorrectionCode)
+CODES = "M91: correct X, M92: Y, M93: both, unless [codes] of the machine file says otherwise"
 SECONDS_PER_MINUTE = 60.0
+OTHERS = (
+    ("face", "where a single face is"),
+    ("angle", "the angle of a face"),
+    ("boss", "middle and widths of a boss"),
+    ("reference", "a reference position, where two faces meet"),
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -136,15 +167,28 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
     measure = _add_job(jobs, "measure", "M90: run-out and tip radius, from contacts at 0, 90, 180 and 270°", _measure)
-    measure.add_argument("--every", metavar="MINUTES", type=_minutes, help="again at this interval, until interrupted")
+    measure.add_argument("--every", metavar="MINUTES", type=_duration, help="again at this interval, until interrupted")
     measure.add_argument("--times", metavar="N", type=_count, help="with --every: number of measurements")
     measure.add_argument("--report", metavar="FILE.html", help="also write a report")
     correct_ = _add_job(jobs, "correct", "M91, M92, M93: drive the axes by the run-out in force", _correct)
-    correct_.add_argument("--code", choices=CODES, required=True, help="M91: X, M92: Y, M93: both")
+    correct_.add_argument("--code", metavar="M91|M92|M93", required=True, help=CODES)
     centre = _add_job(jobs, "centre", "find a bore's centre, corrected by the run-out in force, and go there", _centre)
-    centre.add_argument("--code", choices=CODES, default="M93", help="M91: correct X, M92: Y, M93: both (default M93)")
+    centre.add_argument("--code", metavar="M91|M92|M93", help=f"{CODES} (default: both)")
     centre.add_argument("--report", metavar="FILE.html", help="also write a report")
-    for touching in (measure, centre):
+    others = [
+        _add_job(jobs, name, f"measure {what}, corrected by the run-out in force", _other) for name, what in OTHERS
+    ]
+    for (name, _), other in zip(OTHERS, others, strict=True):
+        other.set_defaults(feature=name)
+        other.add_argument(
+            "--spindle", metavar="DEGREES", type=float, help="turn the spindle there before (default: as it is)"
+        )
+    codes = _add_job(jobs, "codes", "wait for a control's M codes, do what they ask for, answer with MFIN", _codes)
+    codes.add_argument(
+        "--times", metavar="N", type=_count, help="number of codes to handle (default: until interrupted)"
+    )
+    codes.add_argument("--wait", metavar="SECONDS", type=_duration, help="longest wait for a code (default: no limit)")
+    for touching in (measure, centre, codes, *others):
         touching.add_argument(
             "--mode", choices=MODES, help="contacts by latch or by steps (default: the machine file's)"
         )
@@ -173,14 +217,14 @@ def _add_job(
     return parser
 
 
-def _minutes(text: str) -> float:
+def _duration(text: str) -> float:
     try:
-        minutes = float(text)
+        duration = float(text)
     except ValueError:
-        minutes = math.nan
-    if not 0 < minutes <= 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected minutes > 0")
-    return minutes
+        duration = math.nan
+    if not 0 < duration <= 1e6:
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
+    return duration
 
 
 def _count(text: str) -> int:
@@ -227,7 +271,7 @@ def _measure(args: argparse.Namespace) -> int:
 def _measure_once(args: argparse.Namespace, place: probe.ProbePlace, listener: Listener) -> str | None:
     found = probe.measure(place, args.mode, listener)
     measured, refusal = found.measurement, found.refusal
-    print_measured(measured, refusal, place.store.path, place.bench)
+    print_measured(place.config, measured, refusal, place.store.path, place.bench)
     if args.report:
         from hil.probe.documents import run_out_report  # noqa: PLC0415  (plots are slow to import)
 
@@ -239,10 +283,95 @@ def _measure_once(args: argparse.Namespace, place: probe.ProbePlace, listener: L
     return refusal
 
 
+# -- other measurements --------------------------------------------------------------------------------------------------
+def _other(args: argparse.Namespace) -> int:
+    config, name = load_probe_machine(args.machine), args.feature
+    feature = config.require_feature(name)
+    store = _open_store(args, config, writing=False)
+    known, when = store.load()
+    height = approach_text(config, feature.z_mm)
+    if args.dry_run:
+        x_mm, y_mm = before_feature(feature)
+        print(f"machine {config.name}: would move x to {x_mm:g} mm and y to {y_mm:g} mm")
+        print(f"z: {height}")
+        print(f"would feed by up to {feature.search_mm:g} mm, {len(ways(feature))} contacts")
+        return 0
+    with probe.at_machine(config, store, feature=name) as place, terminal_progress() as listener:
+        found = probe.measure_other(place, known, name, spindle_deg=args.spindle, mode=args.mode, listener=listener)
+    rows = [[key, _shown(key, value), _shown(key, found.uncorrected[key])] for key, value in found.corrected.items()]
+    print_table([name, "corrected", "as if it ran true"], rows)
+    facts = {"spindle": f"{found.spindle_deg:.2f}°", "run-out": f"{run_out_text(known)}, measured {when}", "z": height}
+    if place.bench is not None:
+        facts["simulated"] = "; ".join(map(_solid_text, place.bench.probe.parameters.solids))
+    print_facts(facts)
+    if args.json:
+        touches = [{"axis": one.axis, "direction": one.direction, "at_mm": list(one.at_mm)} for one in found.touches]
+        form = {"machine": config.name, "feature": name, "measured": when, "spindle_deg": found.spindle_deg}
+        results = {"corrected": dict(found.corrected), "uncorrected": dict(found.uncorrected)}
+        write_json(args.json, {**form, **results, "contacts": touches})
+    return 0
+
+
+def _solid_text(solid: Solid) -> str:
+    """What the simulated probe touched."""
+    if isinstance(solid, Wall):
+        tilt_deg = (solid.bearing_deg + 45.0) % 90.0 - 45.0
+        return f"face through X {solid.point_mm[0]:.4f} mm, Y {solid.point_mm[1]:.4f} mm at {tilt_deg:.5f}°"
+    if isinstance(solid, Boss):
+        x_mm, y_mm, _ = solid.point_mm
+        return f"middle X {x_mm:.4f} mm, Y {y_mm:.4f} mm, diameter {2.0 * solid.radius_mm:.4f} mm"
+    return str(solid)
+
+
+def _shown(name: str, value: float) -> str:
+    return f"{value:+.2f}" if name.endswith("_um") else f"{value:.5f}" if name.endswith("_deg") else f"{value:.4f}"
+
+
+# -- codes ---------------------------------------------------------------------------------------------------------------
+def _codes(args: argparse.Namespace) -> int:
+    config = load_probe_machine(args.machine)
+    config.require_codes()
+    if args.dry_run:
+        print_codes(config)
+        return 0
+    store = _open_store(args, config, writing=True)
+    forms: list[dict[str, Any]] = []
+
+    def keep(handled: HandledCode) -> None:
+        did = handled.did
+        if isinstance(did, Correction):
+            said = correction_facts(config, did)[handled.name]
+            forms.append(correction_form(config, did))
+        else:
+            said = f"run-out {run_out_text(did.run_out)}, in force"
+            forms.append({"code": handled.name, **measured_form(config, did, None)})
+        print(f"{handled.name}: {said}; MFIN given", flush=True)
+        if args.json:
+            write_json(args.json, {"machine": config.name, "handled": forms})
+
+    print_codes(config)
+    with probe.at_machine(config, store, in_bore=False) as place, terminal_progress() as listener:
+        probe.serve(place, times=args.times, wait_s=args.wait, mode=args.mode, keep=keep, listener=listener)
+    return 0
+
+
+def print_codes(config: ProbeMachineConfig) -> None:
+    """Prints the meaning of each code, and the wires."""
+    codes = config.codes
+    x, y, both = (codes.name(code) for code in CorrectionCode)
+    strobe = "the code's line itself" if codes.strobe_bit is None else f"input {codes.strobe_bit}"
+    where = f"{config.axes[config.require_codes()].name}" + (
+        "" if codes.station is None else f"'s bus, module {codes.station}"
+    )
+    print(f"M{codes.measure} measures, {x} corrects X, {y} Y, {both} both")
+    bits = ", ".join(map(str, codes.code_bits))
+    print(f"wires at {where}: strobe {strobe}, code on inputs {bits} ({codes.coding}), MFIN output {codes.mfin_bit}")
+
+
 # -- correct and centre --------------------------------------------------------------------------------------------------
 def _correct(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
-    code = CorrectionCode(args.code)
+    code = config.codes.correction(args.code)
     store = _open_store(args, config, writing=False)
     known, when = store.load()
     if args.dry_run:
@@ -254,26 +383,29 @@ def _correct(args: argparse.Namespace) -> int:
         return 0
     with probe.at_machine(config, store) as place, terminal_progress() as listener:
         done = probe.drive_correction(place, known, code, listener)
-    print_facts({"run-out": f"{run_out_text(known)}, measured {when}", **correction_facts(done)})
+    print_facts({"run-out": f"{run_out_text(known)}, measured {when}", **correction_facts(config, done)})
     if args.json:
-        write_json(args.json, {"machine": config.name, "measured": when, **correction_form(done)})
+        write_json(args.json, {"machine": config.name, "measured": when, **correction_form(config, done)})
     return 0
 
 
 def _centre(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
     bore = config.require_bore()
+    code = CorrectionCode.M93 if args.code is None else config.codes.correction(args.code)
     store = _open_store(args, config, writing=False)
     known, when = store.load()
     if args.dry_run:
         print(f"machine {config.name}: would move x to {bore.x_mm:g} mm and y to {bore.y_mm:g} mm")
+        print(f"z: {approach_text(config, bore.z_mm)}")
+        corrected = config.codes.name(code)
         print(
-            f"would feed each by up to {bore.reach_mm:g} mm to both sides, and go to the middle, corrected by {args.code}"
+            f"would feed each by up to {bore.reach_mm:g} mm to both sides, and go to the middle, corrected by {corrected}"
         )
         return 0
     with probe.at_machine(config, store) as place, terminal_progress() as listener:
-        found = probe.centre(place, known, CorrectionCode(args.code), mode=args.mode, listener=listener)
-    print_centre(found, place.bench)
+        found = probe.centre(place, known, code, mode=args.mode, listener=listener)
+    print_centre(config, found, place.bench)
     if args.report:
         from hil.probe.documents import centre_report  # noqa: PLC0415
 
@@ -287,5 +419,5 @@ def _centre(args: argparse.Namespace) -> int:
             "centre_mm": list(centring.centre_mm),
             "diameter_mm": centring.diameter_mm,
         }
-        write_json(args.json, {**form, **correction_form(found.correction)})
+        write_json(args.json, {**form, **correction_form(config, found.correction)})
     return 0

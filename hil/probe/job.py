@@ -19,19 +19,24 @@ from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.procedure import (
     BoreCentre,
     Correction,
+    FeatureMeasurement,
+    HandledCode,
     RunOutMeasurement,
     centre_bore,
     correct,
     measure_and_store,
+    measure_feature,
+    serve_codes,
+    ways,
 )
 from hil.probe.runout import ANGLES_DEG, CorrectionCode, RunOut
 from hil.probe.session import ProbeSession
 from hil.probe.store import RunOutStore, Seal
-from hil.probe.wiring import probe_bench, probe_drives, probe_session
+from hil.probe.wiring import control_wires, probe_bench, probe_drives, probe_session
 from hil.records.rows import UM_PER_MM
 from sim_backends.probe_bench import ProbeBench
 
-MEASURE, CORRECT, CENTRE = "probe measure", "probe correct", "probe centre"
+MEASURE, CORRECT, CENTRE, OTHER = "probe measure", "probe correct", "probe centre", "probe other"
 
 Ask = Callable[[], str]
 OnConnected = Callable[[ProbeSession], None]
@@ -50,7 +55,10 @@ def opened_store(config: ProbeMachineConfig, reading: Ask, key: Ask | None = Non
     private = None if key is None else load_private_key(place.builder_key, key())
     password = reading()
     public = load_public_key(place.builder_public) if private is None else private.public_key()
-    return RunOutStore(place.directory, config.name, Seal(password, public, private))
+    store = RunOutStore(place.directory, config.name, Seal(password, public, private))
+    if private is not None:
+        store.check_password()  # now, not after the measurement
+    return store
 
 
 # -- the machine -----------------------------------------------------------------------------------------------------------
@@ -93,14 +101,19 @@ def _date() -> datetime:
 
 @contextmanager
 def at_machine(
-    config: ProbeMachineConfig, store: RunOutStore, *, in_bore: bool = True, waiting: Waiting | None = None
+    config: ProbeMachineConfig,
+    store: RunOutStore,
+    *,
+    in_bore: bool = True,
+    feature: str | None = None,
+    waiting: Waiting | None = None,
 ) -> Iterator[ProbePlace]:
-    """The machine of a machine file. in_bore: on the bench, start with the probe in the bore, if there is one."""
+    """The machine of a machine file. On the bench it starts before a feature, or in the bore, if there is one and in_bore."""
     if not config.on_bench:
         yield ProbePlace(config, store, None, {}, _date(), waiting)
         return
     begun = _date()
-    bench = probe_bench(config, in_bore=in_bore and config.bore is not None, waiting=waiting)
+    bench = probe_bench(config, in_bore=in_bore and config.bore is not None, feature=feature, waiting=waiting)
     with probe_drives(config, bench) as drives:
         yield ProbePlace(config, store, bench, drives, begun, waiting)
 
@@ -156,6 +169,39 @@ def centre(
         return centre_bore(session, known, code, listener)
 
 
+def measure_other(
+    place: ProbePlace,
+    known: RunOut,
+    name: str,
+    *,
+    spindle_deg: float | None = None,
+    mode: str | None = None,
+    listener: Listener = silent,
+    on_connected: OnConnected = lambda _session: None,
+) -> FeatureMeasurement:
+    """Measures a face, its angle, a boss or a reference position. Raises as `measure_feature`."""
+    with place.session("x", "y", mode=mode) as session:
+        on_connected(session)
+        return measure_feature(session, known, name, spindle_deg=spindle_deg, listener=listener)
+
+
+def serve(
+    place: ProbePlace,
+    *,
+    times: int | None = None,
+    wait_s: float | None = None,
+    mode: str | None = None,
+    keep: Callable[[HandledCode], None] = lambda _handled: None,
+    listener: Listener = silent,
+) -> list[HandledCode]:
+    """Handles the codes that a control gives. Raises as `serve_codes` and `control_wires`."""
+    touching = ("x", "y") if place.config.y is not None else ("x",)
+    with place.session(*touching, mode=mode) as session, control_wires(place.config, session.drives) as wires:
+        return serve_codes(
+            session, wires, place.store, place.now, times=times, wait_s=wait_s, keep=keep, listener=listener
+        )
+
+
 # -- plans -----------------------------------------------------------------------------------------------------------------
 def measuring_plan(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> Plan:
     """M90: to the start, towards the face and back at each angle of the spindle; into force if it closes."""
@@ -163,7 +209,7 @@ def measuring_plan(config: ProbeMachineConfig, store: RunOutStore, mode: str) ->
     moves = []
     if block.y_mm is not None:
         moves.append(_to(config, "y", block.y_mm))
-    moves.append(_to(config, "x", block.start_mm))
+    moves += [_to(config, "x", block.start_mm), *_heights(config, block.z_mm)]
     low_mm, high_mm = sorted((block.start_mm, block.start_mm + block.facing * block.search_mm))
     moves.append(Move(f"{_touching(mode)} {config.x.name}", low_mm, high_mm, probe.touch_mm_s))
     angles = [spindle.position_deg(angle) for angle in ANGLES_DEG]
@@ -184,8 +230,23 @@ def centring_plan(config: ProbeMachineConfig, known: RunOut, code: CorrectionCod
     for axis, middle_mm in ((config.x, bore.x_mm), (y, bore.y_mm)):
         ends_mm = middle_mm - bore.reach_mm, middle_mm + bore.reach_mm
         moves.append(Move(f"bore_{_touching(mode)} {axis.name}", *ends_mm, config.probe.touch_mm_s))
-    places = [_to(config, "x", bore.x_mm), _to(config, "y", bore.y_mm)]
+    places = [_to(config, "x", bore.x_mm), _to(config, "y", bore.y_mm), *_heights(config, bore.z_mm)]
     return _plan(config, [*places, *moves, *_corrections(config, known, code)], contacts=4)
+
+
+def feature_plan(config: ProbeMachineConfig, name: str, mode: str) -> Plan:
+    """To the places before the contacts, and by the search travel towards each."""
+    feature, probe = config.require_feature(name), config.probe
+    places = [way.ordered(place) for way in ways(feature) for place in way.places]
+    moves = _heights(config, feature.z_mm)
+    for axis in ("x", "y"):
+        reached_mm = [place[axis] for place in places]
+        moves.append(Move(f"between {config.axes[axis].name}", min(reached_mm), max(reached_mm), probe.position_mm_s))
+    for way in ways(feature):
+        start_mm = way.ordered(way.places[-1])[way.axis]
+        low_mm, high_mm = sorted((start_mm, start_mm + way.direction * feature.search_mm))
+        moves.append(Move(f"other_{_touching(mode)} {config.axes[way.axis].name}", low_mm, high_mm, probe.touch_mm_s))
+    return _plan(config, list(dict.fromkeys(moves)), contacts=len(ways(feature)))
 
 
 def _touching(mode: str) -> str:
@@ -196,10 +257,15 @@ def _to(config: ProbeMachineConfig, name: str, place_mm: float) -> Move:
     return Move(f"place {config.axes[name].name}", place_mm, place_mm, config.probe.position_mm_s, "goes")
 
 
+def _heights(config: ProbeMachineConfig, z_mm: float | None) -> list[Move]:
+    """Z between two places and where something is touched; none where Z is the operator's."""
+    return [_to(config, "z", height_mm) for height_mm in config.heights_mm(z_mm) or ()]
+
+
 def _corrections(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode) -> list[Move]:
     most_mm, speed = known.size_um / UM_PER_MM, config.probe.position_mm_s
     axes = [config.x] if code.in_x else []
-    axes += [config.require_y(code.value)] if code.in_y else []
+    axes += [config.require_y(config.codes.name(code))] if code.in_y else []
     return [Move(f"correct {axis.name}", -most_mm, most_mm, speed, "drives") for axis in axes]
 
 
@@ -255,6 +321,17 @@ def centring_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, 
             return centre(there, known, code, mode=mode, listener=place.listener, on_connected=_showing(config, place))
 
     return Job(CENTRE, centring_plan(config, known, code, mode), work, connects=True)
+
+
+def feature_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, name: str, mode: str) -> Job:
+    """Job that returns a FeatureMeasurement, at the spindle's present angle. known: the run-out in force"""
+
+    def work(place: Workplace) -> FeatureMeasurement:
+        with at_machine(config, store, feature=name, waiting=place.waiting) as there:
+            on_connected = _showing(config, place)
+            return measure_other(there, known, name, mode=mode, listener=place.listener, on_connected=on_connected)
+
+    return Job(OTHER, feature_plan(config, name, mode), work, connects=True)
 
 
 def _showing(config: ProbeMachineConfig, place: Workplace) -> OnConnected:

@@ -16,13 +16,13 @@ from hil.machine.events import Measured
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import ProbeMachineConfig
-from hil.probe.procedure import BoreCentre, Correction, RunOutMeasurement, contact_name
+from hil.probe.procedure import BoreCentre, Correction, FeatureMeasurement, RunOutMeasurement, contact_name
 from hil.probe.runout import ANGLES_DEG, FourFeeds, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
 from hil.records.rows import UM_PER_MM
 
 Points = list[tuple[float, float]]
-KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE)
+KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE, probe.OTHER)
 SHOWN = 200
 """Most measurements of the history that are shown, the latest."""
 UNITS, MOST_OF_A_UNIT = {"minutes": 60.0, "hours": 3600.0, "days": 86_400.0}, 100
@@ -53,6 +53,12 @@ def centred_at(desks: Iterable[Desk]) -> BoreCentre | None:
     """The result of the last centring, if any."""
     job = last_at(desks, [probe.CENTRE])
     return job.result if job is not None and isinstance(job.result, BoreCentre) else None
+
+
+def other_at(desks: Iterable[Desk]) -> FeatureMeasurement | None:
+    """The result of the last measurement of a face, an angle, a boss or a reference position, if any."""
+    job = last_at(desks, [probe.OTHER])
+    return job.result if job is not None and isinstance(job.result, FeatureMeasurement) else None
 
 
 def lent(config: ProbeMachineConfig, desks: Iterable[Desk], own: Desk) -> list[Desk]:

@@ -24,8 +24,8 @@ class MeasurementRefusedError(BridgeError):
 
 
 class CorrectionCode(Enum):
-    """The axes that a correction moves. The source's table of the codes is missing; this assignment is an
-    interpretation of its text.
+    """The axes that a correction moves, named by the default codes; [codes] of a machine file may give them others, since
+    the source's table of the codes is missing.
     """
 
     M91 = "M91"  # X
@@ -200,3 +200,73 @@ class Centring:
     def diameter_mm(self) -> float:
         """The bore's diameter, mm, from the travel in Y, which goes through the middle."""
         return self.y_mm[1] - self.y_mm[0] + 2.0 * (self.run_out.tip_radius_mm - self.pretravel_mm)
+
+
+# -- other measurements ----------------------------------------------------------------------------------------------------
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One contact: the axis that was fed ("x" or "y"), its direction, and where the spindle axis was, mm."""
+
+    axis: str
+    direction: int
+    at_mm: Point
+
+    @property
+    def index(self) -> int:
+        """Number of the axis that was fed: 0 for x, 1 for y."""
+        return 0 if self.axis == "x" else 1
+
+
+@dataclass(frozen=True)
+class Ball:
+    """The ball as it stood in the spindle during a measurement.
+
+    offset_mm: of its centre from the spindle axis, in the machine's x and y; reach_mm: from its centre to the face at the
+    moment of the signal (radius less pre-travel)
+    """
+
+    offset_mm: Point
+    reach_mm: float
+
+    @classmethod
+    def of(cls, known: RunOut, spindle_deg: float, pretravel_mm: float = 0.0) -> Ball:
+        """With the run-out in force, at an angle of the spindle."""
+        return cls(known.at(spindle_deg), known.tip_radius_mm - pretravel_mm)
+
+    @property
+    def uncorrected(self) -> Ball:
+        """The same ball, taken as if it ran true."""
+        return Ball((0.0, 0.0), self.reach_mm)
+
+    def centre_mm(self, touch: Touch) -> Point:
+        """Its centre at a contact."""
+        return touch.at_mm[0] + self.offset_mm[0], touch.at_mm[1] + self.offset_mm[1]
+
+    def face_mm(self, touch: Touch) -> float:
+        """Position of a face at right angles to the axis that was fed."""
+        return self.centre_mm(touch)[touch.index] + touch.direction * self.reach_mm
+
+    def angle_deg(self, first: Touch, second: Touch) -> float:
+        """Angle of a face from the axis along it, −90 to 90, counter-clockwise from +x to +y."""
+        (x_1, y_1), (x_2, y_2) = self.centre_mm(first), self.centre_mm(second)
+        along, across = (x_2 - x_1, y_2 - y_1) if first.axis == "y" else (y_2 - y_1, -(x_2 - x_1))
+        return math.degrees(math.atan(across / along))
+
+    def inclined_face_mm(self, first: Touch, second: Touch, across_mm: float) -> float:
+        """Where a face through two contacts meets the line at across_mm (of the other axis) along the axis that was fed.
+
+        The centres of the ball are on a line parallel to the face, reach_mm before it.
+        """
+        fed, other = first.index, 1 - first.index
+        one, two = self.centre_mm(first), self.centre_mm(second)
+        slope = (two[fed] - one[fed]) / (two[other] - one[other])
+        return one[fed] + slope * (across_mm - one[other]) + first.direction * self.reach_mm * math.hypot(1.0, slope)
+
+
+def boss_mm(ball: Ball, low: Touch, high: Touch) -> tuple[float, float]:
+    """Middle and width of what was touched from both sides along one axis; low: fed in + direction from the low side."""
+    one, two = ball.face_mm(low), ball.face_mm(high)
+    return (one + two) / 2.0, two - one

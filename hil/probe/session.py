@@ -22,7 +22,7 @@ from hil.machine.watched_axis import WatchedAxis
 from hil.probe.machine_file import ProbeMachineConfig
 
 SPINDLE = "spindle"
-ARRIVED_WITHIN = {"x": 0.01, "y": 0.01, SPINDLE: 0.05}
+ARRIVED_WITHIN = {"x": 0.01, "y": 0.01, "z": 0.01, SPINDLE: 0.05}
 """Tolerance of arrival, mm, and degrees of the spindle; contacts are not taken from the arrival."""
 PULSE_S = 2.0
 """Time limit of one pulse, s."""
@@ -49,10 +49,26 @@ class ProbeSignal(Protocol):
         """Whether the probe signals now. Raises CapabilityError or InputError where the drive does not show it."""
 
 
+class ControlWires(Protocol):
+    """The wires of a control that gives codes. Raises what reading and writing at a drive raises."""
+
+    def inputs(self) -> int:
+        """Levels of the inputs, one bit each."""
+
+    def set_mfin(self, on: bool) -> None:
+        """Switch the acknowledge."""
+
+    def mfin(self) -> bool:
+        """The acknowledge as the drive shows it."""
+
+    def restore(self) -> None:
+        """Switch the acknowledge off and put back what was set up for it."""
+
+
 class ProbeSession:
     """A context manager; entering connects, and makes every check that is possible before any motion.
 
-    drives: "x", "spindle" and, where there is one, "y"; signals: of those that touch; touching: the axes that will
+    drives: "x", "spindle" and, where there are such, "y" and "z"; signals: of those that touch; touching: the axes that will
     touch; mode: "latch" or "step", the machine file's by default
     Raises what `check` raises.
     """
@@ -73,6 +89,8 @@ class ProbeSession:
         self.mode = config.probe.mode if mode is None else mode
         self._signals = {name: signals[name] for name in touching}
         self._latches: dict[str, TouchProbe] = {}
+        self.beside: Callable[[], None] = lambda: None
+        """Is called with every sample of a motion; what it raises stops the machine."""
 
     @property
     def clock(self) -> Clock:
@@ -130,6 +148,11 @@ class ProbeSession:
         if self.mode == "latch" and not self._latches:
             self._latches = {name: self.drives[name].touch_probe() for name in self._signals}
 
+    def rest(self) -> None:
+        """Takes the power off every axis; `prepare` enables them again."""
+        for drive in self.drives.values():
+            drive.disable()
+
     def _disarming(self) -> list[Step]:
         """Steps that disarm the armed inputs."""
         latches, self._latches = self._latches, {}
@@ -152,6 +175,7 @@ class ProbeSession:
         """Checks the probe with every sample: a contact raises an error unless it is allowed there."""
 
         def look(sample: DriveSample) -> None:
+            self.beside()
             if self.touching() and not allowed(sample):
                 raise UnexpectedContactError(
                     f"the probe touched at {self._at(name, sample)} during {what}, where nothing should be;"
@@ -174,25 +198,50 @@ class ProbeSession:
         return self.config.orientation.angle_deg(self.place(SPINDLE))
 
     # -- moving ------------------------------------------------------------------------------------------------------
-    def move(self, name: str, target: float) -> None:
-        """Moves an axis to a position (mm or degrees). Raises UnexpectedContactError for a contact, and what stops the
-        axis.
+    def move(self, name: str, target: float, speed: float | None = None) -> None:
+        """Moves an axis to a position (mm or degrees), at the machine file's speed or this one. Raises
+        UnexpectedContactError for a contact, and what stops the axis.
         """
         if self.touching():
             raise UnexpectedContactError(
                 f"the probe touches while {self.drives[name].name} is to move to {target:.3f}; nothing was moved"
             )
-        self._go(name, target, self._clear(name, "a move"))
+        self._go(name, target, self._clear(name, "a move"), speed)
 
-    def _go(self, name: str, target: float, look: Callable[[DriveSample], None]) -> None:
+    def _go(self, name: str, target: float, look: Callable[[DriveSample], None], speed: float | None = None) -> None:
         self._supervisor.move(
             target,
-            self._speed(name),
+            self._speed(name) if speed is None else speed,
             axis=self._axes[name],
             within_mm=ARRIVED_WITHIN[name],
             slice_s=POLL_S,
             look=look,
         )
+
+    def raise_z(self) -> None:
+        """Takes Z where the ball is above everything; nothing where Z is the operator's. Raises as `move`."""
+        if self.config.approach is not None:
+            self.move("z", self.config.approach.safe_mm)
+
+    def approach(self, places: Mapping[str, float], z_mm: float | None, angle_deg: float | None = None) -> None:
+        """Moves the axes one after the other, with Z raised before and lowered to z_mm afterwards; angle_deg: to which the
+        spindle is turned before Z is lowered. Raises as `move`; a contact on the way down stops Z.
+        """
+        self.raise_z()
+        for name, target in places.items():
+            self.move(name, target)
+        if angle_deg is not None:
+            self.orient(angle_deg)
+        if self.config.approach is not None and z_mm is not None:
+            self.move("z", z_mm, self.config.approach.lower_mm_s)
+
+    def leave(self, found_at: Mapping[str, float]) -> None:
+        """Back to where the axes were found, Z raised before and last. Raises as `move`."""
+        self.raise_z()
+        # every angle is clear at a start; elsewhere only the angle that was found is known to be
+        for name in (SPINDLE, "x", "y", "z"):
+            if name in found_at:
+                self.move(name, found_at[name])
 
     def orient(self, angle_deg: float) -> None:
         """Turns the spindle to an angle, degrees. Raises as `move`."""
@@ -270,6 +319,7 @@ class ProbeSession:
             axis=self._axes[name],
             timeout_s=PULSE_S,
             slice_s=POLL_S,
+            look=lambda _sample: self.beside(),
         )
 
     def _no_contact(self, name: str, search_mm: float) -> NoReturn:

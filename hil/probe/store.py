@@ -21,7 +21,7 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from drivers.errors import InputError, StateError
-from hil.correction.sealed import open_sealed, reseal, seal
+from hil.correction.sealed import open_sealed, require_strong_new, reseal, seal
 from hil.probe.runout import FourFeeds, RunOut
 from hil.records.files import held, naming, read_bytes, replace_file, sync_directory
 
@@ -73,10 +73,17 @@ class RunOutStore:
         if sealing.builder_key is None:
             raise StateError(f"{self.path} is locked: changing it needs the builder's private key")
         entries = {f"{self.machine}.runout": data}
+        self.check_password()
         if not self.path.exists():
             return seal(entries, sealing.password, sealing.builder_key)
         with naming(self.path):
             return reseal(read_bytes(self.path), entries, sealing.password, sealing.builder_key)
+
+    def check_password(self) -> None:
+        """Raises InputError for a new password of a sealed store that is too weak."""
+        if self.sealing is not None:
+            present = read_bytes(self.path) if self.path.exists() else None
+            require_strong_new({f"{self.machine}.runout": self.sealing.password}, present, self.sealing.builder_public)
 
     def load(self) -> tuple[RunOut, str]:
         """The values in force and when they were measured. Raises InputError or SealedError naming the file."""

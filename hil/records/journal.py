@@ -23,7 +23,7 @@ from typing import Any
 from drivers.errors import InputError
 from hil.records.files import AppendedFile, append_durably, read_bytes, read_text, replace_file, sync_directory
 from hil.records.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
-from hil.records.rows import Records, format_row, parse_csv
+from hil.records.rows import WITHDRAWN, Records, format_row, parse_csv, parse_rows
 
 CHECKSUMS = "SHA256SUMS"
 FINISHED = "finished"
@@ -75,7 +75,7 @@ class RowJournal(AppendedFile):
         if len(whole) != len(data):
             self._write(b"", keep=len(whole))
         if sum(map(_is_data, lines)) > 1:
-            self._rows = len(parse_csv(read_text(self.path), self.path))
+            self._rows = len(parse_rows(read_text(self.path), self.path)[1])
 
     def _refuse_header(self, lines: Sequence[str]) -> None:
         expected = ",".join(self.names)
@@ -115,6 +115,11 @@ class RowJournal(AppendedFile):
         """
         for line in text.splitlines():  # one at a time: a crash leaves at most one that is not chained
             self._write(f"# {line}\n".encode())
+
+    def withdraw(self, count: int, why: str) -> None:
+        """States that the last `count` rows are not to be used; whoever reads the file leaves them out. One line of why."""
+        self._write(f"# {WITHDRAWN} {count}: {' '.join(why.split())}\n".encode())
+        self._rows -= count
 
     def _write(self, data: bytes, *, keep: int | None = None) -> None:
         """Writes data after the first `keep` bytes (default: all there is), completely or not at all, flushes it to the
@@ -265,18 +270,19 @@ class Campaign:
         return None if header is None else tuple(header.split(","))
 
     def has_rows(self, name: str) -> bool:
-        """Whether a pass was begun and has at least one row on disk."""
+        """Whether a pass was begun and has at least one row on disk. Raises InputError for a file that cannot be read."""
         path = self.directory / f"{name}.csv"
-        return path.exists() and sum(map(_is_data, _written_lines(path))) > 1
+        lines = _written_lines(path) if path.exists() else []
+        return any(map(_is_data, lines)) and bool(parse_rows("\n".join(lines), path)[1])
 
     def last_time_s(self) -> float:
         """The latest `time_s` of all rows of all passes, s; 0.0 without rows."""
         latest = 0.0
         for path in self.directory.glob("*.csv"):
             lines = _written_lines(path)
-            if sum(map(_is_data, lines)) > 1:
-                records = parse_csv("\n".join(lines), path)
-                latest = max(latest, float(records["time_s"][-1])) if "time_s" in records else latest
+            header, rows = parse_rows("\n".join(lines), path) if any(map(_is_data, lines)) else ([], [])
+            if rows and "time_s" in header:
+                latest = max(latest, rows[-1][header.index("time_s")])
         return latest
 
     def write(self, name: str, data: bytes) -> Path:

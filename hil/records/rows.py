@@ -46,6 +46,9 @@ UM_PER_MM = 1000.0
 LARGEST = 1e30
 """Largest value of any column (time in ns since 1970 is 2e18); the squares of larger ones would overflow in a fit."""
 
+WITHDRAWN = "withdrawn"
+"""First word of a comment line that withdraws rows above it: `# withdrawn 3: why`."""
+_WITHDRAWN = re.compile(rf"#\s*{WITHDRAWN} (\d{{1,9}}):")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _SHOWN = 40  # characters of a bad cell that an error quotes
 
@@ -191,10 +194,22 @@ def read_csv(path: str | Path) -> Records:
 
 def parse_csv(text: str, path: str | Path = "records") -> Records:
     """Parses the text of a record file; `path` only names it in errors. Raises InputError as `read_csv`."""
+    header, rows = parse_rows(text, path)
+    if not rows:
+        raise InputError("holds no rows under its header", path=path)
+    table = np.array(rows, dtype=np.float64)
+    return Records.of({name: table[:, column] for column, name in enumerate(header)})
+
+
+def parse_rows(text: str, path: str | Path) -> tuple[list[str], list[list[float]]]:
+    """The header and the cells of all rows but those that were withdrawn. Raises InputError as `read_csv`, not for a file
+    without rows.
+    """
     header: list[str] | None = None
     rows: list[list[float]] = []
     for number, line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
+            _withdraw(line, rows, path, number)
             continue
         cells = [cell.strip() for cell in line.split(",")]
         if header is None:
@@ -203,10 +218,17 @@ def parse_csv(text: str, path: str | Path = "records") -> Records:
             rows.append(_parse_row(cells, header, path, number))
     if header is None:
         raise InputError("holds no header row", path=path)
-    if not rows:
-        raise InputError("holds no rows under its header", path=path)
-    table = np.array(rows, dtype=np.float64)
-    return Records.of({name: table[:, column] for column, name in enumerate(header)})
+    return header, rows
+
+
+def _withdraw(comment: str, rows: list[list[float]], path: str | Path, line: int) -> None:
+    found = _WITHDRAWN.match(comment.lstrip())
+    if found is None:
+        return
+    count = int(found[1])
+    if count > len(rows):
+        raise InputError(f"withdraws {count} rows, there are {len(rows)} above it", path=path, line=line)
+    del rows[len(rows) - count :]
 
 
 def _check_header(cells: list[str], path: str | Path, line: int) -> list[str]:

@@ -113,6 +113,35 @@ def describe_homing(homes: bool, method: int | None, home_position_mm: float | N
     return named if home_position_mm is None else f"{named} to {home_position_mm:g} mm"
 
 
+_SENSORS = {
+    1: "the negative limit switch and the index pulse beside it",
+    2: "the positive limit switch and the index pulse beside it",
+    17: "the negative limit switch",
+    18: "the positive limit switch",
+    33: "the next index pulse in the negative direction",
+    34: "the next index pulse in the positive direction",
+    35: "the place where it stands (former number of 37)",
+    37: "the place where it stands",
+}
+_SENSORS |= dict.fromkeys(range(3, 7), "an edge of the home switch and the index pulse beside it")
+_SENSORS |= dict.fromkeys(
+    range(7, 15), "an edge of the home switch, a limit switch reverses it, and the index pulse beside it"
+)
+_SENSORS |= dict.fromkeys(range(19, 23), "an edge of the home switch")
+_SENSORS |= dict.fromkeys(range(23, 31), "an edge of the home switch, a limit switch reverses it")
+"""What each homing method of CiA 402-2 takes as the home position."""
+
+
+def explain_homing(method: int | None, home_position_mm: float | None) -> str:
+    """What the method does and where the zero will be, as a clause; "" for a method that is not the standard's."""
+    sensor = _SENSORS.get(0 if method is None else method)
+    if sensor is None:
+        return ""
+    moves = "moves nothing, takes" if method in (35, 37) else "seeks"
+    shows = "its home position" if home_position_mm is None else f"{home_position_mm:g} mm"
+    return f"which {moves} {sensor}; that place shows {shows} afterwards"
+
+
 def read_zero(path: Path) -> Zero | None:
     """The zero in a file, None where there is no such file. Raises InputError for one that cannot be read."""
     if not path.exists():

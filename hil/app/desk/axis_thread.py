@@ -212,8 +212,14 @@ class AxisThread:
             return
 
         def work() -> object:
-            with connection.one_job():
-                return asked.job.work(self._place(asked, connection.drive, connection.session))
+            known = len(connection.drive.notes)
+            try:
+                with connection.one_job():
+                    return asked.job.work(self._place(asked, connection.drive, connection.session))
+            finally:
+                session, drive = connection.session, connection.drive
+                for note in drive.notes[known:] if session is None else session.untold_notes():
+                    asked.log.tell(note)
 
         self._carry_out(work, asked.log)
 

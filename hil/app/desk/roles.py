@@ -81,8 +81,7 @@ class Rights:
         store: SealedStore | None = None
         if isinstance(self._axis, AxisConfig) and reading_password:
             store = SealedStore.of(self._axis, reading_password, key_password)
-            if store.path.exists():
-                store.load()
+            store.stored()
         else:
             key = self._axis.store.builder_key
             if not key.exists():

@@ -83,7 +83,13 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
     ring, reach = shown.ring_um, RINGS * shown.ring_um
     shown_every = f"Math.abs(value) < {reach * 1.01} && Math.round(value / {ring}) % 2 === 0"
     label = f"value => {shown_every} ? String(Number(value.toPrecision(6))) : ''"
-    widths = ({"width": 2, "type": "dashed"}, {"width": 3, "type": "solid"})
+    looks = [
+        (1, {"width": 2, "type": "dashed"}),
+        (3, {"width": 2, "type": "dotted"}),
+        (5, {"width": 3, "type": "solid"}),
+    ]
+    if len(shown.traces) < len(looks):
+        del looks[1]  # of tables alone, beside the lost motion
     zero = {
         "name": commanded,
         "type": "line",
@@ -105,7 +111,7 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
             "lineStyle": {"color": COLOURS[colour], **width},
             "itemStyle": {"color": COLOURS[colour]},
         }
-        for key, name, colour, width in zip(shown.traces, names, (1, 5), widths, strict=False)
+        for key, name, (colour, width) in zip(shown.traces, names, looks, strict=False)
     ]
     return {
         "animation": False,

@@ -33,12 +33,14 @@ LOOK_S = 0.5
 class Reading(Generic[Found]):
     """Contents of the axis's folder for a page: read in a worker thread, again after each job and computation.
 
-    value: the last contents, None before the first reading.
+    value: the last contents, None before the first reading. They are of what was there when that reading began: while a job runs, and
+    for a moment after it, `current` is False.
     """
 
     def __init__(self, view: View, read: Callable[[], Found]) -> None:
         self._view, self._read = view, read
         self._of: object = None
+        self._read_of: object = None
         self.value: Found | None = None
         ui.timer(LOOK_S, self._look)
 
@@ -46,17 +48,26 @@ class Reading(Generic[Found]):
         """Read again at the next check."""
         self._of = None
 
+    @property
+    def current(self) -> bool:
+        """Whether no job or computation has begun or ended since the contents were read."""
+        return self._read_of == self._now()
+
+    def _now(self) -> tuple[object, ...]:
+        job, computed = self._view.desk.job(), self._view.desk.computed
+        return None if job is None else (job.number, job.phase), computed.number, computed.running
+
     async def _look(self) -> None:
-        desk = self._view.desk
-        job, computed = desk.job(), desk.computed
-        now = (None if job is None else (job.number, job.phase), computed.number, computed.running)
+        now = self._now()
         if now == self._of:
             return
         self._of = now
         await self._view.attempt(self._read_aside)
 
     async def _read_aside(self) -> None:
+        now = self._now()
         self.value = await run.io_bound(self._read)
+        self._read_of = now
 
 
 class Latest:

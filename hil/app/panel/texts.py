@@ -87,8 +87,8 @@ class Texts:
         return self._written(f"{Decimal(f'{value:.{digits}g}'):f}")
 
     def estimate(self, value: float | None, std: float | None, unit: str = "") -> str:
-        """A figure with its standard uncertainty, where there is one, and its unit."""
-        spread = "" if std is None or not math.isfinite(std) else f" ± {self.significant(std, 2)}"
+        """A figure with its standard uncertainty, where there is one (a bound has none), and its unit."""
+        spread = "" if not std or not math.isfinite(std) else f" ± {self.significant(std, 2)}"
         return f"{self.significant(value)}{spread} {unit}".rstrip()
 
 

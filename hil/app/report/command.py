@@ -17,6 +17,7 @@ from hil.app.report.job import now, write_report
 from hil.app.terminal.output import add_json_option, write_json
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
+from hil.correction.tables import Band
 from hil.figures.uncertainty import Budget
 from hil.records.files import read_bytes, replace_file
 from hil.records.rows import parse_csv
@@ -134,7 +135,8 @@ def run(args: argparse.Namespace) -> int:
         title=args.title,
         campaigns=tuple(campaigns),
         identity=({} if axis is None else identity(axis)) | dict(_identity(line) for line in args.identity),
-        band_um=_band(args, axis),
+        band=_band(args, axis),
+        band_targets_mm=() if axis is None else axis.measurement.targets_mm,
         tables=tuple(TableInForce(Path(path).name, _sha256(read_bytes(path))) for path in args.table),
         diagnosis=diagnosis,
         diagnosed=None if diagnosis is None else diagnosed(campaigns[-1], diagnosis),
@@ -176,11 +178,10 @@ def _record_files(args: argparse.Namespace) -> list[str]:
     return list(args.compare or args.records)
 
 
-def _band(args: argparse.Namespace, axis: AxisConfig | None) -> tuple[float, float] | None:
+def _band(args: argparse.Namespace, axis: AxisConfig | None) -> Band | None:
     if args.band is not None:
-        return args.band[0], args.band[1]
-    band = None if axis is None else axis.correction.band
-    return None if band is None else (band.low_um, band.high_um)
+        return Band(*args.band)
+    return None if axis is None else axis.correction.band
 
 
 def _plain(figures: Any) -> Any:

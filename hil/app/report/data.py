@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
+from hil.correction.tables import Band
 from hil.figures.iso230 import Iso230, iso230
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.records.rows import Floats, Records
@@ -61,7 +62,8 @@ class ReportData:
 
     campaigns        in the order of time; the first and the last are compared
     identity         what a reader must know to repeat it: axis, drive, instrument, environment, operator, …
-    band_um          (low, high) in µm, where a specified accuracy was asked for
+    band             the specified accuracy that was asked for, with the signs of its sections; None without
+    band_targets_mm  targets that the tables were made at: between two of different sign the band judges nothing
     tables           correction tables in force in the last campaign
     diagnosis        the JSON form of `hil diagnose`, None where none was made. A finding may carry
                      "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
@@ -76,7 +78,7 @@ class ReportData:
     title: str
     campaigns: tuple[NamedCampaign, ...]
     identity: Mapping[str, str] = field(default_factory=dict)
-    band_um: tuple[float, float] | None = None
+    band: Band | None = None
     tables: tuple[TableInForce, ...] = ()
     diagnosis: Mapping[str, Any] | None = None
     diagnosed: NamedCampaign | None = None
@@ -86,6 +88,7 @@ class ReportData:
     signatures: Mapping[str, str] = field(default_factory=dict)
     compare: bool = False
     all_plots: bool = False
+    band_targets_mm: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.campaigns:
@@ -95,8 +98,6 @@ class ReportData:
             raise InputError(f"campaigns share a label: {', '.join(labels)}")
         if self.compare and len(self.campaigns) != 2:
             raise InputError(f"a comparison is of two campaigns, not of {len(self.campaigns)}")
-        if self.band_um is not None and not self.band_um[0] < self.band_um[1]:
-            raise InputError(f"band is {self.band_um[0]:g} to {self.band_um[1]:g} µm, expected low < high")
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from hil.app.report.blocks import (
 from hil.app.report.data import NamedCampaign, ReportData, environment, history
 from hil.app.report.markup import header, page
 from hil.app.report.svg import LIGHT, PAGE, Ground, Theme, file_bytes, inline_svg
+from hil.correction.tables import Band, SectionMeans, judge
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.figures.iso230 import FIGURES, Iso230
 from hil.figures.uncertainty import Budget
@@ -151,11 +152,9 @@ def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
     return {f"{drawing.file}.{kind}": file_bytes(drawing.figure(LIGHT), kind) for drawing in drawings}
 
 
-def before_after_image(
-    campaigns: Sequence[NamedCampaign], kind: str = "png", band_um: tuple[float, float] | None = None
-) -> bytes:
+def before_after_image(campaigns: Sequence[NamedCampaign], kind: str = "png", band: Band | None = None) -> bytes:
     """The campaigns side by side on one scale, as a PNG or SVG file."""
-    return file_bytes(plots.before_after_plot(campaigns, LIGHT, band_um), kind)
+    return file_bytes(plots.before_after_plot(campaigns, LIGHT, band), kind)
 
 
 def rms_um(records: Records) -> float:
@@ -177,8 +176,8 @@ def _tiles(data: ReportData) -> Tiles:
         values.append((title, pair[0], pair[1]))
     values.append(("RMS error", rms_um(first.records), rms_um(last.records)))
     tiles = [_tile(*value, compare=first is not last) for value in values if value[2] is not None]
-    if data.band_um is not None and isinstance(other, Iso230):
-        tiles.append(_band_tile(other, data.band_um))
+    if data.band is not None and isinstance(other, Iso230):
+        tiles.append(_band_tile(other, data.band, data.band_targets_mm))
     return Tiles(tuple(tiles))
 
 
@@ -190,11 +189,15 @@ def _tile(title: str, first: float | None, last: float | None, *, compare: bool)
     return Tile(title, value, "µm", below, diagnosis_part.change(first, last), None if last == first else last < first)
 
 
-def _band_tile(figures: Iso230, band_um: tuple[float, float]) -> Tile:
-    means = np.concatenate([mean for mean in (figures.mean_up, figures.mean_down) if mean is not None])
-    inside = int(np.sum((means >= band_um[0]) & (means <= band_um[1])))
-    name = f"Inside {band_um[0]:g} to {band_um[1]:g} µm"
-    return Tile(name, f"{inside} of {len(means)}", below="target means", good=inside == len(means))
+def _band_tile(figures: Iso230, band: Band, targets_mm: Sequence[float]) -> Tile:
+    """How many of the means that the band judges are inside it, each section and direction with its sign."""
+    none = np.full(figures.m, np.nan)
+    up, down = (none if mean is None else mean for mean in (figures.mean_up, figures.mean_down))
+    means = SectionMeans(figures.target_mm, up, down, np.nan)
+    outside, unlike = judge(means, band, targets_mm)
+    judged = int(np.isfinite(up).sum() + np.isfinite(down).sum()) - len(unlike)
+    below = "target means" + (f", {len(unlike)} not judged" if unlike else "")
+    return Tile(f"Inside {band}", f"{judged - len(outside)} of {judged}", below=below, good=not outside)
 
 
 def _identity(data: ReportData) -> list[Block]:
@@ -206,7 +209,7 @@ def _identity(data: ReportData) -> list[Block]:
 
 def _comparison(data: ReportData) -> list[Block]:
     def draw(theme: Theme, ground: Ground) -> FigureBase:
-        return plots.before_after_plot(data.campaigns, theme, data.band_um, ground)
+        return plots.before_after_plot(data.campaigns, theme, data.band, ground)
 
     names = "; ".join(campaign.label for campaign in data.campaigns)
     caption = f"Error against position on one scale: {names}. Positive: the axis stands further than it was asked to."
@@ -243,7 +246,7 @@ def _figures_table(data: ReportData) -> list[Block]:
 
 def _campaign(index: int, campaign: NamedCampaign, data: ReportData) -> list[Block]:
     def error(theme: Theme, ground: Ground) -> FigureBase:
-        return plots.error_plot(campaign, theme, data.band_um, ground)
+        return plots.error_plot(campaign, theme, data.band, ground)
 
     def along_time(theme: Theme, ground: Ground) -> FigureBase:
         return plots.history_plot(campaign, theme, ground)

@@ -48,15 +48,15 @@ def report_data(axis: AxisConfig, campaigns: Sequence[Wanted], diagnosis: Path |
     """The whole of a report on an axis. diagnosis: the stored one of the last campaign, where there is one."""
     named = tuple(map(named_campaign, campaigns))
     found = None if diagnosis is None else read_stored(diagnosis)
-    band = axis.correction.band
     return ReportData(
         f"{'Comparison of measurements' if compare else 'Positioning'} of axis {axis.name}",
         named,
         identity(axis),
-        None if band is None else (band.low_um, band.high_um),
+        axis.correction.band,
         diagnosis=found,
         diagnosed=None if found is None else diagnosed(named[-1], found),
         compare=compare,
+        band_targets_mm=axis.measurement.targets_mm,
         uncertainty=uncertainty_of(axis),
         created=now(),
     )

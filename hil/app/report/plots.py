@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from hil.app.report.data import NamedCampaign, history, plain
 from hil.app.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
+from hil.correction.tables import Band
 from hil.figures.iso230 import Iso230
 from hil.records.rows import Floats, Records
 
@@ -35,15 +36,13 @@ _STYLE: dict[int, dict[str, Any]] = {
 _SIGN = {1: "+", -1: "−"}
 
 
-def error_plot(
-    campaign: NamedCampaign, theme: Theme, band_um: tuple[float, float] | None = None, ground: Ground = fresh
-) -> FigureBase:
+def error_plot(campaign: NamedCampaign, theme: Theme, band: Band | None = None, ground: Ground = fresh) -> FigureBase:
     """Error against position: every run thin, mean bold, mean ± 2s shaded, the accuracy A as a bracket."""
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 4.0, right_in=0.95)
         ax = figure.subplots()
         figures = campaign.figures()
-        _errors(ax, theme, campaign.records, figures, band_um)
+        _errors(ax, theme, campaign.records, figures, band)
         _label(ax, theme, "Target position, mm", "Error, µm")
         if isinstance(figures, Iso230):
             _accuracy_bracket(ax, theme, figures)
@@ -54,7 +53,7 @@ def error_plot(
 def before_after_plot(
     campaigns: Sequence[NamedCampaign],
     theme: Theme,
-    band_um: tuple[float, float] | None = None,
+    band: Band | None = None,
     ground: Ground = fresh,
 ) -> FigureBase:
     """The campaigns side by side on one scale."""
@@ -63,7 +62,7 @@ def before_after_plot(
         axes = figure.subplots(1, len(campaigns), sharey=True, sharex=True, squeeze=False)[0]
         for ax, campaign in zip(axes, campaigns, strict=True):
             figures = campaign.figures()
-            _errors(ax, theme, campaign.records, figures, band_um)
+            _errors(ax, theme, campaign.records, figures, band)
             _label(ax, theme, "Target position, mm", "Error, µm" if ax is axes[0] else "")
             ax.set_title(plain(campaign.label), color=theme.ink)
             if isinstance(figures, Iso230) and figures.A is not None:
@@ -152,13 +151,9 @@ def residual_plot(
         return figure
 
 
-def _errors(
-    ax: Axes, theme: Theme, records: Records, figures: Iso230 | str, band_um: tuple[float, float] | None
-) -> None:
-    if band_um is not None:
-        ax.axhspan(*band_um, color=theme.band, alpha=0.16, lw=0)
-        for edge in band_um:
-            ax.axhline(edge, color=theme.band, lw=0.9, label=f"specified {band_um[0]:g} to {band_um[1]:g} µm")
+def _errors(ax: Axes, theme: Theme, records: Records, figures: Iso230 | str, band: Band | None) -> None:
+    if band is not None:
+        _band(ax, theme, records, band)
     _zero(ax, theme)
     for sign, color in ((1, theme.up), (-1, theme.down)):
         for run in records.runs:
@@ -202,6 +197,28 @@ def _errors(
             rasterized=not sparse,
             **_STYLE[sign],
         )
+
+
+def _band(ax: Axes, theme: Theme, records: Records, band: Band) -> None:
+    """The band behind the errors; where the signs of the two directions differ, each in its direction's colour and line."""
+    if not band.signs:
+        ax.axhspan(band.low_um, band.high_um, color=theme.band, alpha=0.16, lw=0)
+        for edge in (band.low_um, band.high_um):
+            ax.axhline(edge, color=theme.band, lw=0.9, label=f"specified {band.low_um:g} to {band.high_um:g} µm")
+        return
+    size = f"specified ±({band.low_um:g} to {band.high_um:g}) µm"
+    ax.plot([], [], color=theme.band, lw=0.9, label=size)
+    for start, end, plus, minus in band.stretches(float(records.target_mm.min()), float(records.target_mm.max())):
+        for sign, one in ((1, plus), (-1, minus)):
+            if plus == minus:
+                color, line, label = theme.band, "-", size
+            else:
+                color, line = (theme.up, theme.down)[sign < 0], _STYLE[sign]["linestyle"]
+                label = f"specified, direction {_SIGN[sign]}"
+            if plus != minus or sign > 0:
+                ax.fill_between([start, end], one.low_um, one.high_um, color=color, alpha=0.16, lw=0)
+                for edge in (one.low_um, one.high_um):
+                    ax.plot([start, end], [edge, edge], color=color, linestyle=line, lw=0.9, label=label)
 
 
 def _accuracy_bracket(ax: Axes, theme: Theme, figures: Iso230) -> None:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from hil.app.jobs.plan import Plan, Write, measuring_plan
 from hil.app.jobs.zero_statement import ZeroStatement
 from hil.app.terminal.output import add_json_option
-from hil.app.terminal.passwords import KEY, READING, password
-from hil.axis.axis_file import AxisConfig
+from hil.app.terminal.passwords import KEY, READING, own_passwords, password
+from hil.axis.axis_file import AxisConfig, load_drive_axis
 from hil.correction.compensation import Compensation
-from hil.correction.store import SealedStore
+from hil.correction.store import TABLES, SealedStore, bound_tables
 from hil.effects import ALL, Effect
 from hil.machine.measure import Step
 
@@ -76,6 +76,13 @@ def add_password_options(parser: argparse.ArgumentParser, *, key: bool) -> None:
     parser.add_argument(
         "--password-file", metavar="F", help=f"file with the tables' reading password (else ${READING}, else asked)"
     )
+    parser.add_argument(
+        "--table-password",
+        metavar="NAME=F",
+        action="append",
+        default=[],
+        help=f"file with the own password of one table ({', '.join(TABLES)}); may be repeated, the others have the common one",
+    )
     if key:
         parser.add_argument(
             "--key-password-file", metavar="F", help=f"file with the builder key's password (else ${KEY}, else asked)"
@@ -88,7 +95,8 @@ def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> 
     Raises InputError for a missing password, and as `SealedStore.of`.
     """
     key = password(args.key_password_file, KEY, "builder key's password", os.environ) if writing else None
-    return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key)
+    own = own_passwords(args.table_password, TABLES, "--table-password")
+    return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key, own=own)
 
 
 def load_stored(store: SealedStore, effects: Sequence[Effect] = ALL) -> Compensation:
@@ -98,6 +106,16 @@ def load_stored(store: SealedStore, effects: Sequence[Effect] = ALL) -> Compensa
     if warning is not None:
         print(f"hil: {warning}", file=sys.stderr)
     return compensation
+
+
+def load_cross(args: argparse.Namespace, axis: AxisConfig) -> Compensation | None:
+    """What is stored for the axis that this axis's straightness moves, None where nothing is. Raises as `open_store`."""
+    if axis.straightness is None:
+        return None
+    other = load_drive_axis(axis.straightness.axis_file)
+    if not isinstance(other, AxisConfig) or bound_tables(other) is None:
+        return None
+    return load_stored(open_store(args, other, writing=False))
 
 
 def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:

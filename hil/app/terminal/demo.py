@@ -88,7 +88,7 @@ def _lay_out(directory: Path, number: int | None) -> AxisConfig:
 
 def _store(axis: AxisConfig) -> SealedStore:
     """A store with a new builder's key pair. The password is written beside it, as the machine is simulated."""
-    password = secrets.token_hex(8)
+    password = secrets.token_hex(16)
     replace_file(axis.path.parent / "password", (password + "\n").encode(), mode=0o600)
     key = new_key()
     save_private_key(axis.store.builder_key, key, password)
@@ -101,11 +101,11 @@ def _tell(args: argparse.Namespace, directory: Path, loop: Loop, machine_s: floa
     print_stages(stages)
     print_findings(loop.turn.diagnosis)
     before, after = stages["table, explored"]["rms_um"], stages["extended, explored"]["rms_um"]
-    floor = loop.turn.diagnosis.noise_floor
+    noise_um = loop.turn.diagnosis.noise.within_run_um
     print_facts(
         {
             "before, after": f"{before:.2f} µm RMS -> {after:.2f} µm RMS, measured afresh at other targets"
-            f" (noise floor {floor.value:.2f} µm)",
+            f" (noise {noise_um:.2f} µm)",
             "machine time": f"{machine_s / 60:.1f} min in {wall_s:.1f} s, {machine_s / wall_s:.0f} times faster",
             "report": str(directory / "report.html"),
             "axis file": f"{directory / 'axis.toml'} (hil verify {directory / 'axis.toml'} works on it)",

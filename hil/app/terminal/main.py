@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 VERBS = {
     "demo": ("app.terminal.demo", "the whole loop on the built-in bench"),
     "scan": ("machine.commands.scan", "who is on the bus"),
+    "drives": ("machine.commands.drives", "ready drive files and their sources; a first axis file"),
     "doctor": ("doctor.command", "preflight: drive, limits, instrument, units, speed"),
     "calibrate": ("calibration.commands.calibrate", "measure, compute tables, store them sealed, prove them"),
     "verify": ("calibration.commands.verify", "measure with the correction in force at other targets"),
@@ -39,6 +40,10 @@ VERBS = {
     "params": (
         "parameters.commands.params",
         "drive parameters: back up, compare, download all or nothing, prove, keep",
+    ),
+    "straightness": (
+        "calibration.commands.straightness",
+        "straightness by the instrument, and the other axis moved against it",
     ),
     "close-loop": ("diagnosis.loop.command", "calibrate, verify warm, diagnose, extend, measure again"),
     "campaign": ("diagnosis.commands.campaign", "design a measuring campaign, or check what one can show"),

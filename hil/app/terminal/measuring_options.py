@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from drivers.errors import InputError
+from hil.app.terminal.axis_options import load_cross
 from hil.axis.axis_file import AxisConfig, InstrumentConfig
 from hil.calibration.in_motion import InMotion
 from hil.diagnosis.loop.jobs.plan import feeds_of
+from hil.machine.axes_wiring import connected_across
 from hil.machine.conditions import Conditions
 from hil.machine.replay import recorded, replayed
+from hil.machine.who_is_there import naming_who_is_there
 from hil.machine.wiring import Machine, connected
 
 
@@ -29,16 +33,41 @@ def recording_name(args: argparse.Namespace) -> str:
 
 
 @contextmanager
-def machine_of(args: argparse.Namespace, axis: AxisConfig, conditions: Conditions | None = None) -> Iterator[Machine]:
-    """The connected axis, recorded with `--record`, or the axis of a recording. Raises as `connected`, `recorded` and `replayed`."""
-    if args.replay:
-        with replayed(axis, Path(args.replay)) as machine:
+def machine_of(
+    args: argparse.Namespace, axis: AxisConfig, conditions: Conditions | None = None, *, moves_axis: str = ""
+) -> Iterator[Machine]:
+    """The connected axis, recorded with `--record`, or the axis of a recording.
+
+    moves_axis: of the correction that will be in force; that axis is connected too, with its own stored correction.
+    Raises as `connected`, `connected_across`, `recorded` and `replayed`, and InputError for a recording where another axis moves.
+    """
+    recorded_to, replayed_from = getattr(args, "record", None), getattr(args, "replay", None)
+    if moves_axis and (recorded_to or replayed_from):
+        raise InputError(f"a recording holds one axis, and the stored straightness moves axis {moves_axis} too")
+    if replayed_from:
+        with replayed(axis, Path(replayed_from)) as machine:
             yield machine
         return
-    with connected(axis, conditions=conditions) as machine, ExitStack() as stack:
-        if args.record:
-            stack.enter_context(recorded(machine, Path(args.record)))
+    with ExitStack() as stack:
+        if moves_axis:
+            own = load_cross(args, axis)
+            with naming_who_is_there(axis):
+                machine = stack.enter_context(connected_across(axis, conditions))
+            if machine.session.cross is not None:
+                machine.session.cross.corrected_by(own)
+        else:
+            with naming_who_is_there(axis):
+                machine = stack.enter_context(connected(axis, conditions=conditions))
+        if recorded_to:
+            stack.enter_context(recorded(machine, Path(recorded_to)))
+        stack.callback(_tell_notes, machine)
         yield machine
+
+
+def _tell_notes(machine: Machine) -> None:
+    """What was found of the drive while it moved and nothing has told yet."""
+    for note in machine.session.untold_notes():
+        print(f"hil: {note}", file=sys.stderr)
 
 
 def add_in_motion_options(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import getpass
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from drivers.errors import InputError
@@ -75,6 +75,19 @@ def password(file: str | None, variable: str, what: str, environment: Mapping[st
     return first
 
 
+def own_passwords(texts: Sequence[str], names: Sequence[str], option: str) -> dict[str, str]:
+    """Passwords of single entries or tables given as NAME=FILE. Raises InputError for another form or name."""
+    passwords: dict[str, str] = {}
+    for text in texts:
+        name, separator, file = text.partition("=")
+        if not separator or not name or not file:
+            raise InputError(f"{option} is {text!r}, expected NAME=FILE")
+        if name not in names:
+            raise InputError(f"{option} names entry {name}, expected one of {', '.join(names)}")
+        passwords[name] = read_password_file(file)
+    return passwords
+
+
 def reading_passwords(
     args: argparse.Namespace, names: list[str], environment: Mapping[str, str], *, new: bool = False
 ) -> dict[str, str]:
@@ -82,14 +95,7 @@ def reading_passwords(
 
     Raises InputError for a wrong `--entry-password`, and as `password`.
     """
-    passwords: dict[str, str] = {}
-    for text in args.entry_password:
-        name, separator, file = text.partition("=")
-        if not separator or not name or not file:
-            raise InputError(f"--entry-password is {text!r}, expected NAME=FILE")
-        if name not in names:
-            raise InputError(f"--entry-password names entry {name}, expected one of {', '.join(names)}")
-        passwords[name] = read_password_file(file)
+    passwords = own_passwords(args.entry_password, names, "--entry-password")
     if rest := [name for name in names if name not in passwords]:
         common = password(args.password_file, READING, "reading password", environment, new=new)
         passwords |= dict.fromkeys(rest, common)

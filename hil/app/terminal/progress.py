@@ -1,4 +1,4 @@
-"""Progress of a procedure on a terminal: a bar for each stage, or warnings only where stderr is no terminal."""
+"""Progress of a procedure on a terminal: a bar for each stage, or warnings only where stderr is no terminal; notes of a drive."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from drivers.drive import ServoDrive
 from hil.machine.events import Event, Listener
 
 
@@ -45,3 +46,14 @@ def terminal_progress() -> Iterator[Listener]:
 def _tell_warnings(event: Event) -> None:
     if event.warning:
         print(f"hil: {event.message}", file=sys.stderr)
+
+
+@contextmanager
+def telling_notes(drive: ServoDrive) -> Iterator[None]:
+    """At its end, on standard error: what was found of the drive inside the block, for an axis without a session."""
+    known = len(drive.notes)
+    try:
+        yield
+    finally:
+        for note in drive.notes[known:]:
+            print(f"hil: {note}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -18,12 +19,15 @@ from hil.axis.connections import BENCH_MACHINES, BENCH_TABLES
 from hil.records.files import replace_file
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_faults import CanFaultKind
+from sim_backends.canopen_strict import StrictSlave
+from sim_backends.drive_profiles import load_profile, profile_paths
 from sim_backends.fault_text import Faults, fault_names, parse_faults
 from sim_backends.faults import FaultKind
 from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
 from sim_backends.homing import HOMING_METHODS
 from sim_backends.laser import LaserParameters
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
+from sim_backends.maker_file import read_maker_file
 from sim_backends.modbus_faults import WireFaultKind
 from sim_backends.own_table import known_table
 from sim_backends.reach import check_can, parse_tcp
@@ -41,10 +45,16 @@ def instrument_text(kind: str, port: str) -> str:
     return f'kind = "ascii"\n{where}\npattern = "{pattern}"\ndecimals = 4\nfault = "ERROR"'
 
 
-def axis_text(parameters: BenchParameters, drive: dict[str, Any], instrument: str) -> str:
-    """An axis file for the machine, with targets over its whole travel."""
+def axis_text(
+    parameters: BenchParameters, drive: dict[str, Any], instrument: str, counts_per_rev: int | None = None
+) -> str:
+    """An axis file for the machine, with targets over its whole travel. counts_per_rev: of a drive with a maker's own units.
+
+    drive: the keys of [drive]; "homing" is a table of it."""
     limits, scaling = parameters.limits, parameters.scaling
-    keys = "\n".join(f"{name} = {json.dumps(value)}" for name, value in drive.items())
+    if counts_per_rev is not None:
+        scaling = replace(scaling, encoder_counts_per_motor_rev=counts_per_rev)
+    keys = "\n".join(f"{name} = {_toml(value)}" for name, value in drive.items())
     first, last = 0.01 * parameters.plant.length_mm, 0.99 * parameters.plant.length_mm
     return f"""\
 # The machine of a running `hil sim`.
@@ -73,6 +83,12 @@ sections = 11
 runs = 2
 velocity_mm_s = {min(100.0, limits.max_velocity_mm_s)!r}
 """
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_toml(item)}" for name, item in value.items()) + " }"
+    return json.dumps(value)
 
 
 EXAMPLE = """\
@@ -110,7 +126,9 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "drive",
         help="a CiA-402 drive on a CAN interface",
         description="A CiA-402 drive with its axis on a CAN interface, and on request the laser that looks at the axis.",
-        epilog=EXAMPLE + f"\nfaults of the bus: {', '.join(fault_names(CanFaultKind))}",
+        epilog=EXAMPLE
+        + f"\nfaults of the bus: {', '.join(fault_names(CanFaultKind))}"
+        + f"\n\nprofiles, as documented in the sources that each of their files names: {', '.join(profile_paths())}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     drive.add_argument(
@@ -121,6 +139,17 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     drive.add_argument("--node", type=int, default=1, help="node id, 1 to 127 (default 1)")
     drive.add_argument(
         "--table", choices=BENCH_TABLES, default="", help="a correction table that the drive holds itself"
+    )
+    drive.add_argument(
+        "--eds",
+        metavar="FILE",
+        help="a maker's EDS or DCF file: the drive has its objects, rights, limits and units, and nothing else",
+    )
+    drive.add_argument(
+        "--profile",
+        metavar="NAME",
+        help="a documented drive (list below) or a profile's file: its objects, units, PDO rules and behaviour; with --eds, the"
+        " objects of that file",
     )
     _add_surroundings(drive)
     _add_homing(drive)
@@ -263,14 +292,25 @@ def _run_drive(args: argparse.Namespace) -> int:
         wall = WallClock()
         pace = Pace(bench.clock, wall)
         table = known_table(args.table, bench.parameters.scaling.counts_per_load_mm / 1000.0)
-        drive = CanDrive(bench, pace, bus, args.node, faults=faults.can, table=table)
+        maker = None if args.eds is None else read_maker_file(Path(args.eds))
+        profile = None if args.profile is None else load_profile(args.profile)
+        if profile is not None and args.table:
+            raise InputError("--table: a documented drive has no correction table here")
+        drive = CanDrive(bench, pace, bus, args.node, faults=faults.can, table=table, maker=maker, profile=profile)
         place: dict[str, Any] = {"backend": "canopen", "interface": args.interface, "channel": args.channel}
         if args.interface == "slcan-pty":
             place |= {"interface": "slcan", "channel": bus.channel_info}
         place["node_id"] = args.node
         if args.table:
             place["correction_table"] = args.table
-        _run(args, bench, place, pace, drive.serve)
+        if profile is not None:
+            homing = profile.axis_file.homing
+            place |= {**profile.axis_file.drive, **({"homing": homing} if homing else {})}
+        counts_per_rev = None
+        if isinstance(drive.slave, StrictSlave):
+            counts_per_rev = round(1 / drive.slave.units[0].position_rev)
+            print(f"units of this drive: {drive.slave.units[0]}", file=sys.stderr)
+        _run(args, bench, place, pace, drive.serve, counts_per_rev=counts_per_rev)
     return 0
 
 
@@ -306,13 +346,15 @@ def _run(
     drive: dict[str, Any] | None,
     pace: Pace,
     serve: Callable[[float], None] | None,
+    *,
+    counts_per_rev: int | None = None,
 ) -> None:
     """Print the interfaces as JSON, run until a signal or the time limit, print the final state of the axis as JSON."""
     with _until_signal() as keep_running:
         laser = {"kind": args.kind, "port": bench.laser_path} if bench.has_instrument else None
         if getattr(args, "axis_file", None):
             instrument = instrument_text(args.kind, bench.laser_path)
-            replace_file(args.axis_file, axis_text(bench.parameters, drive or {}, instrument).encode())
+            replace_file(args.axis_file, axis_text(bench.parameters, drive or {}, instrument, counts_per_rev).encode())
         machine = {"kind": args.machine, "seed": args.seed, "length_mm": bench.parameters.plant.length_mm}
         print(json.dumps({"machine": machine, "drive": drive, "laser": laser}), flush=True)
         end = None if args.seconds is None else pace.wall.deadline(args.seconds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+import os
 
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import (
@@ -16,14 +16,15 @@ from hil.app.terminal.axis_options import (
 )
 from hil.app.terminal.measuring_options import add_recording_options, machine_of, recording_name
 from hil.app.terminal.output import write_json
+from hil.app.terminal.passwords import KEY, password
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.summary import print_stages
 from hil.axis.axis_file import AxisConfig, load_axis
-from hil.calibration.calibrate import as_stored
-from hil.calibration.job import calibration_plan, run_calibration, summarise
+from hil.calibration.job import calibration_plan, enter_backlash, manual_tables, run_calibration, summarise
 from hil.correction.compensation import Compensation
-from hil.correction.manual import read_manual_tables, read_straightness
-from hil.correction.tables import SingleTable
+from hil.correction.manual import read_backlash, read_straightness
+from hil.correction.store import SealedStore, bound_tables
+from hil.correction.tables import SingleTable, TableSet
 from hil.records.files import replace_file
 
 EXAMPLE = """\
@@ -31,6 +32,9 @@ example:
   hil calibrate X.toml
   hil calibrate X.toml --resume             continue after an interruption
   hil calibrate X.toml --manual typed.csv   store tables that were typed or computed elsewhere, without measuring
+  hil calibrate X.toml --backlash D.csv     pitch measured now, the backlash by other means: position_mm, backlash_um
+  hil calibrate X.toml --backlash D.csv --stored   the same beside the pitch that is stored: nothing moves
+  hil calibrate X.toml --withdraw           take this axis's tables, effects and lost motion out of force, with the builder's key
   hil calibrate X.toml --new-zero           start again, with a new zero by the drive's homing
   hil calibrate X.toml --record machine.csv drive and instrument, recorded together
   hil calibrate X.toml --replay machine.csv the same again from the recording: nothing is connected, no table is stored
@@ -53,6 +57,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--straightness", metavar="TABLE.csv", help="store a straightness correction too: position_mm, deviation_um"
     )
+    parser.add_argument(
+        "--backlash",
+        metavar="TABLE.csv",
+        help="a backlash measured by other means, on its own positions: position_mm, backlash_um",
+    )
+    parser.add_argument(
+        "--stored", action="store_true", help="with --backlash: beside the stored pitch, without measuring"
+    )
+    parser.add_argument(
+        "--withdraw",
+        action="store_true",
+        help="take what is stored for this axis out of force; other axes in the same file keep theirs",
+    )
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_zero_options(parser, anew=True)
     add_recording_options(parser)
@@ -65,19 +82,31 @@ def run(args: argparse.Namespace) -> int:
     raise.
     """
     axis = load_axis(args.axis)
+    if args.withdraw:
+        return _withdraw(args, axis)
     straightness = None if args.straightness is None else read_straightness(args.straightness)
+    backlash = None if args.backlash is None else read_backlash(args.backlash)
     if args.manual is not None:
-        return _store_manual(args, axis, straightness)
+        return _store_manual(args, axis, straightness, backlash)
+    if args.stored:
+        return _enter_backlash(args, axis, backlash)
     if args.dry_run:
         print_plan(calibration_plan(axis))
         return 0
     store = None if args.replay else open_store(args, axis, writing=True)
-    how = {"straightness": straightness, "resume": args.resume, "recording": recording_name(args)}
+    beside = {"straightness": straightness, "backlash": backlash}
+    how = {**beside, "resume": args.resume, "recording": recording_name(args)}
     with machine_of(args, axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
         result = run_calibration(machine, store, listener, **how)
     summary = summarise(axis, result)
     print_stages({"before": summary["before"], **{f"round {n}": one for n, one in enumerate(summary["rounds"], 1)}})
+    if result.moved_um:
+        (target_mm, direction), most_um = max(result.moved_um.items(), key=lambda one: abs(one[1]))
+        print(
+            f"fine steps moved {len(result.moved_um)} sections, at most {most_um:+.2f} µm in all ({target_mm:g} mm"
+            f" {'+' if direction > 0 else '-'}), allowed are {axis.correction.fine_total_um:g} µm (fine_total_um)"
+        )
     for section in result.outside:
         print(f"outside the band: {section}")
     print("nothing is stored: this was a recording" if store is None else f"stored {store.path}")
@@ -90,23 +119,65 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result.inside else 1
 
 
-def _store_manual(args: argparse.Namespace, axis: AxisConfig, straightness: SingleTable | None) -> int:
+def _store_manual(
+    args: argparse.Namespace, axis: AxisConfig, straightness: SingleTable | None, backlash: SingleTable | None
+) -> int:
     """Manual mode: stores the typed values in the form that the axis file asks for; nothing moves."""
-    if args.resume or args.report or args.record or args.replay:
-        raise InputError("--manual measures nothing: neither --resume, --report, --record nor --replay goes with it")
-    typed = read_manual_tables(args.manual)
-    if straightness is not None:
-        if typed.straightness is not None:
-            raise InputError("holds a straightness table already, and --straightness gives another", path=args.manual)
-        typed = replace(typed, straightness=straightness)
-    tables = as_stored(typed, axis.correction)
-    Compensation(tables).check(axis.correction.bound, f"{args.manual}: correction not stored")
+    if args.resume or args.report or args.record or args.replay or args.stored:
+        raise InputError(
+            "--manual measures nothing: neither --resume, --report, --record, --replay nor --stored goes with it"
+        )
+    tables = manual_tables(axis, args.manual, straightness, backlash)
     if args.dry_run:
         print(f"axis {axis.name}: would move nothing")
         print(f"would write {axis.tables_path}")
         return 0
     store = open_store(args, axis, writing=True)
-    store.save_tables(tables)
+    store.save(Compensation(tables), measured=False)
+    return _tell_unproven(args, axis, store, tables)
+
+
+def _withdraw(args: argparse.Namespace, axis: AxisConfig) -> int:
+    """Takes the axis's tables out of the sealed file; nothing moves, and no reading password is needed."""
+    others = ("resume", "manual", "straightness", "backlash", "stored", "report", "record", "replay", "new_zero")
+    if given := [name for name in (*others, "instrument_zeroed") if getattr(args, name)]:
+        raise InputError(f"--withdraw measures and stores nothing: --{given[0].replace('_', '-')} does not go with it")
+    if bound_tables(axis) is None:
+        raise InputError("holds no tables of the axis, nothing is in force", path=axis.tables_path)
+    if args.dry_run:
+        print(f"axis {axis.name}: would move nothing")
+        print(
+            f"would take its tables, effects and lost motion out of {axis.tables_path}, what other axes have there stays"
+        )
+        return 0
+    store = SealedStore.of(axis, "", password(args.key_password_file, KEY, "builder key's password", os.environ))
+    store.withdraw()
+    left = (
+        f"{store.path} keeps what other axes have"
+        if store.path.exists()
+        else f"{store.path} held nothing else and is gone"
+    )
+    print(f"axis {axis.name}: its tables, effects and lost motion are out of force; {left}")
+    if args.json:
+        write_json(args.json, {"axis": axis.name, "withdrawn": str(store.path), "others": store.path.exists()})
+    return 0
+
+
+def _enter_backlash(args: argparse.Namespace, axis: AxisConfig, backlash: SingleTable | None) -> int:
+    """Stores a backlash beside the stored pitch; nothing moves."""
+    if backlash is None:
+        raise InputError("--stored goes with --backlash: what is to be entered beside the stored tables")
+    if args.resume or args.report or args.record or args.replay or args.straightness:
+        raise InputError("--stored measures nothing: no other option goes with it and --backlash")
+    if args.dry_run:
+        print(f"axis {axis.name}: would move nothing")
+        print(f"would write {axis.tables_path}")
+        return 0
+    store = open_store(args, axis, writing=True)
+    return _tell_unproven(args, axis, store, enter_backlash(store, axis, backlash, alone=False).tables)
+
+
+def _tell_unproven(args: argparse.Namespace, axis: AxisConfig, store: SealedStore, tables: TableSet) -> int:
     print(f"stored {store.path}: tables {tables.digest()[:16]}, not yet proven (hil verify {args.axis})")
     if args.json:
         write_json(args.json, {"axis": axis.name, "digest": tables.digest(), "tables": tables.to_dict()})

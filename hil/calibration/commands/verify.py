@@ -17,12 +17,13 @@ from hil.app.terminal.axis_options import (
     tell_zero,
 )
 from hil.app.terminal.measuring_options import add_recording_options, machine_of, recording_name
-from hil.app.terminal.output import write_json
+from hil.app.terminal.output import print_facts, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.app.terminal.summary import print_stages
 from hil.axis.axis_file import load_axis
 from hil.calibration.job import run_verification, verification_plan
+from hil.calibration.straightness import straightness_in
 from hil.figures.commands.iso230 import print_figures
 from hil.figures.iso230 import iso230
 from hil.records.files import replace_file
@@ -62,9 +63,12 @@ def run(args: argparse.Namespace) -> int:
     axis = load_axis(args.axis)
     if args.dry_run:
         print_plan(verification_plan(axis, args.seed))
+        if axis.straightness is not None:
+            at = f"{axis.straightness.axis_file.name} at {axis.straightness.at_mm:g} mm"
+            print(f"would enable and move the axis of {at} too, where what is stored corrects straightness by it")
         return 0
     compensation = load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
-    with machine_of(args, axis) as machine, terminal_progress() as listener:
+    with machine_of(args, axis, moves_axis=compensation.moves_axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
         how = {"seed": args.seed, "resume": args.resume, "recording": recording_name(args)}
         result = run_verification(machine, compensation, listener, **how)
@@ -74,13 +78,21 @@ def run(args: argparse.Namespace) -> int:
     except InputError as error:  # an axis of two sections has one target between them
         print(f"no figures of ISO 230-2: {error.what}")
     print_stages({"verified": figures})
+    straight = straightness_in(axis, result.records)
+    if straight is not None:
+        print_facts({"straightness": str(straight)})
     for section in result.outside:
         print(f"outside the band: {section}")
+    for place in result.not_judged:
+        print(f"not judged: {place}")
     if args.report:
         from hil.calibration.report import verification_report  # noqa: PLC0415  (plots are slow to import)
 
         replace_file(args.report, verification_report(axis, compensation.tables, result).encode())
     if args.json:
         outside = [vars(section) for section in result.outside]
-        write_json(args.json, {"axis": axis.name, **figures, "good": result.good, "outside": outside})
+        if axis.correction.band is not None:
+            figures["not_judged"] = [vars(place) for place in result.not_judged]
+        more = {} if straight is None else {"straightness": straight.figures()}
+        write_json(args.json, {"axis": axis.name, **figures, "good": result.good, "outside": outside, **more})
     return 0 if result.good else 1

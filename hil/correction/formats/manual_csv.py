@@ -22,9 +22,9 @@ def dump(tables: TableSet, comment: str = "") -> str:
     parts += [part.position_mm for part in (tables.backlash, tables.specified, tables.straightness) if part is not None]
     nodes = np.unique(np.concatenate(parts))
     columns: dict[str, Floats] = {"position_mm": nodes, "plus_um": tables.pitch.at(nodes, 1)}
-    if tables.mode is TableMode.BIDIRECTIONAL:
+    if tables.mode is not TableMode.UNIDIRECTIONAL_BACKLASH:
         columns["minus_um"] = tables.pitch.at(nodes, -1)
-    elif tables.backlash is not None:
+    if tables.mode is not TableMode.BIDIRECTIONAL and tables.backlash is not None:
         columns["backlash_um"] = tables.backlash.at(nodes)
     if tables.specified is not None:
         columns["specified_plus_um"] = tables.specified.at(nodes, 1)

@@ -49,6 +49,9 @@ MAX_KDF_WORK = 1 << 23
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 """An entry's name: safe as a file name everywhere."""
+VACANT = re.compile(r"_vacant_[0-9]+")
+"""Name of a place whose entry was taken out. Entries are authenticated with their place, so those behind it keep theirs; the next new
+entry takes it."""
 
 _FRONT = struct.Struct(">7sBI")
 _CHUNK = struct.Struct(">16sHI")

@@ -64,10 +64,31 @@ def password_bytes(password: str) -> bytes:
     return unicodedata.normalize("NFC", password).encode("utf-8")
 
 
+NEW_CHARACTERS = 15
+"""Least length of a new password: NIST SP 800-63B-4 (2025), 3.1.1.2, for one that is the only factor, as it is for who has the file.
+Counted in code points, with no rule of composition, as there."""
+NEW_DIFFERENT = 5
+"""Least number of different characters of a new one, against the repetitive ones that its list of refused passwords is to hold."""
+
+
+def require_strong(password: str, what: str) -> None:
+    """Raises InputError for a new password that is too short or repeats itself; those that exist are not asked. what: names it."""
+    text = unicodedata.normalize("NFC", password)
+    if len(text) < NEW_CHARACTERS or len(set(text)) < NEW_DIFFERENT:
+        raise InputError(
+            f"{what} is new and has {len(text)} characters, {len(set(text))} of them different: expected at least {NEW_CHARACTERS},"
+            f" {NEW_DIFFERENT} of them different, such as some words (NIST SP 800-63B-4)"
+        )
+
+
 def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *, cost: Cost = KEY_COST) -> None:
-    """Write an encrypted PKCS #8 PEM file, readable by its owner only. Raises InputError when the file exists already."""
+    """Write an encrypted PKCS #8 PEM file, readable by its owner only.
+
+    Raises InputError when the file exists already, and for a password that is too weak (`require_strong`).
+    """
     if os.path.lexists(path):
         raise InputError("exists already; a builder's key is never overwritten", path=path)
+    require_strong(password, "password of the new key")
     replace_file(path, _encrypted_pem(key, password_bytes(password), cost), mode=0o600)
 
 

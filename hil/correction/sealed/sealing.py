@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -69,7 +69,7 @@ def seal(
     """
     builder = keys.raw(builder_key.public_key())
     header = Header(os.urandom(16), cost or Cost(), builder, entries=(), binding=_next_binding(None, bound_to))
-    return _build(header, {}, entries, passwords, builder_key)
+    return _build(header, [], entries, passwords, builder_key)
 
 
 def _next_binding(before: Binding | None, bound_to: Mapping[str, Any] | None) -> Binding:
@@ -85,6 +85,7 @@ def check(data: bytes, builder_public: Ed25519PublicKey) -> SealedInfo:
     sizes = {
         entry.name: len(ciphertext) - _TAG_BYTES
         for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
+        if not container.VACANT.fullmatch(entry.name)
     }
     return SealedInfo(
         version=parts.header.version,
@@ -106,7 +107,7 @@ def open_sealed(
     SealedError that says what is wrong, InputError for a name the file does not hold.
     """
     parts = _checked(data, builder_public)
-    present = [entry.name for entry in parts.header.entries]
+    present = [entry.name for entry in parts.header.entries if not container.VACANT.fullmatch(entry.name)]
     wanted = list(names) if names is not None else present if isinstance(passwords, str) else list(passwords)
     for name in wanted:
         if name not in present:
@@ -131,21 +132,47 @@ def reseal(
     builder_key: Ed25519PrivateKey,
     *,
     bound_to: Mapping[str, Any] | None = None,
+    without: Iterable[str] = (),
 ) -> bytes:
-    """A sealed file with the entries in `changes` replaced or added, and signed anew; its counter is one more.
+    """A sealed file with the entries in `changes` replaced or added, those in `without` taken out, and signed anew; its counter is one
+    more.
 
     bound_to: what the file is bound to from now on; None leaves that as it was. Only the changed entries' passwords are needed; the
     others stay encrypted as they are. Raises the SealedError that says what is wrong unless the present file is signed with the
-    same key, InputError for a binding that is too large.
+    same key, InputError for a binding that is too large, and where no entry would be left.
     """
     parts = _checked(data, builder_key.public_key())
-    kept = {
-        entry.name: (entry, ciphertext)
-        for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
-    }
+    out = set(without)
+    if not changes and not out:
+        raise InputError("nothing to seal, expected at least one entry")
     # contents are bound to their place in the file, so what is kept keeps its place
+    kept = [
+        None if entry.name in out or container.VACANT.fullmatch(entry.name) else (entry, ciphertext)
+        for entry, ciphertext in zip(parts.header.entries, parts.ciphertexts, strict=True)
+    ]
     header = replace(parts.header, binding=_next_binding(parts.header.binding, bound_to))
     return _build(header, kept, changes, passwords, builder_key)
+
+
+def require_strong_new(passwords: Mapping[str, str], present: bytes | None, builder_public: Ed25519PublicKey) -> None:
+    """Raises InputError for a new password of an entry that is too weak (`keys.require_strong`), by the entry's name.
+
+    present: the file as it is, None for none; a password that opens its entry there is not new.
+    """
+    there = () if present is None else check(present, builder_public).entries
+    for name, password in passwords.items():
+        try:
+            keys.require_strong(password, f"password of {name}")
+        except InputError:
+            if present is None or name not in there:
+                raise
+            try:
+                open_sealed(present, {name: password}, builder_public)
+            except WrongPasswordError:
+                pass
+            else:
+                continue
+            raise
 
 
 def resign(data: bytes, builder_public: Ed25519PublicKey, new_builder_key: Ed25519PrivateKey) -> bytes:
@@ -187,41 +214,54 @@ def read_sealed(
 
 def _build(
     base: Header,
-    kept: Mapping[str, tuple[EntryHeader, bytes]],
+    kept: Sequence[tuple[EntryHeader, bytes] | None],
     changes: Mapping[str, bytes],
     passwords: Passwords,
     builder_key: Ed25519PrivateKey,
 ) -> bytes:
-    _check_names(changes, passwords, kept)
+    """kept: what stays, by place in the file, None for a vacant one; new entries take those first."""
+    names: list[str | None] = [None if one is None else one[0].name for one in kept]
+    for new in changes:
+        if new not in names:
+            place = names.index(None) if None in names else len(names)
+            names[place : place + 1] = [new]
+    while names and names[-1] is None:
+        names.pop()
+    _check_names(changes, passwords, names)
     stretched = _Stretched(base.cost)
     salts: dict[str, bytes] = {}
     entries: list[EntryHeader] = []
-    for name in dict.fromkeys([*kept, *changes]):
-        if name in changes:
+    for number, name in enumerate(names):
+        present = kept[number] if number < len(kept) else None
+        if name is not None and name in changes:
             salt = salts.setdefault(_password(passwords, name), os.urandom(16))
             entries.append(EntryHeader(name, salt, os.urandom(12)))
+        elif present is not None:
+            entries.append(present[0])
         else:
-            entries.append(kept[name][0])
+            entries.append(EntryHeader(f"_vacant_{number}", os.urandom(16), os.urandom(12)))
     header = replace(base, entries=tuple(entries))
     ciphertexts = []
     for number, entry in enumerate(entries):
+        present = kept[number] if number < len(kept) else None
         if entry.name in changes:
             cipher = ChaCha20Poly1305(stretched.key(_password(passwords, entry.name), entry.salt))
             data = bytes(changes[entry.name])
             ciphertexts.append(cipher.encrypt(entry.nonce, data, container.associated_data(header, number)))
         else:
-            ciphertexts.append(kept[entry.name][1])
+            ciphertexts.append(os.urandom(_TAG_BYTES) if present is None else present[1])
     signed = container.pack(header, tuple(ciphertexts))
     return signed + builder_key.sign(_DOMAIN + signed)
 
 
-def _check_names(changes: Mapping[str, bytes], passwords: Passwords, kept: Mapping[str, object]) -> None:
-    if not changes:
+def _check_names(changes: Mapping[str, bytes], passwords: Passwords, names: Sequence[str | None]) -> None:
+    """names: of all entries afterwards."""
+    if not names:
         raise InputError("nothing to seal, expected at least one entry")
-    if len({*changes, *kept}) > container.MAX_ENTRIES:
+    if len(names) > container.MAX_ENTRIES:
         raise InputError(f"too many entries to seal, expected at most {container.MAX_ENTRIES}")
     for name in changes:
-        if not container.NAME.fullmatch(name):
+        if not container.NAME.fullmatch(name) or container.VACANT.fullmatch(name):
             raise InputError(f"entry name {name!r} cannot be used, expected up to 100 letters, digits, '.', '_' or '-'")
     if not isinstance(passwords, str):
         for name in passwords:

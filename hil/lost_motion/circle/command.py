@@ -11,6 +11,7 @@ from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.compensation import Compensation
+from hil.correction.store import bound_tables
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
 from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
 from hil.machine.axes_wiring import connected_axes
@@ -19,10 +20,12 @@ from hil.records.files import replace_file
 EXAMPLE = """\
 example:
   hil circle X.toml Y.toml --dry-run                   what would move, and how far
-  hil circle X.toml Y.toml --report circle.html        10 mm at 100 mm/min: uncorrected, then with what is stored for both axes
+  hil circle X.toml Y.toml --report circle.html        10 mm at 100 mm/min: uncorrected, by tables, with the lost motion
   hil circle X.toml Y.toml --centre 120 80 --clockwise
 
-Both drives take set-points together: on one CAN bus by one SYNC, otherwise by this computer's clock. Both instruments measure. An axis
+Driven are three circles where `hil lost-motion` has stored a rise: uncorrected, with the tables alone, and with tables and
+lost motion ("corrected" in JSON); two where only tables are stored. Both drives take set-points together: on one CAN bus by
+one SYNC, otherwise by this computer's clock. Both instruments measure. An axis
 without stored tables drives uncorrected. `hil lost-motion` makes the correction that this test shows. Readings are dated by the
 latency_s of each axis file; instruments of different latency show an ellipse unless it is stated there.
 Exit status 1: with the correction in force the bumps fell neither to half nor to the floor.
@@ -98,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _stored(args: argparse.Namespace, axis: AxisConfig) -> Compensation | None:
-    if not axis.tables_path.exists():
+    if bound_tables(axis) is None:
         return None
     return load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
 
@@ -112,8 +115,12 @@ def _print_plan(axes: tuple[AxisConfig, AxisConfig], circle: Circle, args: argpa
             f" {axis.measurement.reference_mm:g} mm, and move between {low:g} and {high:g} mm (corrections come on top)"
         )
     sense = "counter-clockwise" if circle.sense > 0 else "clockwise"
-    there = [axis.name for axis in axes if axis.tables_path.exists()]
-    how = f"uncorrected, then with what is stored for {' and '.join(there)}" if there else "uncorrected"
+    there = [axis.name for axis in axes if bound_tables(axis) is not None]
+    how = (
+        f"uncorrected, then with what is stored for {' and '.join(there)} (tables, then lost motion)"
+        if there
+        else "uncorrected"
+    )
     print(
         f"would drive {circle.radius_mm:g} mm {sense} at {60 * circle.feed_mm_s:g} mm/min, {how}:"
         f" {circle.duration_s:.0f} s each, a set-point every {args.period_ms:g} ms"
@@ -124,7 +131,7 @@ def _print_plan(axes: tuple[AxisConfig, AxisConfig], circle: Circle, args: argpa
 def _print(driven: DrivenCircle) -> None:
     rows = [
         [
-            name,
+            driven.label(name),
             *(number(b) for b in one.bumps_um),
             number(one.bump_mean_um),
             number(one.floor_um),
@@ -137,8 +144,12 @@ def _print(driven: DrivenCircle) -> None:
     facts = {"rows": str(driven.kept)}
     if driven.fallen_percent is not None:
         facts = {"bumps fallen by": f"{driven.fallen_percent:.1f} %", **facts}
+    if driven.fallen_by_tables_percent is not None:
+        facts = {"bumps fallen by tables alone": f"{driven.fallen_by_tables_percent:.1f} %", **facts}
     if driven.missed:
         facts["set-points missed"] = str(driven.missed)
     print_facts(facts)
+    if driven.comparison:
+        print(driven.comparison)
     if not driven.good:
         print(VERDICT)

@@ -50,9 +50,11 @@ class Circle:
                 f"circle of {self.radius_mm:g} mm at {self.feed_mm_s:g} mm/s, sense {self.sense}: expected > 0, and 1 or -1"
             )
         if self._ramp_mm > 0.5 * self._lead_mm:
+            most = math.floor(10.0 * 60.0 * math.sqrt(self.ramp_mm_s2 * self._lead_mm)) / 10.0
             raise InputError(
-                f"a feed of {self.feed_mm_s:g} mm/s needs {self._ramp_mm:.3f} mm to be reached, the arc before the turn"
-                f" has {self._lead_mm:.3f} mm"
+                f"a feed of {60.0 * self.feed_mm_s:.10g} mm/min needs {self._ramp_mm:.3f} mm to be reached, and"
+                f" {0.5 * self._lead_mm:.3f} mm are allowed, half of the arc before the turn: a circle of"
+                f" {self.radius_mm:g} mm takes up to {most:.1f} mm/min"
             )
 
     @property

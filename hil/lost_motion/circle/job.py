@@ -1,9 +1,9 @@
-"""The circle test of two axes as a job: driven uncorrected, then with the stored corrections."""
+"""The circle test of two axes as a job: driven uncorrected, by the stored tables alone, and with the stored lost motion."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,8 @@ from hil.machine.wiring import Machine
 from hil.records.journal import Campaign
 
 CIRCLE = "circle"
-BEFORE, AFTER = "uncorrected", "corrected"
+BEFORE, TABLES, AFTER = "uncorrected", "tables", "corrected"
+"""Names of the circles: by the tables alone only where a rise of the lost motion is stored beside them."""
 PERIOD_S = 0.004
 """Period of the set-points."""
 VERDICT = "with the correction in force the bumps fell neither to half nor to the floor"
@@ -61,6 +62,34 @@ class DrivenCircle:
         return 100.0 * (1.0 - self.runs[AFTER].trace.bump_mean_um / self.runs[BEFORE].trace.bump_mean_um)
 
     @property
+    def fallen_by_tables_percent(self) -> float | None:
+        """The same by the tables alone; None where that circle was not driven."""
+        if TABLES not in self.runs:
+            return None
+        return 100.0 * (1.0 - self.runs[TABLES].trace.bump_mean_um / self.runs[BEFORE].trace.bump_mean_um)
+
+    def label(self, name: str) -> str:
+        """What was in force in a circle."""
+        if name == AFTER and TABLES in self.runs:
+            return "tables + lost motion"
+        return {BEFORE: BEFORE, TABLES: "tables alone", AFTER: "tables"}[name]
+
+    @property
+    def comparison(self) -> str:
+        """What the lost motion does beyond the tables, in a sentence; empty where it was not driven."""
+        if TABLES not in self.runs:
+            return ""
+        before, tables, after = (self.runs[name].trace for name in (BEFORE, TABLES, AFTER))
+        figures = (
+            f"{before.bump_mean_um:.2f} µm uncorrected, {tables.bump_mean_um:.2f} by tables,"
+            f" {after.bump_mean_um:.2f} with the lost motion"
+        )
+        if abs(after.bump_mean_um - tables.bump_mean_um) <= max(tables.floor_um, after.floor_um):
+            return f"{figures}: the two corrections differ by less than the floor"
+        better = after.bump_mean_um < tables.bump_mean_um
+        return f"{figures}: on this circle {'it' if better else 'tables alone'} did better"
+
+    @property
     def missed(self) -> int:
         """Set-points that came too late."""
         return sum(each.missed for each in self.runs.values())
@@ -93,12 +122,15 @@ def run_circle(
     *,
     period_s: float = PERIOD_S,
 ) -> DrivenCircle:
-    """Prepares both axes and drives the circle: uncorrected, and where an axis has a stored correction, with those.
+    """Prepares both axes and drives the circle: uncorrected, and where an axis has a stored correction, with those; where a
+    rise of the lost motion is among them, in between with the tables alone, which switch at each reversal.
 
     Raises what `check_axes` and `drive_circle` raise.
     """
     axes: Axes = (machines[0].axis, machines[1].axis)
     wanted: dict[str, Sequence[Compensation | None]] = {BEFORE: [None, None]}
+    if any(one is not None and one.rise is not None for one in stored):
+        wanted[TABLES] = [None if one is None else replace(one, rise=None) for one in stored]
     wanted |= {AFTER: stored} if any(one is not None for one in stored) else {}
     sessions = [machine.session for machine in machines]
     check_axes(sessions, circle, period_s)
@@ -164,7 +196,9 @@ def report_html(driven: DrivenCircle) -> str:
         f" {'counter-' if circle.sense > 0 else ''}clockwise at {60 * circle.feed_mm_s:g} mm/min",
     }
     title, verdict = f"Circle of axes {names[0]} and {names[1]}", "" if driven.good else VERDICT
-    return render_circle(CircleReport(title, driven.traces, names, circle.sense, verdict, identity))
+    traces = {driven.label(name): trace for name, trace in driven.traces.items()}
+    said = " ".join(filter(None, (verdict, driven.comparison)))
+    return render_circle(CircleReport(title, traces, names, circle.sense, said, identity))
 
 
 def form(driven: DrivenCircle) -> dict[str, Any]:
@@ -178,6 +212,7 @@ def form(driven: DrivenCircle) -> dict[str, Any]:
         "sense": circle.sense,
         "circles": {
             name: {
+                "in_force": driven.label(name),
                 "bumps_um": dict(zip((f"{at:g}" for at in QUADRANTS_DEG), one.trace.bumps_um, strict=True)),
                 "bump_mean_um": one.trace.bump_mean_um,
                 "floor_um": one.trace.floor_um,
@@ -189,4 +224,5 @@ def form(driven: DrivenCircle) -> dict[str, Any]:
             for name, one in driven.runs.items()
         },
         "fallen_percent": driven.fallen_percent,
+        "fallen_by_tables_percent": driven.fallen_by_tables_percent,
     }

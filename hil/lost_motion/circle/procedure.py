@@ -20,6 +20,7 @@ from drivers.instrument import Reading
 from drivers.set_points import SetPointSettings
 from hil.correction.compensation import Compensation
 from hil.lost_motion.circle.figures import Circle, Trace, trace_of
+from hil.machine.cross_axis import check_across
 from hil.machine.events import Event, Listener, silent
 from hil.machine.sample_times import SampleDating, sample_dating
 from hil.machine.session import AxisSession
@@ -69,8 +70,16 @@ def prepare(axes: Sequence[AxisSession], compensations: Sequence[Compensation | 
     """
     for axis in axes:
         axis.await_instrument()
+    _join(axes)
     for axis, compensation in zip(axes, compensations, strict=True):
         axis.prepare(compensation=compensation)
+
+
+def _join(axes: Sequence[AxisSession]) -> None:
+    """The set-points of each axis carry what the straightness of the others adds to it (`_across_um`)."""
+    names = frozenset(axis.drive.name for axis in axes)
+    for axis in axes:
+        axis.beside_in_stream = names - {axis.drive.name}
 
 
 def drive_circle(
@@ -91,21 +100,42 @@ def drive_circle(
     Raises CapabilityError, LimitError before any motion, and whatever stops an axis: all stop together.
     """
     check_axes(axes, circle, period_s)
+    _join(axes)
     try:
         for axis, compensation in zip(axes, compensations, strict=True):
             axis.compensation = compensation
+        for axis, compensation in zip(axes, compensations, strict=True):
+            for other in axes:
+                if compensation is not None and compensation.moves_axis == other.drive.name != axis.drive.name:
+                    check_across(compensation.tables, other.command_state.bound)
         _to_the_start(axes, circle)
         dates = [sample_dating(axis, latency) for axis, latency in zip(axes, latency_s, strict=True)]
         return _stream(axes, dates, circle, stage=stage, period_s=period_s, listener=listener)
     finally:
         for axis in axes:
             axis.compensation = None
+            axis.beside_in_stream = frozenset()
+
+
+def _across_um(axes: Sequence[AxisSession], targets_mm: Sequence[float]) -> list[float]:
+    """What the straightness of the other axes, at their own targets, adds to each axis, µm."""
+    return [
+        sum(
+            other.across_um(at_mm, axis.drive.name)
+            for other, at_mm in zip(axes, targets_mm, strict=True)
+            if other is not axis
+        )
+        for axis in axes
+    ]
 
 
 def _to_the_start(axes: Sequence[AxisSession], circle: Circle) -> None:
-    for axis, start_mm, direction in zip(axes, circle.at(0.0), circle.starting(), strict=True):
+    starts = circle.at(0.0)
+    for axis, start_mm, direction, across_um in zip(
+        axes, starts, circle.starting(), _across_um(axes, starts), strict=True
+    ):
         axis.approach(start_mm - direction * RUN_IN_MM)
-        axis.move_to(start_mm, APPROACH_MM_S)
+        axis.move_to(start_mm, APPROACH_MM_S, across_um=across_um)
         axis.watch(axis.how.dwell_s)
 
 
@@ -131,12 +161,14 @@ def _stream(
         stream = stack.enter_context(first.drive.stream_with(others, SetPointSettings(period_s)))
         for index, (targets, feed) in enumerate(circle.path(period_s)):
             commands = [
-                axis.set_point(target, feed, values) for axis, target, values in zip(axes, targets, known, strict=True)
+                axis.set_point(target, feed, values, across_um=across_um)
+                for axis, target, values, across_um in zip(axes, targets, known, _across_um(axes, targets), strict=True)
             ]
             places = stream.cycle([command.command_mm for command in commands])
             now_ns = first.clock.now_ns()
             for axis, command, rows, tell, place_mm in zip(axes, commands, samples, found, places, strict=True):
                 axis.command_state.issued(command)
+                axis.command_state.found_at(place_mm)
                 tell(now_ns, place_mm, feed)
                 rows.extend(axis.readings())
             if index % every == 0:

@@ -133,7 +133,9 @@ def _tiles(report: CircleReport) -> str:
     ]
     means = [trace.bump_mean_um for trace in report.traces.values()]
     if len(means) > 1:
-        tiles.append(tile("Fallen by", markup.number(100.0 * (1.0 - means[-1] / means[0]), 1), "%"))
+        tiles.append(
+            tile(f"Fallen by, {list(report.traces)[-1]}", markup.number(100.0 * (1.0 - means[-1] / means[0]), 1), "%")
+        )
     return '<div class="tiles">' + "".join(tiles) + "</div>"
 
 

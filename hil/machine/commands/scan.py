@@ -9,7 +9,9 @@ from typing import Any
 
 from drivers.canopen import scan as canopen
 from drivers.canopen.bus import CanLink
+from drivers.canopen.identity import PROFILE
 from drivers.clock import WallClock
+from drivers.drive_notes import shipped_notes
 from drivers.errors import InputError
 from drivers.modbus import scan as modbus
 from drivers.modbus.link import ModbusLink
@@ -64,10 +66,32 @@ def run(args: argparse.Namespace) -> int:
     found: Sequence[Any] = _canopen(args) if args.channel else _modbus(args)
     if not found:
         print("no device answers")
+    else:
+        print(f"next: hil drives new X.toml --drive {_drive_option(args, found)}, then hil doctor X.toml")
+        if args.channel and (noted := _noted(found)):
+            print(f"notes on drives of these makers: hil drives show {' | '.join(noted)}")
     if args.json:
         kind = "nodes" if args.channel else "units"
         write_json(args.json, {kind: [_plain(vars(each)) for each in found]})
     return 0 if found else 1
+
+
+def _noted(found: Sequence[canopen.FoundNode]) -> list[str]:
+    """Names of the notes on drives of the makers that were found."""
+    vendors = {node.vendor_id for node in found if node.vendor_id}
+    return [name for name, notes in shipped_notes().items() if notes.head.vendor_id in vendors]
+
+
+def _drive_option(args: argparse.Namespace, found: Sequence[Any]) -> str:
+    """The options of `hil drives new` for the first device."""
+    if args.channel:
+        drives = (
+            [node for node in found if node.profile == PROFILE] or [node for node in found if node.answers_sdo] or found
+        )
+        rate = "" if args.bitrate is None else f" --bitrate {args.bitrate}"
+        return f"canopen --interface {args.interface} --channel {args.channel}{rate} --node {drives[0].node_id}"
+    where = f"--tcp {args.tcp}" if args.tcp else f'--serial "{args.serial}" --baud {args.baud}'
+    return f"{args.map or 'NAME (hil drives list)'} {where} --unit {found[0].unit}"
 
 
 # -- CANopen -----------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from hil.parameters.compare import Comparison, Side
 from hil.parameters.formats import FORMATS
 from hil.parameters.job import back_up_axes, compare_axes, recover_axes, set_before_last, set_of_last, write_axes
 from hil.parameters.predict import Prediction, predict, seconds_together
-from hil.parameters.preflight import Objection, match_set
+from hil.parameters.preflight import Objection, left_out, match_set, notes_of_file
 from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet
@@ -64,6 +64,8 @@ def _backup(args: argparse.Namespace) -> int:
             print(f"{axis.name}: {backup.error}")
             continue
         print(f"{axis.name}: {len(backup.contents.entries)} parameters in {path}")
+        for note in backup.notes:
+            print(f"{axis.name}: {note}")
         for address, why in (backup.unreadable or {}).items():
             print(f"{axis.name}: {address} is left out: {why}")
     if args.json:
@@ -90,6 +92,7 @@ def _form(path: Path, backup: Backup) -> dict[str, object]:
         "parameters": len(contents.entries) if contents is not None else 0,
         "hash": contents.hash if contents is not None else None,
         "unreadable": backup.unreadable or {},
+        "notes": list(backup.notes),
     }
 
 
@@ -138,6 +141,8 @@ def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
         print_parameters("held", cells, _MOST_DIFFERENCES)
     for objection in comparison.objections:
         print(f"{name}: {objection}")
+    for note in comparison.notes:
+        print(f"{name}: {note}")
     if comparison.error:
         print(f"{name}: {comparison.error}")
     elif costs:
@@ -162,6 +167,10 @@ def _add_writing(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
             "--audit", action="store_true", help="after storing, start the drive anew and read all of it again"
         )
         job.add_argument("--any-version", action="store_true", help="also a set read with another revision or firmware")
+    for job in (parser, restore):
+        job.add_argument(
+            "--other-eds", action="store_true", help="also with a maker's file (eds) of another vendor or product"
+        )
 
 
 def _download(args: argparse.Namespace) -> int:
@@ -180,21 +189,34 @@ def _write_sets(
         raise InputError("--audit needs --store: values that are not stored are lost at a restart")
     ask = ask_person if args.audit else None
     with progress_bars() as progress:
-        reports = write_axes(axes, sets, store=store, ask=ask, any_version=args.any_version, progress=progress)
+        reports = write_axes(
+            axes,
+            sets,
+            store=store,
+            ask=ask,
+            any_version=args.any_version,
+            other_eds=getattr(args, "other_eds", False),
+            progress=progress,
+        )
     return print_reports(reports, args.json)
 
 
 def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet]) -> int:
     predictions: list[Prediction] = []
     objections: list[list[Objection]] = []
+    notes: list[list[str]] = []
     with unconnected_parameters(axes) as drives:
         for drive, contents in zip(drives, sets, strict=True):
             wanted, against = match_set(drive, contents)
             predictions.append(predict(drive, wanted))
             objections.append(against)
+            omitted = left_out(drive, contents)
+            notes.append([omitted] if omitted else [])
             print(
                 f"{drive.name}: would look at {len(wanted)} parameters and write those that differ, then read them back"
             )
+            for note in (*notes[-1], *notes_of_file(drive)):
+                print(f"{drive.name}: {note}")
             for objection in against:
                 print(f"{drive.name}: would be refused: {objection}")
     for prediction in predictions:
@@ -206,8 +228,8 @@ def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence
         print("would have the drives keep it")
     if args.json:
         forms = [
-            {**prediction.as_json(), "objections": [vars(each) for each in against]}
-            for prediction, against in zip(predictions, objections, strict=True)
+            {**prediction.as_json(), "objections": [vars(each) for each in against], "notes": told}
+            for prediction, against, told in zip(predictions, objections, notes, strict=True)
         ]
         write_json(args.json, {"good": not any(objections), "drives": forms})
     return 1 if any(objections) else 0

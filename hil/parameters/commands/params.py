@@ -29,8 +29,9 @@ example:
   hil params restore X.toml                                 as it was before the last download
   hil params resume X.toml                                  finish a download that was cut off; or: rollback
 
-A set is a TOML file, a DCF (.dcf) or a concise DCF (.cdcf). Motion targets, modes and commands are never written. Parameters are
-written while the drive is disabled. Exit status 1: the drive holds something else than asked for; the report says what.
+A set is a TOML file, a DCF (.dcf) or a concise DCF (.cdcf). Motion targets, modes and commands, the maker's own too, are never
+written; of a DCF they are left out and listed. Parameters are written while the drive is disabled.
+Exit status 1: the drive holds something else than asked for; the report says what.
 """
 
 
@@ -59,6 +60,11 @@ def add_job(
             help=f"{sets}; one for all, or one for each axis",
         )
         parser.add_argument(
+            "--without-pdos",
+            action="store_true",
+            help="leave the PDOs of a DCF out (default: each is written as a whole, in the order of CiA 301)",
+        )
+        parser.add_argument(
             "--signed", action="store_true", help="refuse a set without the builder's signature beside it (FILE.sig)"
         )
     add_json_option(parser)
@@ -79,7 +85,10 @@ def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[Paramet
     if len(args.sets) not in (1, len(axes)):
         raise InputError(f"--set is given {len(args.sets)} times, expected once, or once for each of {len(axes)} axes")
     paths = args.sets * len(axes) if len(args.sets) == 1 else args.sets
-    return [load_set(path, axis, signed=args.signed) for path, axis in zip(paths, axes, strict=True)]
+    return [
+        load_set(path, axis, signed=args.signed, pdos=not args.without_pdos)
+        for path, axis in zip(paths, axes, strict=True)
+    ]
 
 
 def ask_person(what: str) -> None:

@@ -1,4 +1,4 @@
-"""M91 to M93 and the centring of a bore with the run-out in force, a part of the probe's page."""
+"""M91 to M93, the centring of a bore and other measurements with the run-out in force, a part of the probe's page."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.pieces import Reading
+from hil.app.panel.pieces import Latest, Reading, Table
 from hil.probe import job as probe
-from hil.probe.page_data import ProbeRecord, centred_at, corrected_at
+from hil.probe.page_data import ProbeRecord, centred_at, corrected_at, other_at
 from hil.probe.pages.at_probe import ProbePage
 from hil.probe.procedure import Correction
 from hil.probe.runout import CorrectionCode
@@ -19,9 +19,11 @@ Kept = Reading[ProbeRecord]
 
 
 def draw_corrections(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
-    """Draws both cards; returns their refresh. mode: the selection of how contacts are found"""
+    """Draws the cards; returns their refresh. mode: the selection of how contacts are found"""
     with ui.element("div").classes("hil-grid"):
         parts = [_draw_correction(at, kept), _draw_bore(at, kept, mode)]
+    if at.config.features:
+        parts.append(_draw_others(at, kept, mode))
 
     def refresh() -> None:
         for part in parts:
@@ -32,7 +34,8 @@ def draw_corrections(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
 
 def _draw_code(at: ProbePage, name: str) -> ui.select:
     """Selection of the axes to correct; by default the last code that the machine can do."""
-    choices = {code.value: at.view.t(f"probe.codes.{code.value}") for code in probe.codes(at.config)}
+    codes, t = at.config.codes, at.view.t
+    choices = {code.value: f"{codes.name(code)}: {t(f'probe.codes.{code.value}')}" for code in probe.codes(at.config)}
     return at.view.named(ui.select(choices, label=at.view.t("probe.code"), value=list(choices)[-1]), name)
 
 
@@ -110,3 +113,43 @@ def _draw_bore(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
         fill(None if found is None else found.correction)
 
     return refresh
+
+
+def _draw_others(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
+    """Measures a face, an angle, a boss or a reference position, as far as the machine file has them."""
+    view, t = at.view, at.view.t
+    with view.card("probe.others"):
+        with ui.row().classes("items-end hil-fields"):
+            choices = {name: t(f"probe.features.{name}") for name in at.config.features}
+            chosen = ui.select(choices, label=t("probe.feature"), value=next(iter(choices)))
+            view.named(chosen, "probe.feature")
+
+            async def start() -> None:
+                store, known = at.store, None if kept.value is None else kept.value.in_force
+                if store is not None and known is not None:
+                    await at.ask_and_run(probe.feature_job(at.config, store, known, str(chosen.value), str(mode.value)))
+
+            button = view.button("probe.measure_other", start)
+        table = Table(
+            view, "probe.other", [f"probe.other_head.{name}" for name in ("what", "corrected", "uncorrected")]
+        )
+    latest = Latest()
+
+    def refresh() -> None:
+        button.set_enabled(at.can_start and kept.value is not None and kept.value.in_force is not None)
+        found = other_at(view.desks)
+        if found is not None and latest.is_new(found):
+            title, both = t(f"probe.features.{found.name}"), (found.corrected, found.uncorrected)
+            table.show(
+                [
+                    [f"{title}: {t(f'probe.results.{name}')}", *(_figure(at, name, one[name]) for one in both)]
+                    for name in found.corrected
+                ]
+            )
+
+    return refresh
+
+
+def _figure(at: ProbePage, name: str, value: float) -> str:
+    digits = 1 if name.endswith("_um") else 5 if name.endswith("_deg") else 4
+    return at.view.t.number(value, digits)

@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.errors import InputError
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.passwords import KEY, add_key_options, add_reading_options, password, reading_passwords
-from hil.correction.sealed import check, is_sealed, load_private_key, reseal, seal
+from hil.correction.sealed import check, is_sealed, load_private_key, require_strong_new, reseal, seal
 from hil.records.files import naming, read_bytes, replace_file
 
 EXAMPLE = """\
@@ -61,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     key_password = password(args.key_password_file, KEY, "password of the builder's key", os.environ)
     key = load_private_key(args.key, key_password)
     passwords = reading_passwords(args, list(entries), os.environ, new=True)
+    require_strong_new(passwords, old if args.update else None, key.public_key())
     with naming(out):
         sealed = reseal(old, entries, passwords, key) if args.update else seal(entries, passwords, key)
         info = check(sealed, key.public_key())

@@ -1,0 +1,85 @@
+"""`hil straightness`: measure how far an axis leaves its line, and move the axis at right angles against it."""
+
+from __future__ import annotations
+
+import argparse
+
+from drivers.errors import InputError
+from hil.app.terminal.axis_options import (
+    add_axis_arguments,
+    add_password_options,
+    add_zero_options,
+    load_cross,
+    load_stored,
+    open_store,
+    print_plan,
+    seed,
+    tell_zero,
+)
+from hil.app.terminal.output import number, print_facts, print_table, write_json
+from hil.app.terminal.progress import terminal_progress
+from hil.app.terminal.records_input import add_effects_option, read_effects
+from hil.axis.axis_file import load_axis
+from hil.calibration.job import run_straightness, straightness_plan
+from hil.machine.axes_wiring import connected_across
+
+EXAMPLE = """\
+example:
+  hil straightness X.toml --dry-run     what would move, and how far
+  hil straightness X.toml               measure, prove at other targets, store beside the tables of X
+  hil verify X.toml                     later: X with its corrections, Y moved for its straightness
+
+The axis file of X names the other axis ([straightness] axis_file, at_mm, sign) and the optics ([instrument] beside). The other axis is
+connected too, homed where its own file says so, and stopped with X; its own stored tables are in force. From then on it is moved with
+every move and every set-point of X. Calibrate both axes first: a calibration of X replaces this correction.
+Exit status 1: the correction leaves no less than before by more than the uncertainty; nothing is stored.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Adds `hil straightness`."""
+    parser = subparsers.add_parser(
+        "straightness",
+        description="Measure the straightness of an axis by its instrument, and correct it by the axis at right angles.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_axis_arguments(parser)
+    parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets of the proof (default 1)")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted measurement")
+    add_zero_options(parser)
+    add_password_options(parser, key=True)
+    add_effects_option(parser)
+    parser.set_defaults(run=run, resumes="straightness")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Returns 0: measured, proven and stored. Raises what connecting and `measure_straightness` raise."""
+    axis = load_axis(args.axis)
+    if axis.straightness is None:
+        raise InputError("has no [straightness], which names the axis to be moved", path=axis.path)
+    if args.dry_run:
+        print_plan(straightness_plan(axis, args.seed))
+        print(
+            f"would enable the axis of {axis.straightness.axis_file.name}, home it where its file says so, and move it"
+        )
+        print(f"to {axis.straightness.at_mm:g} mm and, with the correction, by micrometres from there")
+        return 0
+    store, own = open_store(args, axis, writing=True), load_cross(args, axis)
+    present = load_stored(store, read_effects(args.effects)) if store.states() is not None else None
+    with connected_across(axis) as machine, terminal_progress() as listener:
+        tell_zero(args, machine)
+        result = run_straightness(machine, store, present, own, listener, seed=args.seed, resume=args.resume)
+    stages = {"measured": result.measured, "other targets, before": result.before, "other targets, after": result.after}
+    heads = ["straightness, µm (± k = 2)", "range", "±", "rms", "±", "reversal"]
+    print_table(heads, [[name, *(number(value) for value in _row(one.figures()))] for name, one in stages.items()])
+    print_facts({"axis moved": result.compensation.moves_axis, "stored": str(store.path)})
+    if args.json:
+        form = {name: one.figures() for name, one in zip(("measured", "before", "after"), stages.values(), strict=True)}
+        moved = {"moves_axis": result.compensation.moves_axis, "tables": result.compensation.tables.to_dict()}
+        write_json(args.json, {"axis": axis.name, **form, **moved})
+    return 0
+
+
+def _row(figures: dict[str, float | None]) -> list[float | None]:
+    return [figures[name] for name in ("range_um", "range_expanded_um", "rms_um", "rms_expanded_um", "reversal_um")]
