@@ -7,7 +7,6 @@ a python-can virtual bus, a loopback port, a pseudo-terminal. `--write` puts bot
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
 import multiprocessing
 import sys
@@ -267,9 +266,15 @@ class Latency:
 
 
 def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random: Random) -> Latency | None:
-    """None where the work ended by itself before the stop."""
+    """None where the work ended before the stop, or had an error and sent a stop of its own. Answers come again once the stop was
+    seen: leaving is not measured."""
     _make_ready(rig)
+    rig.seen.clear()
     pressed: list[float] = []
+    over = threading.Event()
+
+    def sent() -> list[float]:
+        return [when for when in rig.seen if pressed and when >= pressed[0]]
 
     def press() -> None:
         time.sleep(random.uniform(0.05, 0.25))
@@ -278,6 +283,9 @@ def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random
             time.sleep(random.uniform(0.0, 0.05))
         pressed.append(time.monotonic())
         rig.stop.press()
+        while dead and not sent() and not over.wait(0.001):
+            pass
+        rig.dead(False)
 
     presser = threading.Thread(target=press)
     presser.start()
@@ -286,8 +294,9 @@ def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random
         work(rig.drive)
     except StoppedByOperator:
         heard = True
-    except BridgeError:
-        pass  # with the answers lost a wait may have ended first
+    except BridgeError:  # a wait ended before the stop, or what failed while leaving is told instead of the stop
+        heard = bool(sent())
+    over.set()
     rig.drive.send_stop()
     presser.join()
     for order in (
@@ -297,11 +306,11 @@ def one_stop(rig: Rig, work: Callable[[ServoDrive], None], *, dead: bool, random
         deadline_s = time.monotonic() + SEEN_S
         with suppress(BridgeError):
             order()
-        while not (after := [when for when in rig.seen if when >= pressed[0]]) and time.monotonic() < deadline_s:
+        while not (after := sent()) and time.monotonic() < deadline_s:
             time.sleep(0.001)
         if after:
             break
-    if not (heard and after):
+    if not (heard and after) or rig.seen[0] < pressed[0]:
         return None
     seen_s = after[0] - pressed[0]
     return Latency(seen_s, seen_s, 0) if rig.wire is None else _of_modbus(rig.wire, pressed[0], seen_s)
@@ -344,8 +353,7 @@ Measured by `python tests/study/stop_latency.py --write`: from the moment the op
 frame that takes the motion or the power away. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed, on Modbus one
 request, the one under way.
 
-"""
-SIMULATED_HEAD = """## In simulated time
+## In simulated time
 
 Each verb was stopped at moments spread evenly over its duration; those at which the drive was under power count. "SDO dead": the drive
 answers no SDO from 50 ms before the stop. Simulated time moves in steps of 10 ms at most, which is the resolution of the table.
@@ -367,9 +375,6 @@ unit: the request's own time on the line and 20 ms.
 
 
 def _simulated(args: argparse.Namespace) -> Iterator[str]:
-    if args.only == "wall":
-        return
-    yield SIMULATED_HEAD.rstrip("\n")
     with ProcessPoolExecutor(2) as pool:
         for face, sdo_dead in SIMULATED:
             for verb in VERBS:
@@ -378,9 +383,6 @@ def _simulated(args: argparse.Namespace) -> Iterator[str]:
 
 
 def _in_real_time(args: argparse.Namespace) -> Iterator[str]:
-    if args.only == "simulated":
-        return
-    yield WALL_HEAD.rstrip("\n")
     load = [multiprocessing.Process(target=_busy, daemon=True) for _ in range(2)]
     for process in load:
         process.start()
@@ -402,15 +404,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--verb", action="append", choices=[*VERBS, *WORKS])
     parser.add_argument("--wire", action="append", choices=WIRES)
     parser.add_argument("--only", choices=("simulated", "wall"))
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name} as well")
+    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name} as well; with --only that part of it")
     args = parser.parse_args(arguments)
-    parts = [HEAD]
-    for line in itertools.chain(_simulated(args), _in_real_time(args)):
-        parts.append(line + "\n")
-        print(line, flush=True)
+    simulated, _, wall = PAGE.read_text(encoding="utf-8").partition(WALL_HEAD)
+    parts = {"simulated": simulated, "wall": WALL_HEAD + wall}
+    for part, head, lines in (("simulated", HEAD, _simulated(args)), ("wall", WALL_HEAD, _in_real_time(args))):
+        if args.only in (None, part):
+            parts[part] = head
+            for line in lines:
+                parts[part] += line + "\n"
+                print(line, flush=True)
     if args.write:
-        PAGE.parent.mkdir(exist_ok=True)
-        PAGE.write_text("".join(parts), encoding="utf-8")
+        PAGE.write_text(parts["simulated"] + parts["wall"], encoding="utf-8")
     return 0
 
 

@@ -118,7 +118,7 @@ def run(case: Case) -> Outcome:
         tuple(round(f.confidence, 4) for f in diagnosis.findings),
         diagnosis.unexplained,
         tuple("×".join(c.columns) for c in diagnosis.carriers),
-        diagnosis.noise_floor.value / sigma,
+        diagnosis.noise.within_run_um / sigma,
         diagnosis.before.rms_um / sigma,
         diagnosis.after.rms_um / sigma,
         float(np.sqrt(np.mean(left**2))) / sigma,

@@ -1,0 +1,206 @@
+"""Figures of the study from its outcomes: shares with Wilson's 95 % interval, fresh errors, calibration of the
+confidences.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+from study.grammar.judge import CONFIDENT, FALSE_RATE, Outcome, detected
+
+BINS = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
+"""Edges of the reliability table."""
+
+
+def share(hits: Sequence[bool]) -> dict[str, Any]:
+    """Count, number, share and its Wilson interval at 95 %."""
+    n, k = len(hits), int(sum(hits))
+    if not n:
+        return {"of": 0, "count": 0}
+    interval = binomtest(k, n).proportion_ci(0.95, "wilson")
+    return {"of": n, "count": k, "share": k / n, "wilson_95": [float(interval.low), float(interval.high)]}
+
+
+def text(one: Any) -> str:
+    """A figure of `figures` on one line."""
+    if isinstance(one, dict) and "wilson_95" in one:
+        low, high = (100 * edge for edge in one["wilson_95"])
+        return f"{one['count']} of {one['of']} = {100 * one['share']:.1f} % ({low:.1f} to {high:.1f})"
+    if isinstance(one, dict) and "of" in one:
+        return "none drawn"
+    if isinstance(one, dict):
+        return ", ".join(f"{name} {text(value)}" for name, value in one.items())
+    return f"{one:.3f}" if isinstance(one, float) else str(one)
+
+
+def quantiles(values: Sequence[float]) -> dict[str, float]:
+    """Median and 90 %."""
+    if not len(values):
+        return {}
+    return {
+        "median": float(np.quantile(values, 0.5)),
+        "90 %": float(np.quantile(values, 0.9)),
+        "worst": float(np.max(values)),
+    }
+
+
+def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """The figures of one lot, all outcomes of which have the same `lot`."""
+    lot = outcomes[0]["lot"]
+    good = [one for one in outcomes if "error" not in one]
+    found: dict[str, Any] = {"machines": len(outcomes), "refused by a verb": len(outcomes) - len(good)}
+    if not good:
+        return found
+    free, held = [one for one in good if not one["held"]], [one for one in good if one["held"]]
+    found |= _LOTS[lot](free)
+    if held:
+        found["held by the table: named first or silent"] = share([one["named_first"] or one["silent"] for one in held])
+    found[f"a wrong name above {CONFIDENT}"] = share([bool(one["confident_wrong"]) for one in good])
+    found["unexplained"] = share([one["said"]["unexplained"] for one in good])
+    if not lot.startswith("outside") and lot != "missing":
+        found["fresh RMS / true model's"] = quantiles([one["fresh_um"] / one["fresh_true_um"] for one in free])
+        found["true forms with fitted amplitudes, the same"] = quantiles(
+            [one["fresh_fitted_um"] / one["fresh_true_um"] for one in free]
+        )
+        found["table alone, the same"] = quantiles([one["table_um"] / one["fresh_true_um"] for one in free])
+    found["seconds"] = quantiles([one["said"]["seconds"] for one in good])
+    return found
+
+
+def _known(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    seen = [detected(one) for one in outcomes]
+    first = [one["named_first"] for one in outcomes]
+    found = {
+        "named first": share(first),
+        f"detected by who knows form and noise ({FALSE_RATE:.0%} false)": share(seen),
+        "of these, named first": share([a for a, b in zip(first, seen, strict=True) if b]),
+        "another cause looks the same on these rows: named first": share(
+            [one["named_first"] for one in outcomes if one["twin"]]
+        ),
+        "no other cause looks the same: named first": share(
+            [one["named_first"] for one in outcomes if not one["twin"]]
+        ),
+        "silent": share([one["silent"] for one in outcomes]),
+        "beside an older table, named first": share(
+            [one["named_first"] for one in outcomes if one["truth"]["older_table"]]
+        ),
+    }
+    return found | _by(
+        "named first", outcomes, lambda one: one["truth"]["causes"][0]["name"], lambda one: one["named_first"]
+    )
+
+
+def _pairs(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    return {
+        "both named": share([one["all_named"] for one in outcomes]),
+        "no other cause looks like either: both named": share(
+            [one["all_named"] for one in outcomes if not one["twin"]]
+        ),
+        "at least one": share(
+            [bool(one["named_first"] or one["all_named"] or any(r for _, r in one["confidences"])) for one in outcomes]
+        ),
+        "both detected by who knows form and noise": share([detected(one) for one in outcomes]),
+    }
+
+
+def _outside(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    found_it = [one["said"]["unexplained"] or one["named_first"] for one in outcomes]
+    seen = [one["reference_p"][0] < FALSE_RATE for one in outcomes]
+    told = [one for one in outcomes if one["size_ratio"] is not None]
+    sizes = [abs(one["size_ratio"] - 1.0) for one in told]
+    found = {
+        "unexplained, or a pure course of time named so": share(found_it),
+        "detected by who knows form and noise": share(seen),
+        "columns named in any part, of the unexplained": share([one["carriers_named"] for one in told]),
+        "columns named in the first part": share([one["carriers_first"] for one in told]),
+        "size off by (part of the truth)": quantiles(sizes),
+        "size within 25 %": share([size <= 0.25 for size in sizes]),
+    }
+    return found | _by(
+        "unexplained",
+        outcomes,
+        lambda one: one["truth"]["causes"][0]["family"],
+        lambda one: one["said"]["unexplained"] or one["named_first"],
+    )
+
+
+def _clean(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    found = {
+        "with a finding": share([bool(one["said"]["findings"]) for one in outcomes]),
+        "with anything said": share([not one["silent"] for one in outcomes]),
+        "with a note of any kind": share([bool(one["said"]["notes"]) for one in outcomes]),
+    }
+    return found | _by("anything said", outcomes, lambda one: one["truth"]["noise"], lambda one: not one["silent"])
+
+
+def _missing(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    found = {
+        "true name first": share([one["named_first"] for one in outcomes]),
+        "true name among a set of rivals": share([one["in_a_set"] for one in outcomes]),
+        "true name in a set, unexplained or silent": share(
+            [one["in_a_set"] or one["said"]["unexplained"] or one["silent"] for one in outcomes]
+        ),
+        "silent": share([one["silent"] for one in outcomes]),
+    }
+    bare = [one for one in outcomes if not one["truth"]["logged"]]
+    found["only what is required was logged: true name in a set"] = share([one["in_a_set"] for one in bare])
+    return found | _by("in a set", outcomes, lambda one: one["truth"]["causes"][0]["name"], lambda one: one["in_a_set"])
+
+
+_LOTS: dict[str, Callable[[Sequence[Outcome]], dict[str, Any]]] = {
+    "strong": _known,
+    "weak": _known,
+    "outside strong": _outside,
+    "outside weak": _outside,
+    "clean": _clean,
+    "pairs": _pairs,
+    "missing": _missing,
+}
+
+
+def _by(
+    what: str, outcomes: Sequence[Outcome], key: Callable[[Outcome], str], hit: Callable[[Outcome], bool]
+) -> dict[str, Any]:
+    groups: dict[str, list[bool]] = defaultdict(list)
+    for one in outcomes:
+        groups[key(one)].append(bool(hit(one)))
+    return {f"{what} by kind": {name: f"{sum(hits)}/{len(hits)}" for name, hits in sorted(groups.items())}}
+
+
+def right(one: Outcome) -> bool:
+    """Whether one machine's verdict is what its lot asks for; decides what is listed as a miss."""
+    if "error" in one or one["confident_wrong"]:
+        return False
+    lot = one["lot"]
+    if lot == "clean":
+        return bool(one["silent"])
+    if lot.startswith("outside"):
+        return bool(one["said"]["unexplained"] or one["named_first"])
+    if lot == "pairs":
+        return bool(one["all_named"])
+    if lot == "missing":
+        return bool(one["in_a_set"] or one["said"]["unexplained"] or one["silent"])
+    return bool(one["named_first"] or (one["held"] and one["silent"]))
+
+
+def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Share of right names per bin of confidence, and the Brier score of all findings."""
+    pairs = [(float(c), bool(r)) for one in outcomes if "error" not in one for c, r in one["confidences"]]
+    found: dict[str, Any] = {"findings": len(pairs)}
+    for low, high in pairwise(BINS):
+        inside = [(c, r) for c, r in pairs if low < c <= high or (low == 0.0 and c == 0.0)]
+        if inside:
+            found[f"said {low:g} to {high:g}"] = {
+                "mean confidence": float(np.mean([c for c, _ in inside])),
+                "right": share([r for _, r in inside]),
+            }
+    off = [value for one in outcomes if "error" not in one for value in one["off_by_std"].values()]
+    found["true parameter within the stated 95 %"] = share([abs(value) <= 1.96 for value in off])
+    if pairs:
+        found["Brier score"] = float(np.mean([(c - r) ** 2 for c, r in pairs]))
+    return found
