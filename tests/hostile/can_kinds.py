@@ -387,7 +387,8 @@ def _(peer: CanPeer) -> None:
     peer.defect(Defect.ACKNOWLEDGE_STUCK)
 
 
-@kinds("target reached is always shown", *MOTION)
+# a documented drive does so; arrival is then told by the positions
+@kinds("target reached is always shown", *MOTION, passes=True)
 def _(peer: CanPeer) -> None:
     peer.shows(0x6041, lambda status: status | 0x0400)
 
@@ -396,8 +397,8 @@ def _(peer: CanPeer) -> None:
 def _(peer: CanPeer) -> None:
     peer.slave.profile.defects.add(Defect.NEVER_ARRIVES)
 
-    def look() -> None:  # no arrival is waited for in a stream
-        if peer.slave.dictionary.number(0x6060) != Mode.CYCLIC_POSITION:
+    def look() -> None:  # no arrival is waited for in a stream, nor of an axis that stands while another moves
+        if peer.slave.dictionary.number(0x6060) != Mode.CYCLIC_POSITION and peer.servo.velocity_actual_counts_s:
             peer.strike()
 
     peer.every(0.002, look)

@@ -34,7 +34,15 @@ Rule = Callable[[int, bytes], Frames | None]
 class CanPeer(Peer):
     """One drive with its interceptor."""
 
-    def __init__(self, bus: HostileBus, servo: SimulatedServo, node_id: int, **settings: Any) -> None:
+    def __init__(
+        self,
+        bus: HostileBus,
+        servo: SimulatedServo,
+        node_id: int,
+        *,
+        make: Callable[..., CanOpenSlave] = CanOpenSlave,
+        **settings: Any,
+    ) -> None:
         wire = bus.wire
         self.bus = bus
         super().__init__(wire.clock, servo)
@@ -46,7 +54,7 @@ class CanPeer(Peer):
         self._delayed: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
         self._armed: tuple[int, Callable[[Any], None]] | None = None
-        self.slave = CanOpenSlave(servo, node_id, self._from_drive, **settings)
+        self.slave = make(servo, node_id, self._from_drive, **settings)
         self.node.connect(self._to_drive, self._tick, self._due_ns)
         self.slave.boot(self.clock.now_ns())
 

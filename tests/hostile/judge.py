@@ -30,15 +30,19 @@ import hil.machine.wiring
 import hil.probe.wiring
 from drivers.clock import Waiting
 from drivers.errors import DriveFaultError
+from drivers.modbus.wire import PymodbusWire
 from hil.app.desk.stop import StoppedByOperator
+from hil.machine.supervisor import Supervisor
 from hil.records.journal import RowJournal
 from sim_backends.bench import Bench
 from sim_backends.probe_bench import ProbeBench
 
 WITHIN_S = 10.0
-"""Longest simulated time from the fault to the end, s."""
+"""Longest simulated time from the fault to the end, s; from the first stop on for a kind that a verb can work with."""
 GIVEN_UP_S = 60.0
 """Simulated time after the fault, or from the begin of a run without a fault, after which a run is a hang, s."""
+WORKED_WITH = 4.0
+"""The same for a kind that a verb can work with, times as long: it may make every request slower."""
 WALL_S = 60.0
 """Real time after which a run in which simulated time does not pass is a hang, s."""
 WALLS = 5
@@ -67,6 +71,8 @@ ROW_MM = 0.02
 """Largest difference between a row's position and the true one; the machines' own errors are excluded, heat and noise included."""
 DATUM_MM = 0.15
 """The same between the frame of all rows and that of the machine: errors of the machine at the reference position."""
+NOT_WAITED_S = 0.03
+"""Real time of a Modbus request, s, that is no wait: a busy computer's own."""
 BENCH_SILENCE_S = 0.3
 """Time-out of the simulated Modbus drive, in real time, s; the bench's own is longer, for busy hosts."""
 
@@ -168,21 +174,25 @@ class Truth:
 
 
 class Rows:
-    """Every row that a journal stores, with the true position of the table."""
+    """Every row that a journal stores and does not withdraw, with the true position of the table."""
 
     def __init__(self) -> None:
         self.off_mm: list[float] = []
         self.truth: Truth | None = None
 
     def catch(self) -> Any:
-        append, rows = RowJournal.append, self
+        append, withdraw, rows = RowJournal.append, RowJournal.withdraw, self
 
         def appended(journal: RowJournal, row: Mapping[str, float]) -> None:
             append(journal, row)
             if rows.truth is not None and isinstance(rows.truth.bench, Bench) and "measured_mm" in row:
                 rows.off_mm.append(rows.truth.off_mm(row["measured_mm"]))
 
-        return patch.object(RowJournal, "append", appended)
+        def withdrawn(journal: RowJournal, count: int, why: str) -> None:
+            withdraw(journal, count, why)
+            del rows.off_mm[max(0, len(rows.off_mm) - count) :]
+
+        return patch.multiple(RowJournal, append=appended, withdraw=withdrawn)
 
     def complaints(self) -> Iterator[str]:
         if not self.off_mm:
@@ -211,6 +221,45 @@ class Press(Waiting):
         if self._at_ns is not None and now_ns >= self._at_ns:
             self._at_ns = None
             raise StoppedByOperator("stopped by the operator")
+
+
+@contextmanager
+def through_a_proxy(armed: Callable[[Peer], None], truths: Sequence[Truth]) -> Iterator[None]:
+    """Put the proxy before the Modbus drive. The real time that a request waits passes for the machine too, as where nothing is
+    simulated."""
+
+    def passing(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **named: Any) -> Any:
+            began_s = time.monotonic()
+            try:
+                return method(*arguments, **named)
+            finally:
+                waited_s = time.monotonic() - began_s
+                if waited_s > NOT_WAITED_S and truths:
+                    truths[0].clock.sleep_s(waited_s)
+
+        return call
+
+    names = ("connect", "exchange", "discard")
+    with ExitStack() as stack:
+        stack.enter_context(
+            patch.multiple(PymodbusWire, **{name: passing(getattr(PymodbusWire, name)) for name in names})
+        )
+        for module in (hil.machine.wiring, hil.probe.wiring):
+            stack.enter_context(patch.object(module, "BENCH_TIMEOUT_S", BENCH_SILENCE_S))
+            stack.enter_context(patch.object(module, "tcp_server", behind_proxy(armed)))
+        yield
+
+
+def noted(stops_ns: list[int], truths: Sequence[Truth]) -> Any:
+    """Note the time of each stop after an error: a kind that a verb can work with may be worked with for long before it."""
+    stop_for = Supervisor.stop_for
+
+    def stopping(supervisor: Supervisor, error: BaseException) -> None:
+        stops_ns.append(truths[0].clock.now_ns())
+        stop_for(supervisor, error)
+
+    return patch.object(Supervisor, "stop_for", stopping)
 
 
 @contextmanager
@@ -286,16 +335,15 @@ def run(case: Case) -> Outcome:
         stack.enter_context(place.wired())
         stack.enter_context(rows.catch())
         if case.wire == "modbus":
-            for module in (hil.machine.wiring, hil.probe.wiring):
-                stack.enter_context(patch.object(module, "BENCH_TIMEOUT_S", BENCH_SILENCE_S))
-                stack.enter_context(patch.object(module, "tcp_server", behind_proxy(armed)))
+            stack.enter_context(through_a_proxy(armed, truths))
+        stops_ns: list[int] = []
+        stack.enter_context(noted(stops_ns, truths))
         error = None
         try:
             with ended_after(WALL_S, lambda: truths[0].clock.now_ns() if truths else 0):
                 VERBS[case.verb](place)
         except BaseException as raised:  # noqa: BLE001 - it is the result to judge
             error = raised
-        ended_s = time.monotonic()
         if waiting is not None:
             waiting.over()
         peer = next((peer for peer in peers if peer.struck_ns is not None), None)
@@ -307,8 +355,8 @@ def run(case: Case) -> Outcome:
             ended.complaints.append(f"nothing was connected: {error!r}")
             return ended
         if peer is not None and peer.struck_ns is not None:
-            real_s = ended_s - peer.struck_real_s if case.wire == "modbus" else 0.0
-            ended.seconds = real_s + (truths[0].clock.now_ns() - peer.struck_ns) * 1e-9
+            since_ns = max([peer.struck_ns, *stops_ns[: kind.passes]])
+            ended.seconds = (truths[0].clock.now_ns() - since_ns) * 1e-9
         ended.complaints += _how_it_ended(kind, error, truths, peer, ended)
         ended.complaints += _what_the_plant_shows(kind, truths, peer, ended)
         ended.complaints += rows.complaints()
@@ -318,7 +366,8 @@ def run(case: Case) -> Outcome:
 def _given_up_ns(case: Case, truths: list[Truth], peers: list[Peer]) -> int:
     struck_ns = next((peer.struck_ns for peer in peers if peer.struck_ns is not None), None)
     if struck_ns is not None:
-        return struck_ns + round(1e9 * (GIVEN_UP_S + WITHIN_S))
+        passes = WIRES[case.wire][0][case.kind].passes
+        return struck_ns + round(1e9 * (GIVEN_UP_S * (WORKED_WITH if passes else 1.0) + WITHIN_S))
     return round(1e9 * (2.0 * undisturbed_s(case.face, case.verb) + GIVEN_UP_S))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
@@ -54,7 +53,6 @@ class Peer:
         self._servo = servo
         self.random = Random(0)
         self.struck_ns: int | None = None
-        self.struck_real_s = 0.0  # real time of it
         self.way_mm = 0.0  # travel of the axis up to then
         self.on_strike: Callable[[], None] = lambda: None
 
@@ -71,7 +69,7 @@ class Peer:
     def strike(self) -> None:
         """Record that the misbehaviour has an effect now."""
         if self.struck_ns is None:
-            self.struck_ns, self.struck_real_s = self.clock.now_ns(), time.monotonic()
+            self.struck_ns = self.clock.now_ns()
             self.on_strike()
 
     def instead(self, order: str, act: Callable[..., None]) -> None:

@@ -6,7 +6,7 @@ A verb is a function of a `Place`; it connects, works and disconnects, as the co
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,12 @@ import hil.machine.axes_wiring
 import hil.machine.wiring
 import hil.probe.wiring
 from drivers.clock import Waiting
-from drivers.errors import BridgeError
+from drivers.errors import BridgeError, UnprovenError
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.backlash.procedure import measure_backlash
 from hil.backlash.settings import backlash_settings
 from hil.calibration.explore import Exploration
-from hil.calibration.job import run_calibration, run_verification
+from hil.calibration.job import run_calibration, run_straightness, run_verification
 from hil.correction.compensation import Compensation
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 from hil.correction.store import SealedStore
@@ -41,7 +41,7 @@ from hil.effects import ALL
 from hil.lost_motion.circle.figures import Circle
 from hil.lost_motion.circle.procedure import drive_circle, prepare
 from hil.lost_motion.job import run_lost_motion
-from hil.machine.axes_wiring import connected_axes
+from hil.machine.axes_wiring import connected_across, connected_axes
 from hil.machine.wiring import connected, connected_drive
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.procedure import measure_run_out
@@ -84,6 +84,12 @@ velocity_mm_s = 2.0
 run_in_mm = 0.2
 runs = 1
 {backlash}
+"""
+OPTICS = "[instrument]\nbeside = { straightness_um = { axis = 2, per_unit = 11.5 } }\n"
+STRAIGHTNESS = """
+[straightness]
+axis_file = "Y.toml"
+at_mm = 45.0
 """
 FACES = {
     "virtual": 'face = "virtual"\n',
@@ -130,6 +136,8 @@ class Place:
         text = AXIS.replace("502.0", f"{TRAVEL_MM[1]}").replace('"X"', f'"{name}"') + MEASUREMENT.format(
             machine=machine, home=str(self.home).lower(), face=face + self.homing, runs=runs, backlash=backlash
         )
+        if machine == "bent":
+            text = text.replace("[instrument]\n", OPTICS) + STRAIGHTNESS
         self.directory.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
         key_path = path.with_name("builder.key")
@@ -220,6 +228,15 @@ def circle(place: Place) -> None:
         drive_circle(sessions, Circle((45.0, 45.0), 6.0, 15.0, ramp_mm_s2=100.0), (None, None), period_s=period_s)
 
 
+def straightness(place: Place) -> None:
+    place.axis("Y")
+    axis = place.axis(machine="bent", runs=2)
+    axis = replace(axis, measurement=replace(axis.measurement, targets_mm=(20.0, 45.0, 70.0, 100.0, 140.0)))
+    # the bench's way is straight within 160 mm, so that little is gained
+    with suppress(UnprovenError), connected_across(axis, waiting=place.waiting) as machine:
+        run_straightness(machine, store_of(axis), None, None, resume=place.resume)
+
+
 def doctor_check(place: Place) -> None:
     axis = place.axis()
     with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
@@ -265,6 +282,7 @@ VERBS: dict[str, Verb] = {
     "backlash": backlash,
     "close-loop": close_loop,
     "circle": circle,
+    "straightness": straightness,
     "doctor": doctor_check,
     "table proof": table_proof,
     "probe": probe,

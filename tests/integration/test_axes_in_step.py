@@ -49,6 +49,20 @@ def test_both_axes_follow_their_own_path(tmp_path: Path, face: str, period_s: fl
         assert all(drive.sample().state is DriveState.ENABLED for drive in drives)
 
 
+def test_an_axis_that_was_left_is_not_stopped_again_with_the_other(tmp_path: Path) -> None:
+    """Nothing is said of a drive that may still move: it was stopped, disabled and closed."""
+
+    def fail() -> None:
+        with connected_axes(axes_of(tmp_path, "canopen"), IDEAL) as machines:
+            for machine in machines:
+                machine.session.drive.enable()
+            raise InputError("an error that no supervisor sees")
+
+    with pytest.raises(InputError) as caught:
+        fail()
+    assert not getattr(caught.value, "__notes__", [])
+
+
 def _stream(drives: list[ServoDrive], set_points: list[list[float]]) -> None:
     with drives[0].stream_with(drives[1:], SetPointSettings(0.01)) as stream:
         for positions in set_points:

@@ -38,7 +38,7 @@ def axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_doctor_finds_a_sound_axis_good(axis: Path, tmp_path: Path) -> None:
     assert main(["doctor", str(axis), "--json", str(tmp_path / "doctor.json")]) == 0
     found = json.loads((tmp_path / "doctor.json").read_text())
-    names = ["drive", "limits", "scaling", "zero", "instrument", "speed", "units"]
+    names = ["drive", "limits", "scaling", "units of motion", "zero", "instrument", "speed", "units"]
     assert [check["name"] for check in found["checks"]] == names
 
 
@@ -106,6 +106,31 @@ def test_manual_tables_are_stored_as_typed_with_the_straightness_beside_them(axi
     stored = TableSet.from_dict(json.loads(out.read_text())["tables"])
     assert (float(stored.correction_um(20.0, 1)), float(stored.correction_um(260.0, -1))) == (1 - 5, 4 - 5)
     assert SealedStore.of(load_axis(axis), bench_axis.PASSWORDS["HIL_PASSWORD"]).load().tables == stored
+
+
+def test_a_table_with_a_password_of_its_own_is_in_force_with_it_only(
+    axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed, own, weak = tmp_path / "typed.csv", tmp_path / "own.txt", tmp_path / "weak.txt"
+    typed.write_text("position_mm,plus_um,backlash_um\n20,0,6\n260,0,6\n")
+    own.write_text("backlash by torque\n")
+    weak.write_text("torque\n")
+    manual = ["calibrate", str(axis), "--manual", str(typed), "--table-password"]
+    assert main([*manual, f"backlash={weak}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "password of X.backlash is new and has 6 characters" in line
+    assert main([*manual, f"wear={own}"]) == 2
+    assert "--table-password names entry wear, expected one of pitch, backlash" in capsys.readouterr().err
+    assert main([*manual, f"backlash={own}"]) == 0
+    capsys.readouterr()
+    assert main(["verify", str(axis)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "table backlash of axis X has a password of its own (--table-password backlash=FILE)" in line
+    assert not list((tmp_path / "X-campaign").glob("verify-*"))
+    assert main(["verify", str(axis), "--table-password", f"backlash={own}"]) == 0
+    rows = read_csv(next((tmp_path / "X-campaign").glob("verify-*/verify.csv")))
+    reversal_um = rows.error_um[rows.direction < 0].mean() - rows.error_um[rows.direction > 0].mean()
+    assert abs(reversal_um) < 0.5, "of 6 µm"
 
 
 def test_manual_tables_refuse_what_they_cannot_go_with(

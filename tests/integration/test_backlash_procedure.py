@@ -382,15 +382,18 @@ def test_the_same_over_modbus(tmp_path: Path, behind: BenchBehind) -> None:
 
 
 @pytest.mark.slow
-def test_over_a_serial_line_with_the_value_in_our_own_table(tmp_path: Path) -> None:
+def test_over_a_serial_line_of_a_drive_without_a_parameter(tmp_path: Path) -> None:
     axis = load_drive_axis(lay_out(tmp_path, "modbus-rtu"))
     assert axis.backlash is not None
     with connected_drive(axis) as drive:
-        result = measure_backlash(drive, axis.backlash, backlash_settings(axis, axis.backlash, drive), write=True)
+        settings = backlash_settings(axis, axis.backlash, drive)
+        with pytest.raises(StateError, match="has no backlash parameter that could hold an amount"):
+            measure_backlash(drive, axis.backlash, settings, write=True)
+        result = measure_backlash(drive, axis.backlash, settings)
     found = fitted_lost_motion(result.reversals)
     assert found is not None
     assert abs(found.mean_um - 53.0) <= found.u95_um
-    assert json.loads((axis.store.directory / "backlash.json").read_text())["backlash_um"] == result.written
+    assert result.written is None
 
 
 def test_a_register_that_could_be_zeroed_but_not_put_back_is_refused_first(tmp_path: Path) -> None:

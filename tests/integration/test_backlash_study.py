@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from support.torque_machines import (
+    NOISE_PERMILLE,
     PUBLISHED,
     PublishedMachine,
     laser_lost_motion_um,
@@ -44,16 +45,18 @@ def lost_motion_of(reversals: list[Reversal]) -> LostMotion:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("noise_permille", [0.5, NOISE_PERMILLE, 1.5])
 @pytest.mark.parametrize("machine", PUBLISHED, ids=[machine.name for machine in PUBLISHED])
-def test_five_runs_on_the_published_machines(
-    machine: PublishedMachine, record_property: Callable[[str, object], None]
+def test_five_runs_on_machines_with_the_published_lost_motion(
+    machine: PublishedMachine, noise_permille: float, record_property: Callable[[str, object], None]
 ) -> None:
-    """The rule about as good as published in this noise; the fit, on the same readings, at least 99 % every time."""
+    """Rule and fit on the same readings, in this noise: the fit at least 99 % every time. What the document states is its machines'
+    result, to which nothing here is fitted."""
     curves = {d: torque_curve(machine.train, d, machine.load_kg, steps=100) for d in (-1, 1)}
     rng = np.random.default_rng(5)
 
     def trace(direction: int) -> ReversalTrace:
-        return noisy_trace(curves[direction], machine.noise_permille, rng)
+        return noisy_trace(curves[direction], noise_permille, rng)
 
     rule = [accuracy_percent(np.mean([peak(trace(-1)) for _ in range(5)]), machine.laser_um) for _ in range(RULES)]
     fit, covered = [], []
@@ -61,9 +64,10 @@ def test_five_runs_on_the_published_machines(
         found = lost_motion_of([Reversal.of(run, trace(d)) for run in range(1, 6) for d in (-1, 1)])
         fit.append(accuracy_percent(found.mean_um, machine.laser_um))
         covered.append(abs(found.mean_um - machine.laser_um) <= found.u95_um)
+    record_property("document_percent", machine.published_accuracy_percent)
     record_property("rule_percent", f"{np.mean(rule):.2f}")
     record_property("fit_percent", f"{np.mean(fit):.2f}, worst {np.min(fit):.2f}")
-    assert np.mean(rule) == pytest.approx(machine.published_accuracy_percent, abs=2.0)
+    assert np.mean(rule) < np.min(fit)
     assert np.min(fit) >= 99.0
     assert np.mean(covered) >= 0.9
 

@@ -9,22 +9,28 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from support.backlash_axis import QUICK, lay_out
 
+from drivers.canopen.drive import CanOpenDrive
 from drivers.errors import LinkLostError
 from hil.app.terminal.main import main
-from hil.backlash.settings import TableSetting
-from sim_backends.virtual_drive import VirtualDrive
+from hil.axis.axis_file import load_drive_axis
+from hil.backlash.job import backlash_config
+from hil.backlash.settings import ObjectSetting, backlash_settings
+from hil.machine.wiring import connected_drive
 
 Until = Callable[[Callable[[], bool], str], None]
 
 
-def test_measure_json_and_our_own_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_measure_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     axis, out = lay_out(tmp_path), tmp_path / "out.json"
-    assert main(["backlash", str(axis), "--json", str(out), "--write"]) == 0
+    assert main(["backlash", str(axis), "--json", str(out), "--write"]) == 2
+    assert "no [instrument]: nothing would use the amount, so it is not written" in capsys.readouterr().err
+    assert main(["backlash", str(axis), "--json", str(out)]) == 0
     found = json.loads(out.read_text())
     assert found["good"] is True
     assert abs(found["fitted"]["mean_um"] - 53.0) <= found["fitted"]["u95_um"]
@@ -32,14 +38,27 @@ def test_measure_json_and_our_own_table(tmp_path: Path, capsys: pytest.CaptureFi
     assert found["lost_motion_um"] == pytest.approx(sum(found["by_direction_um"].values()) / 2.0)
     assert {one["direction"] for one in found["reversals"]} == {-1, 1}
     assert all(one["four_sample_um"] is not None for one in found["reversals"])
-    assert found["parameters"]["before"] == {"the bridge's own table": 0.0}
-    table = tmp_path / "X-campaign" / "backlash.json"
-    assert json.loads(table.read_text())["backlash_um"] == pytest.approx(found["parameters"]["written"])
-    assert found["parameters"]["written"] == pytest.approx(found["lost_motion_um"], abs=0.051)
+    assert found["parameters"]["before"] == {"no parameter of the drive": 0.0}
+    assert found["parameters"]["written"] is None
 
     rows = [json.loads(line) for line in (tmp_path / "X-campaign/backlash-001.jsonl").read_text().splitlines()]
     assert [(row["run"], row["direction"]) for row in rows] == [(1, -1), (1, 1)]
     assert "± " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
+def test_a_creep_finds_what_steps_find(tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str) -> None:
+    """Without rests, with the motor's own friction in every reading; 53 µm by the laser."""
+    axis, out = lay_out(tmp_path, face, ""), tmp_path / "out.json"
+    assert main(["backlash", str(axis), "--feed", "creep", "--dry-run"]) == 0
+    assert "turn back, and creep at 20 µm/s, to" in capsys.readouterr().out
+    assert main(["backlash", str(axis), "--feed", "creep", "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert found["feed"] == "creep"
+    assert abs(found["fitted"]["mean_um"] - 53.0) <= found["fitted"]["u95_um"] < 2.0
+    assert found["four_sample"]["mean_um"] is not None
+    rows = [json.loads(line) for line in (tmp_path / "X-campaign/backlash-001.jsonl").read_text().splitlines()]
+    assert [row["creep_um_s"] for row in rows] == [20.0, 20.0]
 
 
 @pytest.mark.slow
@@ -70,14 +89,13 @@ def test_a_dry_run_touches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_detection_limit_exceeded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    axis, out = lay_out(tmp_path, backlash=QUICK + "steps = 20\n"), tmp_path / "out.json"
-    TableSetting(tmp_path / "X-campaign" / "backlash.json").write(12.5)
+    axis, out = lay_out(tmp_path, "canopen", QUICK + "steps = 20\n"), tmp_path / "out.json"
     assert main(["backlash", str(axis), "--json", str(out), "--write"]) == 1
     found = json.loads(out.read_text())
     assert found["detection_limit_exceeded"] is True
     assert found["lost_motion_um"] is None
     assert found["parameters"]["written"] is None
-    assert TableSetting(tmp_path / "X-campaign" / "backlash.json").read() == 12.5
+    assert found["parameters"]["before"] == {"2201h": 0.0, "2202h": 0.0}
     assert not (tmp_path / "X-campaign" / "backlash-before.json").exists()
     shown = " ".join(capsys.readouterr().out.split())
     assert (
@@ -85,40 +103,99 @@ def test_detection_limit_exceeded(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
 
 
-def test_restore_puts_back_what_was_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    axis, table = lay_out(tmp_path), TableSetting(tmp_path / "X-campaign" / "backlash.json")
+def test_restore_puts_back_what_was_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis, written = lay_out(tmp_path, "canopen"), []
+    write = ObjectSetting.write
+
+    def seen(setting: ObjectSetting, value: float) -> None:
+        write(setting, value)
+        written.append((setting.name, setting.read()))
+
+    monkeypatch.setattr(ObjectSetting, "write", seen)
     assert main(["backlash", str(axis), "--restore"]) == 0
     assert "nothing to put back" in capsys.readouterr().out
-    table.write(0.0)
-    (tmp_path / "X-campaign" / "backlash-before.json").write_text(json.dumps({table.name: 31.5}))
+    (tmp_path / "X-campaign" / "backlash-before.json").write_text(json.dumps({"2201h": 3150.0, "2202h": 1.0}))
     assert main(["backlash", str(axis), "--restore"]) == 0
-    assert table.read() == 31.5
+    assert "put back: 2201h = 3150, 2202h = 1" in capsys.readouterr().out
+    assert written == [("2202h", 1.0), ("2201h", 3150.0)]
     assert not (tmp_path / "X-campaign" / "backlash-before.json").exists()
+
+
+@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
+def test_restore_puts_back_what_was_there_before_the_first_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], face: str
+) -> None:
+    """Two writes one after the other, each measurement with the amount of the one before in the drive; one connection, as a
+    bench forgets its parameters with its power. The command as it is, from there on."""
+    axis = lay_out(tmp_path, face)
+    config = load_drive_axis(axis)
+    how = backlash_config(config)
+    with connected_drive(config) as drive:
+        monkeypatch.setattr("hil.backlash.command.connected_drive", lambda _axis: nullcontext(drive))
+        amount = backlash_settings(config, how, drive).amount
+        amount.write(1234)
+        for _ in range(2):
+            assert main(["backlash", str(axis), "--write"]) == 0
+            assert 5200 < amount.read() < 5400
+        assert main(["backlash", str(axis), "--restore", "--dry-run"]) == 0
+        assert "would write back" in (plan := capsys.readouterr().out)
+        assert f"{amount.name} = 1234" in plan
+        assert main(["backlash", str(axis), "--restore"]) == 0
+        assert amount.read() == 1234
+        assert f"put back: {amount.name} = 1234" in capsys.readouterr().out
+        amount.write(77)
+        assert main(["backlash", str(axis), "--restore"]) == 0
+        assert "nothing to put back" in capsys.readouterr().out
+        assert amount.read() == 77
+
+
+def test_an_interruption_is_put_back_before_a_write_is_undone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis, folder = lay_out(tmp_path, "canopen"), tmp_path / "X-campaign"
+    config = load_drive_axis(axis)
+    with connected_drive(config) as drive:
+        monkeypatch.setattr("hil.backlash.command.connected_drive", lambda _axis: nullcontext(drive))
+        amount = backlash_settings(config, backlash_config(config), drive).amount
+        amount.write(1250)
+        assert main(["backlash", str(axis), "--write"]) == 0
+        written = amount.read()
+        amount.write(0)
+        (folder / "backlash-before.json").write_text(json.dumps({amount.name: written}))
+        capsys.readouterr()
+        assert main(["backlash", str(axis), "--restore"]) == 0
+        assert amount.read() == written
+        assert f"before it there was {amount.name} = 1250" in (said := capsys.readouterr().out)
+        assert "--restore once more" in said
+        assert main(["backlash", str(axis), "--restore"]) == 0
+        assert amount.read() == 1250
 
 
 def test_a_lost_link_is_one_line_and_what_is_not_put_back_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    axis = lay_out(tmp_path)
+    axis = lay_out(tmp_path, "canopen")
     looks = iter(range(10_000))
-    sample, write = VirtualDrive.sample, TableSetting.write
+    sample, write = CanOpenDrive.sample, ObjectSetting.write
 
-    def lost(drive: VirtualDrive) -> object:
+    def lost(drive: CanOpenDrive) -> object:
         if next(looks) > 200:
             raise LinkLostError("CAN adapter unplugged")
         return sample(drive)
 
-    def refused(setting: TableSetting, value: float) -> None:
+    def refused(setting: ObjectSetting, value: float) -> None:
         if next(looks) > 200:
             raise LinkLostError("CAN adapter unplugged")
         write(setting, value)
 
-    monkeypatch.setattr(VirtualDrive, "sample", lost)
-    monkeypatch.setattr(TableSetting, "write", refused)
+    monkeypatch.setattr(CanOpenDrive, "sample", lost)
+    monkeypatch.setattr(ObjectSetting, "write", refused)
     assert main(["backlash", str(axis)]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2
-    assert "not put back: the bridge's own table was 0" in lines[0]
+    assert "not put back: 2202h was 0 (CAN adapter unplugged); 2201h was 0" in lines[0]
     assert lines[1] == "hil: CAN adapter unplugged"
 
 
@@ -149,18 +226,16 @@ def test_an_object_that_moves_the_axis_is_refused_before_anything_moves(
 
 @pytest.mark.slow
 def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until: Until) -> None:
-    axis, folder = lay_out(tmp_path), tmp_path / "X-campaign"
-    TableSetting(folder / "backlash.json").write(12.5)
+    axis, folder = lay_out(tmp_path, "canopen"), tmp_path / "X-campaign"
     command = [sys.executable, "-m", "hil.app", "backlash", str(axis), "--runs", "100"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     kept = folder / "backlash-001.jsonl"
     until(lambda: kept.exists() and kept.read_text().count("\n") >= 2, "two reversals measured")
-    assert TableSetting(folder / "backlash.json").read() == 0.0, "out of force while it is measured"
+    assert json.loads((folder / "backlash-before.json").read_text()) == {"2201h": 0.0, "2202h": 0.0}, "noted meanwhile"
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert errors == "hil: interrupted; the axis was stopped, what was measured is kept\n"
-    assert TableSetting(folder / "backlash.json").read() == 12.5
     assert not (folder / "backlash-before.json").exists()
     assert all(json.loads(line)["position_load_mm"] for line in kept.read_text().splitlines())
 

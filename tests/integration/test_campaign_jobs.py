@@ -96,7 +96,7 @@ def test_calibrated_stopped_resumed_verified_with_and_without(axis: AxisConfig, 
     desk.become_builder(token, KEY, READING)
     stopped = run(desk, token, stopped_after(5, calibrate.calibration_job(axis), desk))
     assert stopped.phase is Phase.STOPPED
-    assert calibration_screen(axis).unfinished == {CALIBRATE: ("calibrate-001", 1)}
+    assert calibration_screen(axis).unfinished == {CALIBRATE: ("calibrate-001", 1, (), None)}
     begun = read_csv(axis.store.directory / "calibrate-001" / "measure.csv")
     assert len(begun) == 5
 

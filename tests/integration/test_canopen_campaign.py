@@ -25,6 +25,7 @@ from drivers.drive import DriveLimits, DriveSample, DriveState
 from drivers.errors import (
     AbortError,
     BridgeError,
+    CapabilityError,
     DriveFaultError,
     FollowingErrorError,
     LinkLostError,
@@ -108,7 +109,8 @@ def _bus_off(duration: tuple[float, float]) -> Draw:
 WIRE = (NoAnswerError, LinkLostError)
 KINDS = (
     Kind("SDO answer late, once", _can(K.SDO_LATE, 0.11, 0.4, count=1), WIRE, survivable=True),
-    Kind("SDO answers late for good", _can(K.SDO_LATE, 0.12, 0.5), WIRE, "SDO", survivable=True),
+    # of a write of a PDO: the late answer of the one before it makes it look as if reads alone were answered, a refusal
+    Kind("SDO answers late for good", _can(K.SDO_LATE, 0.12, 0.5), (*WIRE, AbortError), "SDO", survivable=True),
     Kind("SDO answer lost, once", _can(K.SDO_LOST, count=1), WIRE, survivable=True),
     Kind("SDO answers lost for good", _can(K.SDO_LOST), WIRE, "SDO"),
     Kind("SDO request lost, once", _can(K.SDO_REQUEST_LOST, count=1), WIRE, survivable=True),
@@ -120,7 +122,13 @@ KINDS = (
     Kind("TPDO lost, once", _can(K.TPDO_LOST, count=1), WIRE, survivable=True),
     Kind("TPDOs lost for good", _can(K.TPDO_LOST), WIRE, "SYNC|feedback"),
     Kind("TPDOs late", _can(K.TPDO_LATE, 0.11, 0.3), (*WIRE, FollowingErrorError), survivable=True),
-    Kind("TPDOs cut short", _can(K.TPDO_SHORT), (ProtocolError, NoAnswerError), "bytes|feedback|SYNC"),
+    # cut short from the first one on they prove that the mapping was not taken, and no stream is begun
+    Kind(
+        "TPDOs cut short",
+        _can(K.TPDO_SHORT),
+        (ProtocolError, NoAnswerError, CapabilityError),
+        "bytes|feedback|SYNC|not those",
+    ),
     Kind("RPDOs lost", _can(K.RPDO_LOST), (FollowingErrorError,), "set-point", survivable=True),
     Kind("SYNC not received, once", _can(K.SYNC_LOST, count=1), WIRE, survivable=True),
     Kind("SYNC not received", _can(K.SYNC_LOST), (*WIRE, DriveFaultError), "SYNC|feedback|fault"),

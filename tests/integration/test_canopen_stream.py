@@ -159,10 +159,11 @@ def test_the_set_points_are_refused_before_the_wire(stack: ExitStack, wrong: flo
 
 
 def test_a_cycle_that_cannot_fit_is_refused_before_anything_is_written(stack: ExitStack) -> None:
-    rig = _rig(stack, 3)
+    """4 × (95 bits of a set-point + 115 of its answer, stuffing at its worst) + 55 of SYNC, at 1 Mbit/s."""
+    rig = _rig(stack, 4)
     frames = rig.bench.wire.frames
     with (
-        pytest.raises(InputError, match="74 % of the bus, at most 70 %"),
+        pytest.raises(InputError, match="90 % of the bus, at most 70 %"),
         CyclicStream(rig.drives, StreamSettings(0.001)),
     ):
         pytest.fail("entered")

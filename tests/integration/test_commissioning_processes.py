@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 from support.bench_axis import PASSWORDS
-from support.commissioning import Job, kept, look, prepare, rows_of, wait_for
+from support.commissioning import PATIENT, Job, kept, look, prepare, rows_of, wait_for
 from support.sim_process import SimProcess, sim
 
 from hil.app.terminal.main import main
@@ -89,7 +89,9 @@ def test_an_axis_is_examined_over_a_real_wire(wire: str, tmp_path: Path) -> None
         assert main(["doctor", str(at.axis), "--json", str(tmp_path / "doctor.json")]) == 0
         checks = json.loads((tmp_path / "doctor.json").read_text())["checks"]
         table = ["drive's table"] if wire == "modbus tcp" else []  # its register map has one
-        names = ["drive", "limits", "scaling", "zero", *table, "instrument", "speed", "units"]
+        motion = [] if wire == "modbus tcp" else ["units of motion"]
+        order = ["word order"] if wire == "modbus tcp" else []
+        names = ["drive", "limits", "scaling", *motion, *order, "zero", *table, "instrument", "speed", "units"]
         assert [check["name"] for check in checks] == names
         assert at.stands_disabled()
 
@@ -112,6 +114,36 @@ def test_an_axis_is_calibrated_over_a_real_wire(wire: str, tmp_path: Path, monke
         assert (at.machine.left["powered"], at.machine.left["moving"]) == (False, False)
 
 
+@contextmanager
+def busy_processes(count: int) -> Iterator[None]:
+    """Processes that compute without a pause."""
+    running = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+        assert [each.poll() for each in running] == [None] * count
+    finally:
+        for each in running:
+            each.kill()
+            each.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wire", ["slcan", pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])])
+def test_an_axis_is_calibrated_on_a_busy_computer(wire: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the default time-outs, while other processes compute: an answer that comes late is asked for again. Four here, two on the
+    emulated processors of the guest, which the tests beside it slow down."""
+    for name, value in PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    with shop(wire, tmp_path, velocity=80.0) as at, busy_processes(4 if wire == "slcan" else 2):
+        text = at.axis.read_text(encoding="utf-8")
+        assert PATIENT["canopen"] in text
+        at.axis.write_text(text.replace(PATIENT["canopen"], ""), encoding="utf-8")
+        assert main(["calibrate", str(at.axis), "--json", str(tmp_path / "calibrate.json")]) == 0
+        result = json.loads((tmp_path / "calibrate.json").read_text())
+        assert result["rounds"][-1]["rms_um"] < 0.3
+        assert at.stands_disabled()
+
+
 @pytest.mark.parametrize("wire", ["modbus tcp", *ON_CAN])
 def test_ctrl_c_stops_and_disables_the_axis_and_keeps_the_rows(wire: str, tmp_path: Path) -> None:
     with shop(wire, tmp_path) as at:
@@ -125,7 +157,7 @@ def test_ctrl_c_stops_and_disables_the_axis_and_keeps_the_rows(wire: str, tmp_pa
             "hil: interrupted; the axis was stopped, what was measured is kept",
             f"hil: go on with: hil calibrate {at.axis} --resume",
         ]
-        assert seen <= len(kept(at.axis)) < 6
+        assert seen - 1 <= len(kept(at.axis)) < 6  # the last one seen may not have been confirmed when the signal came
         assert at.stands_disabled()
 
 

@@ -29,7 +29,7 @@ from sim_backends.servo import ServoParameters, SimulatedServo
 
 COUNTS = 100_000
 LIMITS = DriveLimits(-3.0, 60.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
-TIMEOUT_S = 0.2  # real; a slave is a Python thread, which a busy machine lets wait for a tenth of a second
+TIMEOUT_S = 0.4  # real; a slave is a Python thread, which a busy machine lets wait for some tenths of a second
 UNIT = 1
 TCP_ONLY = (WireFaultKind.DROP, WireFaultKind.DROP_REQUEST)
 KINDS = tuple(WireFaultKind)

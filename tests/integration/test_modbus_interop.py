@@ -8,14 +8,11 @@ input and every second coil are set, 300 of each.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
-import select
 import shutil
 import socketserver
 import subprocess
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -25,6 +22,7 @@ import serial
 from pyModbusTCP.server import DataBank, ModbusServer
 from support.modbus_parameters import NEW, OLD, place, write_map
 from support.parameter_faults import KilledError
+from support.serial_pair import serial_pair
 from umodbus.server.serial import get_server as umodbus_serial_server
 from umodbus.server.serial.rtu import RTUServer
 from umodbus.server.tcp import RequestHandler
@@ -115,34 +113,6 @@ def umodbus_tcp() -> Iterator[Endpoint]:
         finally:
             server.shutdown()
             thread.join()
-
-
-@contextmanager
-def serial_pair() -> Iterator[tuple[str, str]]:
-    """Two ports joined by a wire: two pseudo-terminals whose masters are pumped into each other."""
-    ends = [os.openpty(), os.openpty()]
-    stop_read, stop_write = os.pipe()
-    for _, slave in ends:
-        tty.setraw(slave)
-    masters = [master for master, _ in ends]
-
-    def pump() -> None:
-        while True:
-            ready = select.select([*masters, stop_read], [], [])[0]
-            if stop_read in ready:
-                return
-            for master in ready:
-                os.write(masters[1 - masters.index(master)], os.read(master, 4096))
-
-    thread = threading.Thread(target=pump)
-    thread.start()
-    try:
-        yield os.ttyname(ends[0][1]), os.ttyname(ends[1][1])
-    finally:
-        os.write(stop_write, b"x")
-        thread.join()
-        for handle in (*masters, *(slave for _, slave in ends), stop_read, stop_write):
-            os.close(handle)
 
 
 def _line(path: str) -> RtuEndpoint:

@@ -381,6 +381,19 @@ def test_axes_that_answer_do_not_take_each_others_time() -> None:
         assert [rig.wire.order.count("posted") for rig in (first, second)] == [0, 0]  # a halt was enough
 
 
+@pytest.mark.parametrize("kind", [writes_unexecuted, silent], ids=lambda kind: kind.__name__)
+def test_time_that_one_axis_lost_before_both_leave_counts(pair: Pair, kind: Answer) -> None:
+    for rig in pair.rigs:
+        rig.strike(kind)
+    began_ns = pair.clock.now_ns()
+    for step in (pair.rigs[0].drive.quick_stop, pair.rigs[0].drive.disable):  # what a refused order does by itself
+        with suppress(BridgeError):
+            step()
+    lost_s = 1e-9 * (pair.clock.now_ns() - began_ns)
+    assert lost_s > 2.0
+    assert lost_s + pair.leave() < WITHIN_S
+
+
 # -- the budget -------------------------------------------------------------------------------------------------------------
 def failing(way: WayOut, clock: Clock, takes_s: float) -> None:
     with suppress(NoAnswerError), way.step(last=True):

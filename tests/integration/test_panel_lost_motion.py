@@ -63,10 +63,10 @@ def drives_a_circle(person: Person) -> None:
     person.clicks("circle.start")
     asked = person.agrees()
     assert sum("Circle, axis" in line for line in asked) == 2
-    person.waits(lambda: "corrected" in person.drawn("circle.polar"), "both circles")
-    assert set(person.drawn("circle.polar")) == {"commanded", "uncorrected", "corrected"}
-    person.waits(lambda: len(person.table("circle.bumps")) == 2, "the bumps of both")
-    before, after = ([float(cell) for cell in row[1:5]] for row in person.table("circle.bumps"))
+    person.waits(lambda: "corrected" in person.drawn("circle.polar"), "all circles")
+    assert set(person.drawn("circle.polar")) == {"commanded", "uncorrected", "tables alone", "corrected"}
+    person.waits(lambda: len(person.table("circle.bumps")) == 3, "the bumps of all")
+    before, _, after = ([float(cell) for cell in row[1:5]] for row in person.table("circle.bumps"))
     assert before == pytest.approx([WORN_UM] * 4, rel=0.05)
     assert after[0::2] == pytest.approx([0.0, 0.0], abs=3.0)  # X turns around at 0 and 180°, and is corrected
     assert after[1::2] == pytest.approx([WORN_UM] * 2, rel=0.05)  # Y is not

@@ -19,6 +19,7 @@ pytestmark = [
 ]
 SEED = 4
 BENCH = f"[bench]\nseed = {SEED}\n"
+FACE = '[face]\naxis = "y"\nx_mm = 20.0\ny_mm = 30.0\ndirection = -1\nsearch_mm = 1.0\n'
 TRUTH = known_probe(
     SEED, face_mm=105.0, face_y_mm=40.0, facing=1, tip_radius_mm=2.0, bore_mm=(50.0, 60.0), bore_radius_mm=8.0
 )
@@ -48,14 +49,14 @@ def comes_to_the_probe(person: Person, address: str) -> None:
 
 def lay_out_keys(directory: Path) -> None:
     key = new_key()
-    save_private_key(directory / "builder.key", key, "builder", cost=Cost(n=1 << 10, r=8, p=1))
+    save_private_key(directory / "builder.key", key, "builder of the probe", cost=Cost(n=1 << 10, r=8, p=1))
     save_public_key(directory / "builder.pub", key.public_key())
 
 
 def opens_the_store(person: Person, key_password: str) -> None:
     person.clicks("probe.open")
     person.waits(lambda: person.finds("probe.key_password").is_displayed(), "the passwords are asked for")
-    person.finds("probe.reading_password").send_keys("reading")
+    person.finds("probe.reading_password").send_keys("reading of the probe")
     person.finds("probe.key_password").send_keys(key_password)
     person.clicks("probe.open.yes")
 
@@ -93,7 +94,7 @@ def test_refused_with_a_chip_then_in_force_and_a_bore_centred(tmp_path: Path) ->
             person.waits_to_read("probe.since", "nothing yet")
             assert not person.finds("probe.correct").is_enabled()
 
-        probe_files.lay_out(tmp_path, more=f"{BENCH}[store]\nsealed = true\n", **given)  # type: ignore[arg-type]
+        probe_files.lay_out(tmp_path, more=f"{BENCH}[store]\nsealed = true\n{FACE}", **given)  # type: ignore[arg-type]
         lay_out_keys(tmp_path)
         with panel.served(*server) as (address, _):
             comes_to_the_probe(person, address)
@@ -102,12 +103,13 @@ def test_refused_with_a_chip_then_in_force_and_a_bore_centred(tmp_path: Path) ->
             assert not person.finds("probe.start").is_enabled()
             opens_the_store(person, "wrong")
             person.is_refused("password")
-            opens_the_store(person, "builder")
+            opens_the_store(person, "builder of the probe")
             person.waits_to_read("probe.store", "Store: opened by the builder")
             for _ in range(2):
                 measures(person, "in force")
             is_shown(person)
             centres_a_bore(person)
+            measures_a_face(person)
             person.goes_to(
                 f"{address}axis/Y/probe"
             )  # one machine, whichever axis's page; but what is sealed was not opened here
@@ -140,6 +142,21 @@ def pair(text: str) -> tuple[float, float]:
     """Of "X 1.0, Y −2.0"."""
     x, y = text.replace("−", "-").removeprefix("X ").split(", Y ")
     return float(x), float(y)
+
+
+def measures_a_face(person: Person) -> None:
+    """A wall that is met between 4 and 6 tenths of the search; what the run-out makes of it at spindle angle 0."""
+    person.clicks("probe.measure_other")
+    asked = person.agrees()
+    assert (
+        "Feeding axis Y towards the work until contact, and back: between 29.000 mm and 30.000 mm, at up to 20.0 mm/s."
+        in asked
+    )
+    person.waits(lambda: person.table("probe.other"), "the face")
+    ((what, corrected, uncorrected),) = person.table("probe.other")
+    assert what == "Face: place, mm"
+    assert 27.4 < float(corrected) < 27.6
+    assert float(corrected) - float(uncorrected) == pytest.approx(TRUTH.stylus.offset_mm[1], abs=1e-3)
 
 
 def centres_a_bore(person: Person) -> None:

@@ -31,19 +31,21 @@ from hil.probe.page_data import (
     last_at,
     lent,
     measured_at,
+    other_at,
     probe_record,
     store_at,
     writable,
 )
 from hil.probe.runout import CorrectionCode
 from hil.records.files import held
-from sim_backends.plant.touch_probe import Bore
+from sim_backends.plant.touch_probe import Bore, Boss
 from sim_backends.probe_bench import ProbeBench
 
 Until = Callable[[Callable[[], bool], str], None]
 TOUCH_MM_S = 20.0
 QUICK = f"touch_mm_s = {TOUCH_MM_S}\nposition_mm_s = 50.0"
 SEED = "[bench]\nseed = 4\n"
+BOSS = "\n[boss]\nx_mm = 80.0\ny_mm = 80.0\nclear_mm = 9.0\nsearch_mm = 1.0\n"
 
 
 @dataclass
@@ -178,7 +180,7 @@ def test_holds_within_50_ms_of_a_stop_while_feeding_towards_the_block(  # noqa: 
 # -- what is measured ------------------------------------------------------------------------------------------------------
 def test_measured_corrected_and_centred(tmp_path: Path, until: Until, seen: Seen) -> None:
     """From the page of X, which the machine has, while Y's desk lends its axis; against what the simulated machine holds."""
-    with at_work(tmp_path, until, "XY", block="turns = 2") as at:
+    with at_work(tmp_path, until, "XY", block="turns = 2", more=SEED + BOSS) as at:
         y = at.desks[1]
         assert lent(at.config, at.desks, at.desk) == [y]
         assert at.run(at.m90()).phase is Phase.DONE
@@ -210,6 +212,12 @@ def test_measured_corrected_and_centred(tmp_path: Path, until: Until, seen: Seen
         assert centred is not None
         assert centred.centring.centre_mm == pytest.approx(bore.point_mm[:2], abs=1e-3)
         assert (seen.benches[-1].place("x"), seen.benches[-1].place("y")) == pytest.approx(bore.point_mm[:2], abs=1e-3)
+
+        assert at.run(probe.feature_job(at.config, store, found, "boss", "latch")).phase is Phase.DONE
+        (boss,) = (one for one in seen.benches[-1].probe.parameters.solids if isinstance(one, Boss))
+        other = other_at(at.desks)
+        assert other is not None
+        assert (other.corrected["x_mm"], other.corrected["y_mm"]) == pytest.approx(boss.point_mm[:2], abs=1e-3)
 
 
 def test_a_chip_on_the_block_is_refused_and_said_in_german(tmp_path: Path, until: Until) -> None:
@@ -255,7 +263,7 @@ SEALED = f"{SEED}[store]\nsealed = true"
 
 def lay_out_keys(tmp_path: Path) -> None:
     key = new_key()
-    save_private_key(tmp_path / "builder.key", key, "builder", cost=Cost(n=1 << 10, r=8, p=1))
+    save_private_key(tmp_path / "builder.key", key, "builder of the probe", cost=Cost(n=1 << 10, r=8, p=1))
     save_public_key(tmp_path / "builder.pub", key.public_key())
 
 
@@ -266,15 +274,15 @@ def test_a_sealed_run_out_is_measured_by_its_builder_only(tmp_path: Path, until:
         token = at.tokens[at.desk]
         assert store_at(at.config, at.desk) is None
         with pytest.raises(WrongPasswordError):
-            at.desk.open_probe(token, at.config, "reading", "wrong")
+            at.desk.open_probe(token, at.config, "reading of the probe", "wrong")
         with pytest.raises(NotInControlError):
-            at.desk.open_probe(None, at.config, "reading", "builder")
-        at.desk.open_probe(token, at.config, "reading")
+            at.desk.open_probe(None, at.config, "reading of the probe", "builder of the probe")
+        at.desk.open_probe(token, at.config, "reading of the probe")
         assert not writable(store_at(at.config, at.desk))
         with pytest.raises(LockedError):
             at.start(at.m90())
         for give_up in (lambda: at.desk.become_operator(token), lambda: at.desk.control.release(token)):
-            at.desk.open_probe(token, at.config, "reading", "builder")
+            at.desk.open_probe(token, at.config, "reading of the probe", "builder of the probe")
             assert writable(store_at(at.config, at.desk))
             give_up()
             assert store_at(at.config, at.desk) is None
@@ -287,7 +295,7 @@ def test_a_sealed_run_out_is_put_into_force_and_read(tmp_path: Path, until: Unti
     lay_out_keys(tmp_path)
     with at_work(tmp_path, until, more=SEALED) as at:
         token = at.tokens[at.desk]
-        at.desk.open_probe(token, at.config, "reading", "builder")
+        at.desk.open_probe(token, at.config, "reading of the probe", "builder of the probe")
         job = at.m90()
         assert at.run(job).phase is Phase.DONE
         assert at.record().in_force is not None
@@ -301,5 +309,5 @@ def test_a_sealed_run_out_is_put_into_force_and_read(tmp_path: Path, until: Unti
         with pytest.raises(WrongPasswordError):
             at.desk.open_probe(token, at.config, "not it")
         assert store_at(at.config, at.desk) is None
-        at.desk.open_probe(token, at.config, "reading")
+        at.desk.open_probe(token, at.config, "reading of the probe")
         assert at.record().in_force is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import re
 import runpy
 from datetime import datetime
 from pathlib import Path
@@ -52,6 +53,95 @@ def test_measure_correct_and_centre(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert form(out)["middle_mm"] != pytest.approx(true, abs=10e-3)
 
 
+FEATURES = """
+[face]
+axis = "y"
+x_mm = 20.0
+y_mm = 30.0
+direction = -1
+search_mm = 1.0
+
+[angle]
+axis = "x"
+x_mm = 20.0
+y_mm = 20.0
+direction = 1
+search_mm = 1.0
+apart_mm = 12.0
+
+[boss]
+x_mm = 80.0
+y_mm = 80.0
+clear_mm = 9.0
+search_mm = 1.0
+
+[reference]
+x_from_mm = [20.0, 55.0]
+x_direction = 1
+y_from_mm = [30.0, 46.0]
+y_direction = 1
+search_mm = 1.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("face", "spindle_deg"),
+    [
+        (probe_files.CANOPEN, 217.0),
+        (probe_files.MODBUS, 30.0),
+        (probe_files.VIRTUAL, 90.0),
+        (probe_files.VIRTUAL, None),
+    ],
+    ids=["canopen-217", "modbus-30", "virtual-90", "virtual-as-it-is"],
+)
+def test_other_measurements_are_corrected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str, spindle_deg: float | None
+) -> None:
+    path, out = machine(tmp_path, drive=face, more=FEATURES + SEED), tmp_path / "out.json"
+    assert main(["probe", "measure", str(path)]) == 0
+    spindle = [] if spindle_deg is None else ["--spindle", str(spindle_deg)]
+    for name in ("face", "angle", "boss", "reference"):
+        capsys.readouterr()
+        assert main(["probe", name, str(path), *spindle, "--json", str(out)]) == 0
+        said, found = capsys.readouterr().out, form(out)
+        simulated = re.findall(r"(-?\d+\.\d+) (?:mm)|at (-?\d+\.\d+)°", said.split("simulated")[1])
+        true = [float(mm or deg) for mm, deg in simulated]
+        corrected, uncorrected = found["corrected"], found["uncorrected"]
+        assert found["spindle_deg"] == pytest.approx(spindle_deg or 0.0, abs=1e-3)
+        if name == "face":
+            assert corrected["face_mm"] == pytest.approx(true[1], abs=1e-3)
+            assert abs(uncorrected["face_mm"] - true[1]) > 0.01
+        elif name == "angle":
+            assert corrected["angle_deg"] == pytest.approx(true[2], abs=0.005)
+            assert corrected["face_mm"] == pytest.approx(true[0], abs=1e-3)
+        elif name == "boss":
+            assert [corrected[key] for key in ("x_mm", "y_mm", "width_y_mm")] == pytest.approx(true, abs=1e-3)
+            assert abs(uncorrected["x_mm"] - true[0]) > 0.01
+        else:
+            assert (corrected["x_mm"], corrected["y_mm"]) == pytest.approx((true[0], true[4]), abs=1e-3)
+        assert "the operator's: not moved" in said
+
+
+def test_a_machine_with_z_says_how_it_is_approached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = machine(tmp_path, z=True, drive=probe_files.CANOPEN)
+    assert main(["probe", "measure", str(path), "--dry-run"]) == 0
+    assert "z: at 40 mm on the way, lowered to 30 mm to measure" in capsys.readouterr().out
+    assert main(["probe", "measure", str(path), "--json", str(tmp_path / "out.json")]) == 0
+    assert "at 40 mm on the way, lowered to 30 mm" in capsys.readouterr().out
+    assert 1000 * form(tmp_path / "out.json")["run_out"]["x_mm"] == pytest.approx(TRUE_X_UM, abs=1.0)
+
+
+def test_other_measurements_need_their_section_and_a_run_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = machine(tmp_path)
+    assert main(["probe", "boss", str(path)]) == 2
+    assert "lacks the table [boss]" in capsys.readouterr().err
+    path = machine(tmp_path, more=FEATURES)
+    assert main(["probe", "boss", str(path)]) == 2
+    assert "runout.json: cannot be read" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_reports_of_a_measurement_and_of_a_bore(tmp_path: Path) -> None:
     path = machine(tmp_path)
@@ -89,13 +179,13 @@ def test_on_a_schedule_in_simulated_time(tmp_path: Path) -> None:
 def test_sealed_values_need_the_builders_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = machine(tmp_path, more=SEED + "\n[store]\nsealed = true")
     key = new_key()
-    save_private_key(tmp_path / "builder.key", key, "builder", cost=Cost(n=1 << 10, r=8, p=1))
+    save_private_key(tmp_path / "builder.key", key, "builder of the probe", cost=Cost(n=1 << 10, r=8, p=1))
     save_public_key(tmp_path / "builder.pub", key.public_key())
-    monkeypatch.setenv("HIL_PASSWORD", "reading")
+    monkeypatch.setenv("HIL_PASSWORD", "reading of the probe")
     monkeypatch.setenv("HIL_KEY_PASSWORD", "wrong")
     assert main(["probe", "measure", str(path)]) == 2
     assert not (tmp_path / "mill-probe").exists()
-    monkeypatch.setenv("HIL_KEY_PASSWORD", "builder")
+    monkeypatch.setenv("HIL_KEY_PASSWORD", "builder of the probe")
     assert main(["probe", "measure", str(path)]) == 0
     assert [entry.name for entry in sorted((tmp_path / "mill-probe").iterdir())] == ["history.csv", "runout.sealed"]
     assert main(["probe", "correct", str(path), "--code", "M93", "--dry-run"]) == 0

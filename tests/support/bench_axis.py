@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 
-PASSWORDS = {"HIL_PASSWORD": "reading", "HIL_KEY_PASSWORD": "builder"}
+PASSWORDS = {"HIL_PASSWORD": "tables of the bench", "HIL_KEY_PASSWORD": "builder of the bench"}
 
 AXIS = """
 [axis]

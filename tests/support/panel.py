@@ -59,6 +59,7 @@ class Person:
 
     def clicks(self, name: str) -> None:
         self.waits(lambda: self.finds(name).is_enabled() and self.finds(name).is_displayed(), f"{name} can be clicked")
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", self.finds(name))
         self.finds(name).click()
 
     def types(self, name: str, text: str) -> None:

@@ -47,6 +47,7 @@ search_mm = {search_mm}
 x_mm = 50.0
 y_mm = 60.0
 reach_mm = 8.0
+{bore}
 
 {more}
 """
@@ -68,8 +69,12 @@ def lay_out(
     probe: str = "",
     block: str = "",
     more: str = "",
+    z: bool = False,
+    bore: str = "",
 ) -> Path:
-    """Write mill.toml and its axis files into a directory; the machine file's path."""
+    """Write mill.toml and its axis files into a directory; the machine file's path. z: with a Z axis, bore and block 10 mm below
+    its safe height.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     linear = {"low": -2.0, "high": 200.0, "velocity": 100.0, "acceleration": 1000.0, "feed": 10.0, "drive": drive}
     turning = {"low": -360.0, "high": 720.0, "velocity": 360.0, "acceleration": 3600.0, "feed": 360.0}
@@ -77,7 +82,11 @@ def lay_out(
         (directory / f"{name}.toml").write_text(AXIS.format(name=name, **linear))
     (directory / "S.toml").write_text(AXIS.format(name="S", **turning, drive=spindle_drive or drive))
     path = directory / "mill.toml"
-    path.write_text(
-        MACHINE.format(start_mm=start_mm, search_mm=search_mm, spindle=spindle, probe=probe, block=block, more=more)
+    if z:
+        (directory / "Z.toml").write_text(AXIS.format(name="Z", **{**linear, "low": -50.0, "high": 100.0}))
+        block, bore, more = f"z_mm = 30.0\n{block}", f"z_mm = 30.0\n{bore}", f"[approach]\nsafe_mm = 40.0\n{more}"
+    text = MACHINE.format(
+        start_mm=start_mm, search_mm=search_mm, spindle=spindle, probe=probe, block=block, bore=bore, more=more
     )
+    path.write_text(text.replace('y = "Y.toml"', 'y = "Y.toml"\nz = "Z.toml"') if z else text)
     return path

@@ -27,3 +27,25 @@ def lay_out_axes(
         own = text.replace('name = "X"', f'name = "{path.stem}"').replace("seed = 5", f"seed = {seed}\n{FACES[face]}")
         path.write_text(own + lost_motion, encoding="utf-8")
     return paths
+
+
+def lay_out_bent(
+    directory: Path, face: str = "virtual", *, other: str = "geometric", sections: int = 13
+) -> tuple[Path, Path]:
+    """X.toml of an axis on a bent way, measured by straightness optics, and Y.toml of the axis that is moved against it at 200 mm.
+
+    other: the simulated machine of Y.
+    """
+    x, y = lay_out_axes(directory, face, machine="bent", lost_motion="")
+    text = x.read_text(encoding="utf-8").replace("sections = 5", f"sections = {sections}").replace("260.0", "480.0")
+    optics = "[instrument]\nbeside = { straightness_um = { axis = 2, per_unit = 11.5 } }\n"
+    x.write_text(text.replace("[instrument]\n", optics) + STRAIGHTNESS, encoding="utf-8")
+    y.write_text(y.read_text(encoding="utf-8").replace('"bent"', f'"{other}"'), encoding="utf-8")
+    return x, y
+
+
+STRAIGHTNESS = """
+[straightness]
+axis_file = "Y.toml"
+at_mm = 200.0
+"""

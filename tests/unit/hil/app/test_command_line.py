@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 from support import bench_axis
+from support.toy_axis import ToyDrive, ToyMachine
 
 from hil.app.error_log import MOST_BYTES, ErrorLog
 from hil.app.terminal import main as entry
+from hil.app.terminal.progress import telling_notes
 
 RECORDS = "run,direction,target_mm,measured_mm\n" + "".join(
     f"{run},{d:+d},{p},{p + 0.001 * run * d}\n" for run in (1, 2) for d in (1, -1) for p in (0.0, 10.0)
@@ -158,3 +160,12 @@ def test_ctrl_c_at_any_later_moment_is_said_in_one_line(
     monkeypatch.setattr(entry, "build_parser", interrupted)
     assert entry.main(["iso230", "records.csv"]) == 130
     assert capsys.readouterr().err.startswith("hil: interrupted; ")
+
+
+def test_notes_of_a_drive_that_came_up_in_a_block_are_told_at_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+    drive = ToyDrive(ToyMachine())
+    drive.notes = ["found by open"]
+    with telling_notes(drive):
+        drive.notes = ["found by open", "it does not take 6084h"]
+        assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err == "hil: it does not take 6084h\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from fractions import Fraction
 from importlib.resources import files
@@ -163,6 +164,30 @@ def test_what_is_varied_is_a_column_with_levels(tmp_path: Path) -> None:
             load_axis(path)
 
 
+def test_the_specified_value_has_a_sign_for_each_section_and_direction(tmp_path: Path) -> None:
+    path = tmp_path / "axis.toml"
+    head = axis_text(band_um="[6.0, 7.0]").replace("# signs = ", "signs = ")
+    path.write_text(head, encoding="utf-8")
+    band = load_axis(path).correction.band
+    assert band is not None
+    assert [band.at(at, way).middle_um for at in (0.0, 249.9, 250.0) for way in (1, -1)] == [6.5, -6.5] * 2 + [6.5, 6.5]
+    signs = next(line for line in head.splitlines() if line.startswith("signs = "))
+    for text, words in (
+        (head.replace(signs, "signs = [{ from_mm = 5.0, to_mm = 5.0 }]"), "expected from_mm < to_mm"),
+        (head.replace(signs, "signs = [{ from_mm = 0.0, to_mm = 5.0, plus = 2 }]"), "plus is 2, expected 1 or -1"),
+        (
+            head.replace(signs, "signs = [{ from_mm = 0.0, to_mm = 5.0 }, { from_mm = 4.0, to_mm = 9.0 }]"),
+            "sections from 4 mm have two signs",
+        ),
+        (axis_text().replace("# signs = ", "signs = "), "given without band_um"),
+        (axis_text(fine_total_um="2.0"), "fine_total_um is 2, expected at least the range of one round, 3"),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=re.escape(words)) as refused:
+            load_axis(path)
+        assert refused.value.line is not None
+
+
 def test_defaults(tmp_path: Path) -> None:
     path = tmp_path / "axis.toml"
     text = "\n".join(line for line in axis_text().splitlines() if "# default" not in line)
@@ -190,6 +215,8 @@ def test_a_byte_order_mark_and_crlf_do_not_matter(tmp_path: Path) -> None:
         ({"wavelength_fraction": "4"}, False),
         ({"compensate_air": "false"}, False),
         ({"band_um": "[6.0, 7.0]"}, False),
+        ({"fine_total_um": "6.0"}, True),
+        ({"fine_total_um": "4.0"}, False),
         ({"seed": "2"}, False),
         ({"port": '"/dev/ttyUSB1"'}, True),
         ({"channel": '"can1"'}, True),

@@ -6,13 +6,14 @@ A 6077h reading is rounded to 0.1 %: variance 0.01/12 = 8.33333e-4, called r bel
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hil.backlash.fitted import FittedWindUp, _explains_more, _fit, _Polynomial, fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion, mean_um, reversal_json
-from hil.backlash.trace import ReversalTrace
+from hil.backlash.trace import ReversalTrace, crept_trace
 
 R = 8.33333e-4
 LOST_UM = 40.0
@@ -45,13 +46,14 @@ def found(trace: ReversalTrace) -> FittedWindUp:
 def test_a_straight_flank_and_a_level_way() -> None:
     """Places 20 24 28 32 36, up to 20 + 0.88·20 = 37.6; mean 28, Σ 160: at 40 the line is known to (1/5 + 144/160) r = 1.1 r.
 
-    The level is rounded the same way everywhere: r. √(2.1 r) = 0.0418330 %, over 0.4 %/µm 0.1045825 µm; with 0.006·40 = 0.24 µm
-    √(0.0109375 + 0.0576) = 0.2617966 µm.
+    The level is rounded the same way everywhere: r. √(2.1 r) = 0.0418330 %, over 0.4 %/µm 0.1045825 µm; with 0.006·40 = 0.24 and
+    0.3 µm √(0.0109375 + 0.0576 + 0.09) = 0.3981677 µm; after a creep with 0.45 µm √(0.0109375 + 0.0576 + 0.2025) = 0.5206126.
     """
     fit = found(made())
     assert (fit.lost_motion_um, fit.level_percent) == pytest.approx((40.0, 8.0))
     assert fit.chance_um == pytest.approx(0.1045825, rel=1e-5)
-    assert fit.u_um == pytest.approx(0.2617966, rel=1e-5)
+    assert fit.u_um == pytest.approx(0.3981677, rel=1e-5)
+    assert found(replace(made(), creep_um_s=20.0)).u_um == pytest.approx(0.5206126, rel=1e-5)
     assert fit.flank_um == pytest.approx((20.0, 36.0))
     assert fit.centre_um == pytest.approx(28.0)
     assert fit.coefficients == pytest.approx((3.2, 0.4))
@@ -243,20 +245,22 @@ def reversal(run: int, direction: int, lost_um: float, chance_um: float) -> Reve
 
 
 def test_the_mean_and_its_uncertainty_by_hand() -> None:
-    """50 and 40: 45; chance √((0.04 + 0.16)/4); with 0.006·45 = 0.27: √(0.05 + 0.0729) = 0.350571, · 1.959964 = 0.687107."""
+    """50 and 40: 45; chance √((0.04 + 0.16)/4); with 0.006·45 = 0.27 and 0.3: √(0.05 + 0.0729 + 0.09) = 0.461411,
+    · 1.959964 = 0.904349.
+    """
     both = [reversal(1, 1, 50.0, 0.2), reversal(1, -1, 40.0, 0.4)]
     assert (mean_um(both, "fitted"), mean_um(both, "four-sample")) == (45.0, 46.0)
     assert mean_um(both, "fitted", -1) == 40.0
     one = fitted_lost_motion(both)
     assert one is not None
-    assert (one.mean_um, one.u95_um) == (45.0, pytest.approx(0.687107, rel=1e-5))
+    assert (one.mean_um, one.u95_um) == (45.0, pytest.approx(0.904349, rel=1e-5))
     assert fitted_lost_motion(both[:1]) is None
 
 
 def test_runs_that_agree_or_do_not() -> None:
     """+: 49 and 51, variance 2, t(1) = 12.7062/1.959964 = 6.482874: 42.02766·2/2 = 42.02766 rather than (0.04 + 0.04)/4 = 0.02.
 
-    -: 40 twice, 0.16/2 = 0.08. √((42.02766 + 0.08)/4 + 0.27²) · 1.959964 = 6.381127.
+    -: 40 twice, 0.16/2 = 0.08. √((42.02766 + 0.08)/4 + 0.27² + 0.3²) · 1.959964 = 6.408160.
     """
     runs = [
         reversal(1, 1, 49.0, 0.2),
@@ -266,7 +270,7 @@ def test_runs_that_agree_or_do_not() -> None:
     ]
     found_um = fitted_lost_motion(runs)
     assert found_um is not None
-    assert found_um.u95_um == pytest.approx(6.381127, rel=1e-5)
+    assert found_um.u95_um == pytest.approx(6.408160, rel=1e-5)
 
 
 def test_a_reversal_in_plain_values() -> None:
@@ -305,4 +309,18 @@ def test_travel_and_torque_in_the_new_directions_sense() -> None:
         "torque_percent": [[1.0, 3.0], [-3.0, -5.0]],
         "slides_percent": [[-7.0, -9.0]],
         "weight_percent": 2.0,
+        "creep_um_s": 0.0,
     }
+
+
+def test_a_creep_is_averaged_over_each_step_of_motion() -> None:
+    """Downwards from 10 mm: 0.2 0.6 | 1.2 1.2 1.8 | 2.4 µm with 1 3 | 5 99 7 | 9 %: neither standing readings nor the last count."""
+    places = 10.0 - np.array([0.0, 0.0, 0.2, 0.6, 1.2, 1.2, 1.8, 2.4]) / 1000.0
+    torques = np.array([-4.0, 50.0, 1.0, 3.0, 5.0, 99.0, 7.0, 9.0])
+    trace = crept_trace(-1, places, torques, step_um=1.0, creep_um_s=20.0, weight_percent=0.5)
+    assert trace.travel_um == pytest.approx([0.0, 0.4, 1.5])
+    assert trace.torque_percent[:, 0].tolist() == [-4.0, 2.0, 6.0]
+    assert trace.rising_percent == pytest.approx([4.5, -1.5, -5.5])
+    assert (trace.creep_um_s, trace.weight_percent) == (20.0, 0.5)
+    stood = crept_trace(1, np.full(5, 3.0), np.zeros(5), step_um=1.0, creep_um_s=20.0)
+    assert len(stood.position_load_mm) == 1

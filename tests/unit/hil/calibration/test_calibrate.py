@@ -16,7 +16,15 @@ from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import Calibration, calibrate, check_proof
 from hil.calibration.verify import verify
-from hil.correction.tables import Band, SingleTable, TableMode, TableSet, section_means, straightness_table
+from hil.correction.tables import (
+    Band,
+    SignedSections,
+    SingleTable,
+    TableMode,
+    TableSet,
+    section_means,
+    straightness_table,
+)
 from hil.machine.events import Event
 from hil.machine.session import AxisSession
 from hil.records.journal import FINISHED, Campaign
@@ -214,8 +222,11 @@ def test_a_proof_is_better_by_more_than_its_uncertainty_or_none() -> None:
         check_proof(before, rows(errors_of(6.5, 6.2, 6.9, runs=5)), BAND)
     before = rows(errors_of(2.0, -2.0, 2.0, runs=5, noise_um=1.0))
     check_proof(before, rows(errors_of(0.1, -0.1, 0.1, runs=5)), None)
-    with pytest.raises(UnprovenError, match=r"leave 1\.\d\d µm"):
+    with pytest.raises(UnprovenError, match=r"leave 1\.\d\d µm .* [\d.]+ µm$"):
         check_proof(before, rows(errors_of(1.7, -1.7, 1.7, runs=5)), None)
+    nothing = rows(errors_of(0.05, -0.05, 0.05, runs=5, noise_um=1.0))
+    with pytest.raises(UnprovenError, match=r"no error that its own repeatability does not hide$"):
+        check_proof(nothing, nothing, None)
 
 
 def test_errors_count_from_the_band() -> None:
@@ -243,6 +254,35 @@ def test_tables_whose_proof_contradicts_them_are_neither_stored_nor_in_force(tmp
         assert session.compensation is None
     assert stored == []
     assert (tmp_path / "one" / FINISHED).exists(), "--resume would only come to the same"
+
+
+def test_each_section_and_direction_has_the_sign_of_its_specified_value(tmp_path: Path) -> None:
+    middle_mm = MEASUREMENT.targets_mm[len(MEASUREMENT.targets_mm) // 2]
+    band = replace(BAND, signs=(SignedSections(-1e3, middle_mm, 1, -1), SignedSections(middle_mm, 1e3, -1, 1)))
+    result = run(ToyMachine(**WAVY, noise_um=0.1), tmp_path, replace(SPECIFIED, band=band))
+    assert result.inside
+    assert len(result.rounds) > 1, "this screw must need a revision, or the test shows nothing"
+    for (target_mm, sign), error_um in final_errors(result).items():
+        wanted = sign if target_mm < middle_mm else -sign
+        assert 6.0 <= wanted * error_um <= 7.0
+
+
+@pytest.mark.parametrize("total_um", [0.3, 0.7, 6.0])
+def test_fine_steps_move_a_section_by_a_bounded_total_over_all_rounds(tmp_path: Path, total_um: float) -> None:
+    correction = replace(SPECIFIED, max_rounds=8, fine_range_um=min(3.0, total_um), fine_total_um=total_um)
+    result = run(ToyMachine(wave_um=6.0, wave_period_mm=0.11), tmp_path, correction)
+    at = np.array(MEASUREMENT.targets_mm)
+    by_formula = result.rounds[1].tables
+    for sign in (1, -1):
+        moved = result.rounds[-1].tables.correction_um(at, sign) - by_formula.correction_um(at, sign)
+        assert np.max(np.abs(moved)) <= total_um + 1e-9
+        told = [result.moved_um.get((float(target), sign), 0.0) for target in at]
+        assert moved == pytest.approx(told, abs=1e-9)
+    assert result.moved_um
+    assert result.inside is (total_um == 6.0)
+    if not result.inside:
+        assert max(map(abs, result.moved_um.values())) == pytest.approx(total_um)
+        assert len(result.rounds) < correction.max_rounds, "it ends when nothing may be moved any more"
 
 
 def test_sections_that_stay_outside_are_named_after_the_last_round(tmp_path: Path) -> None:

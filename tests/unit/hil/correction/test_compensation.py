@@ -63,11 +63,11 @@ def machines(draw: st.DrawFn) -> Machine:
     unused = column()  # what stands in the table that the mode does not read must not matter
     minus = plus - backlash if mode is TableMode.BIDIRECTIONAL else unused
     total = {1: plus, -1: plus - backlash}
-    tables = TableSet(
-        mode,
-        DirectionalTable(np.array(at), plus, minus),
-        SingleTable(np.array(at), backlash if mode is TableMode.UNIDIRECTIONAL_BACKLASH else unused),
-    )
+    pitch = DirectionalTable(np.array(at), plus, minus)
+    if mode is TableMode.MEAN_BACKLASH:  # only the mean of the two is read
+        mean = plus - backlash / 2
+        pitch = DirectionalTable(np.array(at), mean + unused, mean - unused)
+    tables = TableSet(mode, pitch, SingleTable(np.array(at), unused if mode is TableMode.BIDIRECTIONAL else backlash))
     if draw(st.booleans()):
         specified = DirectionalTable(np.array(at), column(), column())
         tables = replace(tables, specified=specified)

@@ -196,11 +196,11 @@ def test_from_the_sealed_store(
     (tmp_path / "X.toml").write_text(AXIS)
     key = new_key()
     save_public_key(tmp_path / "builder.pub", key.public_key())
-    store = SealedStore(tmp_path / "store" / "tables.sealed", "X", "secret", key.public_key(), key)
+    store = SealedStore(tmp_path / "store" / "tables.sealed", "X", "secret of the axis", key.public_key(), key)
     tables = read_manual_tables(manual)
     cyclic, lag = (term_from_json(obj, ALL, obj["effect"]) for obj in (CYCLIC, LAG))
     store.save(Compensation(tables, (cyclic, lag)))
-    monkeypatch.setenv("HIL_PASSWORD", "secret")
+    monkeypatch.setenv("HIL_PASSWORD", "secret of the axis")
     out = tmp_path / "x.comp"
     arguments = ["export", str(tmp_path / "X.toml"), "--format", "linuxcnc", "--out", str(out)]
     assert main(arguments) == 2

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.correction.manual import read_manual_tables, read_straightness
+from hil.correction.formats.manual_csv import dump
+from hil.correction.manual import read_backlash, read_manual_tables, read_straightness
 from hil.correction.tables import TableMode
 
 
@@ -34,6 +35,36 @@ def test_one_direction_and_a_backlash_counted_once(path: Path) -> None:
     np.testing.assert_allclose(tables.correction_um([0.0, 100.0], -1), [1 - 10, 2 - 12])
 
 
+def test_a_backlash_beside_both_directions_takes_the_place_of_their_difference(path: Path) -> None:
+    path.write_text("position_mm,plus_um,minus_um,backlash_um\n0,4,0,10\n100,2,-2,12\n")
+    tables = read_manual_tables(path)
+    assert tables.mode is TableMode.MEAN_BACKLASH
+    assert tables.correction_um([0.0, 100.0], 1).tolist() == [2 + 5, 0 + 6]
+    assert tables.correction_um([0.0, 100.0], -1).tolist() == [2 - 5, 0 - 6]
+    written = path.with_name("written.csv")
+    written.write_text(dump(tables))
+    assert read_manual_tables(written) == tables
+
+
+def test_a_backlash_on_positions_of_its_own(path: Path, tmp_path: Path) -> None:
+    beside = tmp_path / "backlash.csv"
+    beside.write_text("# by torque\nposition_mm,backlash_um\n30,10\n60,16\n")
+    backlash = read_backlash(beside)
+    path.write_text("position_mm,plus_um\n0,1\n100,2\n")
+    one = read_manual_tables(path, backlash)
+    assert one.mode is TableMode.UNIDIRECTIONAL_BACKLASH
+    assert one.backlash == backlash
+    assert one.correction_um([0.0, 50.0, 100.0], -1).tolist() == [1 - 10, 1.5 - 14, 2 - 16]
+    path.write_text("position_mm,plus_um,minus_um\n0,1,3\n100,2,4\n")
+    assert float(read_manual_tables(path, backlash).correction_um(30.0, 1)) == pytest.approx(2.3 + 5)
+    path.write_text("position_mm,plus_um,backlash_um\n0,1,10\n")
+    with pytest.raises(InputError, match="it would count twice"):
+        read_manual_tables(path, backlash)
+    beside.write_text("position_mm,backlash_um\n60,10\n30,16\n")
+    with pytest.raises(InputError, match=r"backlash\.csv.*ascending"):
+        read_backlash(beside)
+
+
 def test_specified_accuracy_and_straightness_add_up(path: Path) -> None:
     path.write_text(
         "position_mm,plus_um,minus_um,specified_plus_um,specified_minus_um,straightness_um\n0,1,4,6.5,6.4,0.25\n100,2,6,6.5,6.4,0.25\n"
@@ -56,8 +87,7 @@ HEAD = "position_mm,plus_um,minus_um\n"
         ("", None, "holds no table"),
         (HEAD, None, "holds no table"),
         ("0,1,2\n3,4,5\n", 1, "unknown column '0'"),
-        ("position_mm,plus_um\n0,1\n", 1, "one of the columns minus_um and backlash_um"),
-        ("position_mm,plus_um,minus_um,backlash_um\n0,1,1,0\n", 1, "one of the columns minus_um and backlash_um"),
+        ("position_mm,plus_um\n0,1\n", 1, "needs minus_um, or backlash_um, or a backlash beside it"),
         ("plus_um,minus_um\n0,1\n", 1, "lacks position_mm"),
         ("position_mm,plus_um,plus_um\n0,1,1\n", 1, "twice"),
         ("position_mm,plus_um,minus_um,specified_plus_um\n0,1,1,1\n", 1, "both specified_plus_um and"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.correction.published_rise import TwoTanh, published_um
+from hil.correction.published_rise import TwoTanh, published_moves, published_um
 
 FORM = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0, onset_2_mm=1.0)
 AT_ONCE = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0)
@@ -58,6 +58,18 @@ def test_literal_values(form: TwoTanh, direction: int, before: tuple[float, floa
 def test_the_ends_of_the_two_branches_differ_as_the_source_has_it() -> None:
     assert published_um(FORM, 1, 1e3, 5.0, 3.999) == pytest.approx(12.0)
     assert published_um(FORM, 1, 1e3, 5.0, 10.0) == pytest.approx(10.0)
+
+
+def test_moves_carry_the_last_correction_and_the_last_stroke_by_hand() -> None:
+    """6 mm up: 8·tanh 12 + 4·tanh 2.5 = 11.946457; back 0.5: (11.946457 - 4)·tanh 1 = 6.051975; up after 0.5 mm, half of b2,
+    x't = 0.2: 2.051975·tanh 0.4 = 0.779646; that is below Pc2, and x't = 0.05·10: 12 - 0.779646 + 0.779646·tanh 0.25 = 11.411304.
+    """
+    moves = published_moves(FORM, 0.0, -1, [-1.0, 5.0, 5.0, 4.5, 4.6, 4.55])
+    expected = [-12.0, 11.946457, -6.051975, 0.779646, -11.411304]
+    assert [move.published_um for move in moves] == pytest.approx(expected, abs=2e-6)
+    assert [move.branch for move in moves] == [2, 2, 2, 2, 1]
+    assert [move.stroke_mm for move in moves] == pytest.approx([math.inf, math.inf, 6.0, 0.5, 0.1])
+    assert [move.start_um for move in moves[1:]] == pytest.approx([0.0, 0.0, 0.0, -11.220354], abs=2e-6)
 
 
 def test_after_a_full_stroke_it_is_the_whole_rise() -> None:

@@ -51,6 +51,7 @@ from hil.correction.sealed import (
     sign_detached,
     write_sealed,
 )
+from hil.correction.sealed.container import unpack
 from hil.correction.sealed.keys import KEY_COST, _integer, _tagged
 from hil.correction.sealed.sealing import _DOMAIN
 from hil.records import files
@@ -557,6 +558,25 @@ def test_missing_and_surplus_passwords_are_refused() -> None:
 # changing
 
 
+def test_what_is_taken_out_leaves_its_place_to_the_next_entry() -> None:
+    """The others open with their own passwords, of which none is given here."""
+    own = {"a": "one", "b": "two", "c": "three", "d": "four"}
+    data = seal({name: name.encode() for name in own}, own, BUILDER, cost=CHEAP)
+    without = reseal(data, {}, {}, BUILDER, without=["b", "d"])
+    assert list(check(without, PUBLIC).entries) == ["a", "c"]
+    assert open_sealed(without, {"a": "one", "c": "three"}, PUBLIC) == {"a": b"a", "c": b"c"}
+    assert unpack(data).ciphertexts[1] not in without
+    with pytest.raises(InputError, match="holds no entry b, only a, c"):
+        open_sealed(without, "two", PUBLIC, names=["b"])
+    again = reseal(without, {"e": b"e", "f": b"f"}, "five", BUILDER)
+    assert [entry.name for entry in unpack(again).header.entries] == ["a", "e", "c", "f"]
+    assert open_sealed(again, {**own, "e": "five", "f": "five"}, PUBLIC, names=["a", "e", "c", "f"])["c"] == b"c"
+    with pytest.raises(InputError, match="nothing to seal"):
+        reseal(without, {}, {}, BUILDER, without=["a", "c"])
+    with pytest.raises(InputError, match="cannot be used"):
+        reseal(without, {"_vacant_1": b""}, "five", BUILDER)
+
+
 def test_reseal_needs_only_the_changed_entrys_password() -> None:
     own = {"pitch.json": "one", "backlash.json": "two", "empty": "three"}
     data = seal(ENTRIES, own, BUILDER, cost=CHEAP)
@@ -626,23 +646,41 @@ def test_a_sealed_files_signature_is_no_detached_signature() -> None:
 
 def test_key_files(tmp_path: Path) -> None:
     key = new_key()
-    save_private_key(tmp_path / "b.key", key, "pässword", cost=CHEAP)
+    save_private_key(tmp_path / "b.key", key, "pässword of mine", cost=CHEAP)
     save_public_key(tmp_path / "b.pub", key.public_key())
     assert stat.S_IMODE((tmp_path / "b.key").stat().st_mode) == 0o600
-    assert load_private_key(tmp_path / "b.key", "pässword").private_bytes_raw() == key.private_bytes_raw()
+    assert load_private_key(tmp_path / "b.key", "pässword of mine").private_bytes_raw() == key.private_bytes_raw()
     assert load_public_key(tmp_path / "b.pub").public_bytes_raw() == key.public_key().public_bytes_raw()
     with pytest.raises(WrongPasswordError):
-        load_private_key(tmp_path / "b.key", "password")
-    for save in (lambda p: save_private_key(p, key, "x"), lambda p: save_public_key(p, key.public_key())):
+        load_private_key(tmp_path / "b.key", "password of mine")
+    for save in (lambda p: save_private_key(p, key, "builder of mine"), lambda p: save_public_key(p, key.public_key())):
         with pytest.raises(InputError, match="never overwritten"):
             save(tmp_path / "b.key")
+
+
+def test_a_new_key_from_a_script_has_a_password_of_the_least_strength(tmp_path: Path) -> None:
+    for weak in ("builder", "aaaaaaaaaaaaaaaaaaaa"):
+        with pytest.raises(
+            InputError, match=r"password of the new key is new and has .* expected at least 15, 5 of them"
+        ):
+            save_private_key(tmp_path / "b.key", new_key(), weak, cost=CHEAP)
+    assert not (tmp_path / "b.key").exists()
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl command to read the key with")
 def test_the_private_key_file_is_pkcs8_that_a_foreign_tool_reads(tmp_path: Path) -> None:
     key = new_key()
-    save_private_key(tmp_path / "b.key", key, "secret")
-    command = ["openssl", "pkey", "-in", str(tmp_path / "b.key"), "-passin", "pass:secret", "-outform", "DER"]
+    save_private_key(tmp_path / "b.key", key, "secret of the builder")
+    command = [
+        "openssl",
+        "pkey",
+        "-in",
+        str(tmp_path / "b.key"),
+        "-passin",
+        "pass:secret of the builder",
+        "-outform",
+        "DER",
+    ]
     der = subprocess.run(command, check=True, capture_output=True).stdout
     assert der[-32:] == key.private_bytes_raw()
 

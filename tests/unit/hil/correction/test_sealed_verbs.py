@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import InputError
-from hil.correction.sealed import DamagedError, ForeignSignatureError, WrongPasswordError
+from hil.correction.sealed import DamagedError, ForeignSignatureError, WrongPasswordError, load_private_key
+from hil.correction.sealed import seal as sealed_bytes
 from hil.correction.sealed.commands import check, open_, seal, sign
 
 
@@ -29,8 +30,8 @@ def call(*argv: str) -> int:
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A directory with two tables and a key pair, and the passwords in the environment; no keyboard."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("HIL_PASSWORD", "reading")
-    monkeypatch.setenv("HIL_KEY_PASSWORD", "building")
+    monkeypatch.setenv("HIL_PASSWORD", "reading of the tables")
+    monkeypatch.setenv("HIL_KEY_PASSWORD", "building of the tables")
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     Path("pitch.json").write_text('{"pitch": 1}')
     Path("backlash.json").write_text('{"backlash": 2}')
@@ -71,7 +72,7 @@ def test_check_and_open_print_the_header(place: Path, capsys: pytest.CaptureFixt
 
 
 def test_individual_passwords_and_update(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("own.txt").write_text("own secret\n")
+    Path("own.txt").write_text("own secret of the pitch\n")
     seal_both = ["seal", "pitch.json", "backlash.json", "--out", "axis.sealed", "--key", "builder.key"]
     assert call(*seal_both, "--entry-password", "pitch.json=own.txt") == 0
     read_pitch = ["open", "axis.sealed", "--builder", "builder.pub", "--entry", "pitch.json"]
@@ -165,11 +166,26 @@ def test_the_keyboard_asks_twice_for_a_new_password(place: Path, monkeypatch: py
 
     monkeypatch.delenv("HIL_KEY_PASSWORD")
     monkeypatch.setattr("sys.stdin", Terminal())
-    answers = iter(["one", "other", "same", "same"])
+    answers = iter(["one", "other", *["the same twice over"] * 2])
     monkeypatch.setattr("getpass.getpass", lambda _prompt: next(answers))
     with pytest.raises(InputError, match="the two entries differ"):
         call("sign", "--new-key", "second")
     assert not Path("second.key").exists()
     assert call("sign", "--new-key", "second") == 0
-    monkeypatch.setattr("getpass.getpass", lambda _prompt: "same")
+    monkeypatch.setattr("getpass.getpass", lambda _prompt: "the same twice over")
     assert call("sign", "pitch.json", "--key", "second.key") == 0
+
+
+def test_a_new_password_has_a_least_strength(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    both = ["pitch.json", "backlash.json", "--out", "axis.sealed", "--key", "builder.key"]
+    Path("short.txt").write_text("short")
+    with pytest.raises(InputError, match=r"password of backlash\.json is new and has 5 characters"):
+        call("seal", *both, "--entry-password", "backlash.json=short.txt")
+    assert not Path("axis.sealed").exists()
+    old = load_private_key("builder.key", "building of the tables")
+    Path("axis.sealed").write_bytes(sealed_bytes({"pitch.json": b"1"}, "short", old))
+    assert call("seal", "pitch.json", *both[2:], "--update", "--entry-password", "pitch.json=short.txt") == 0
+    monkeypatch.setenv("HIL_KEY_PASSWORD", "building")
+    with pytest.raises(InputError, match="password of the new key is new and has 8 characters"):
+        call("sign", "--new-key", "another")
+    assert not Path("another.key").exists()

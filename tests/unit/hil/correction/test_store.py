@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,18 @@ from support import bench_axis
 
 from drivers.errors import InputError, StateError
 from hil.axis.axis_file import AxisConfig, load_axis
-from hil.correction.sealed import ForeignSignatureError, TruncatedError, WrongPasswordError, check
-from hil.correction.store import SealedStore
-from hil.correction.tables import DirectionalTable, TableMode, TableSet
+from hil.correction.sealed import (
+    ForeignSignatureError,
+    TruncatedError,
+    WrongPasswordError,
+    check,
+    load_private_key,
+    open_sealed,
+    seal,
+)
+from hil.correction.store import SealedStore, bound_tables
+from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
+from hil.records.made_with import MadeWith, write_made_with
 from hil.records.zero import Zero, write_zero
 
 VERSION_1 = base64.b64decode(
@@ -58,6 +68,34 @@ def test_several_axes_share_a_file_each_with_its_own_password(axis: AxisConfig) 
         SealedStore(ours.path, "Z", READING, ours.builder_public).load()
 
 
+def test_the_tables_of_one_axis_are_taken_out_of_a_shared_file(axis: AxisConfig) -> None:
+    ours = SealedStore.of(axis, READING, KEY, own={"backlash": "a backlash of its own"})
+    theirs = SealedStore(ours.path, "Y", "another password", ours.builder_public, ours.builder_key)
+    write_made_with(axis.made_with_path, MadeWith({"6092h:01": 10.0}))
+    ours.save_tables(full_tables())
+    theirs.save_tables(tables(2.0))
+    with pytest.raises(StateError, match="builder's private key"):
+        SealedStore.of(axis, READING).withdraw()
+    withdrawing = SealedStore.of(axis, "", KEY)  # who lost the reading passwords may still take them out
+    assert withdrawing.withdraw().made_with == MadeWith({"6092h:01": 10.0})
+    assert (ours.stored(), ours.states(), bound_tables(axis)) == (None, None, None)
+    assert theirs.stored() == theirs.load()
+    info = check(ours.path.read_bytes(), ours.builder_public)
+    assert list(info.entries) == ["Y.tables", "Y.effects"]
+    assert info.binding is not None
+    assert list(info.binding.of["axes"]) == ["Y"]
+    with pytest.raises(StateError, match="holds no tables of axis X, nothing is in force"):
+        ours.withdraw()
+    plain = SealedStore.of(axis, READING, KEY)
+    plain.save_tables(tables(3.0))
+    assert (plain.load().tables, theirs.load().tables) == (tables(3.0), tables(2.0))
+    theirs.withdraw()
+    plain.withdraw()
+    assert not plain.path.exists(), "no file is left without entries"
+    plain.save_tables(tables(4.0))
+    assert plain.load().tables == tables(4.0)
+
+
 def test_who_has_no_builder_key_cannot_write(axis: AxisConfig) -> None:
     SealedStore.of(axis, READING, KEY).save_tables(tables(1.0))
     with pytest.raises(StateError, match="builder's private key"):
@@ -89,6 +127,9 @@ def test_axes_that_save_at_the_same_moment_lose_nothing(axis: AxisConfig) -> Non
 ZERO = Zero("ab" * 16, "X", "2026-03-01T07:59:00+00:00", {"vendor": 1, "product": 2, "serial": 7}, True, 17, -5.0)
 
 
+MADE_WITH = MadeWith({"6091h:01": 1.0}, {"2201h:00": 0.0})
+
+
 def test_tables_are_bound_to_the_zero_that_the_axis_has(axis: AxisConfig) -> None:
     store = SealedStore.of(axis, READING, KEY)
     store.save_tables(tables(1.0))
@@ -99,10 +140,13 @@ def test_tables_are_bound_to_the_zero_that_the_axis_has(axis: AxisConfig) -> Non
     write_zero(axis.zero_path, ZERO)
     store.save_tables(tables(1.0))
     assert store.load().zero == ZERO
-    assert store.warning() is None
+    assert "does not state which parameters the drive of axis X had" in str(store.warning())
+    write_made_with(axis.made_with_path, MADE_WITH)
+    store.save_tables(tables(1.0))
+    assert (store.load().made_with, store.warning()) == (MADE_WITH, None)
     binding = check(store.path.read_bytes(), store.builder_public).binding
     assert binding is not None
-    assert binding.counter == 2
+    assert binding.counter == 3
     assert binding.of["axes"]["X"]["zero"]["drive"] == {"vendor": 1, "product": 2, "serial": 7}
 
 
@@ -127,5 +171,65 @@ def test_a_store_of_before_opens_with_a_warning_and_is_bound_when_it_is_written(
     assert warning is not None
     assert warning.startswith(f"{path}: states no zero")
     write_zero(tmp_path / "X.zero.json", ZERO)
-    store.save(before)
+    write_made_with(tmp_path / "X.made-with.json", MADE_WITH)
+    replace(store, made_with_path=tmp_path / "X.made-with.json").save(before)
     assert (store.load(), store.load().zero, store.warning()) == (before, ZERO, None)
+    assert store.load().made_with == MADE_WITH
+
+
+# -- passwords -------------------------------------------------------------------------------------------------------------------
+OWN = {"backlash": "backlash by torque", "straightness": "granite of the shop"}
+
+
+def full_tables() -> TableSet:
+    at = np.array([0.0, 100.0])
+    pitch = DirectionalTable(at, np.array([1.0, 2.0]), np.array([-3.0, -4.0]))
+    amount, straight = SingleTable(np.array([10.0, 50.0]), np.array([5.0, 7.0])), SingleTable(at, np.array([0.5, 0.25]))
+    return TableSet(TableMode.MEAN_BACKLASH, pitch, amount, None, straight)
+
+
+def test_each_table_has_the_common_password_or_one_of_its_own(axis: AxisConfig) -> None:
+    SealedStore.of(axis, READING, KEY, own=OWN).save_tables(full_tables())
+    store = SealedStore.of(axis, READING, own=OWN)
+    assert store.load().tables == full_tables()
+    data, public = store.path.read_bytes(), store.builder_public
+    assert set(check(data, public).entries) == {"X.tables", "X.effects", "X.backlash", "X.straightness"}
+    for table, password in OWN.items():
+        name = f"X.{table}"
+        assert b"value_um" in open_sealed(data, {name: password}, public)[name]
+        with pytest.raises(WrongPasswordError):
+            open_sealed(data, {name: READING}, public)
+        with pytest.raises(InputError, match=f"table {table} of axis X has a password of its own"):
+            SealedStore.of(axis, READING, own={other: OWN[other] for other in OWN if other != table}).load()
+    apart = json.loads(open_sealed(data, READING, public, names=["X.tables"])["X.tables"])
+    assert (apart["backlash"], apart["straightness"]) == (None, None)
+    with pytest.raises(InputError, match="have format 'hil-tables/1, some apart'"):
+        TableSet.from_dict(apart)  # who does not know of them does not take them for missing
+    with pytest.raises(InputError, match=r"table backlash of axis X has a password of its own \(--table-password"):
+        SealedStore.of(axis, READING, KEY)
+    with pytest.raises(WrongPasswordError):
+        SealedStore.of(axis, READING, own={**OWN, "backlash": "another password"}).load()
+    with pytest.raises(InputError, match="given for table wear, expected one of pitch, backlash"):
+        SealedStore.of(axis, READING, own={"wear": "some long password"})
+    states = store.states()
+    assert states is not None
+    assert states.separate == ("backlash", "straightness")
+
+
+@pytest.mark.parametrize("weak", ["fourteen chars", "aaaabbbbaaaabbbb", "x"])
+def test_a_new_password_has_a_least_strength_and_one_that_exists_opens(axis: AxisConfig, weak: str) -> None:
+    with pytest.raises(InputError, match=r"password of X\.tables is new and has \d+ characters, .*NIST SP 800-63B-4"):
+        SealedStore.of(axis, weak, KEY)
+    with pytest.raises(InputError, match=r"password of X\.backlash is new"):
+        SealedStore.of(axis, READING, KEY, own={"backlash": weak})
+    builder_key = load_private_key(axis.store.builder_key, KEY)
+    entries = {"X.tables": json.dumps(full_tables().to_dict()).encode(), "X.effects": b"[]"}
+    axis.tables_path.parent.mkdir()
+    axis.tables_path.write_bytes(seal(entries, weak, builder_key))  # of an earlier version
+    SealedStore.of(axis, weak, KEY).save_tables(tables(2.0))
+    assert SealedStore.of(axis, weak).load().tables == tables(2.0)
+    with pytest.raises(InputError, match="is new"):
+        SealedStore.of(axis, "y" * 40, KEY)  # another one in its place
+    with pytest.raises(InputError, match=r"password of Y\.tables is new"):
+        replace(SealedStore.of(axis, weak, KEY), axis="Y").save_tables(tables(2.0))
+    assert SealedStore.of(axis, weak).load().tables == tables(2.0)

@@ -63,7 +63,7 @@ def directional_tables(draw: st.DrawFn) -> DirectionalTable:
 def table_sets(draw: st.DrawFn, cross_axis: bool = True) -> TableSet:
     """Any combination of tables, each with sections of its own."""
     mode = draw(st.sampled_from(TableMode))
-    backlash = draw(single_tables() if mode is TableMode.UNIDIRECTIONAL_BACKLASH else st.none() | single_tables())
+    backlash = draw(st.none() | single_tables() if mode is TableMode.BIDIRECTIONAL else single_tables())
     return TableSet(
         mode,
         draw(directional_tables()),
@@ -92,9 +92,12 @@ def expected_correction_um(tables: TableSet, position: float, direction: int) ->
         total = plus if direction > 0 else interpolated(position, tables.pitch.position_mm, tables.pitch.minus_um)
     else:
         assert tables.backlash is not None
-        total = plus
-        if direction < 0:
-            total -= interpolated(position, tables.backlash.position_mm, tables.backlash.value_um)
+        total, amount = plus, interpolated(position, tables.backlash.position_mm, tables.backlash.value_um)
+        if tables.mode is TableMode.MEAN_BACKLASH:
+            minus = interpolated(position, tables.pitch.position_mm, tables.pitch.minus_um)
+            total = plus / 2 + minus / 2 + direction * amount / 2
+        elif direction < 0:
+            total -= amount
     if tables.specified is not None:
         column = tables.specified.plus_um if direction > 0 else tables.specified.minus_um
         total += interpolated(position, tables.specified.position_mm, column)
@@ -363,6 +366,33 @@ def test_one_direction_and_backlash_equals_both_directions_everywhere(rows: Reco
         assert one.correction_um(at, direction) == pytest.approx(both.correction_um(at, direction), abs=1e-9)
     assert both.correction_um(both.pitch.position_mm, 1).tolist() == both.pitch.plus_um.tolist()
     assert both.correction_um(both.pitch.position_mm, -1).tolist() == both.pitch.minus_um.tolist()
+
+
+def test_a_backlash_measured_by_other_means_counts_once_on_its_own_positions() -> None:
+    """Pitch +2 and -8 µm at 0, +4 and -10 µm at 100 mm: means -3 and -3. Entered D: 6 µm at 50 mm, 8 µm at 100 mm."""
+    at = np.array([0.0, 100.0])
+    both = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(at, np.array([2.0, 4.0]), np.array([-8.0, -10.0])))
+    entered = both.with_backlash(SingleTable(np.array([50.0, 100.0]), np.array([6.0, 8.0])))
+    where = np.array([0.0, 50.0, 75.0, 100.0])
+    assert entered.correction_um(where, 1).tolist() == [0.0, 0.0, 0.5, 1.0]
+    assert entered.correction_um(where, -1).tolist() == [-6.0, -6.0, -6.5, -7.0]
+    assert entered.nodes_mm.tolist() == [0.0, 50.0, 100.0]
+    assert TableSet.from_dict(entered.to_dict()) == entered
+    again = entered.with_backlash(SingleTable(np.array([0.0]), np.array([10.0])))
+    assert again.correction_um(where, 1).tolist() == [2.0] * 4, "from the pitch as measured, not from the one before"
+    one = TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, both.pitch, SingleTable(at, np.array([1.0, 1.0])))
+    changed = one.with_backlash(SingleTable(np.array([0.0]), np.array([5.0])))
+    assert changed.correction_um(at, 1).tolist() == [2.0, 4.0]
+    assert changed.correction_um(at, -1).tolist() == [-3.0, -1.0]
+
+
+@given(table_sets(cross_axis=False), POSITIONS)
+@settings(max_examples=100, deadline=None)
+def test_the_two_directions_differ_by_the_entered_backlash_alone(tables: TableSet, at: list[float]) -> None:
+    amount = SingleTable(np.array([-20.0, 40.0]), np.array([3.0, 11.0]))
+    entered = tables.with_backlash(amount)
+    own = entered.pitch_um(at, 1) - entered.pitch_um(at, -1)
+    assert own == pytest.approx(amount.at(at), abs=1e-6)
 
 
 def test_runs_measured_with_a_correction_in_force_give_the_same_tables() -> None:

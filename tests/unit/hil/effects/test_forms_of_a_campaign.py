@@ -75,7 +75,7 @@ TRAVEL = {"centre_mm": 200.0, "half_span_mm": 100.0}
 
 def test_what_is_offered_and_what_only_refines() -> None:
     assert names("backlash") == [("constant", True)]
-    assert names("backlash_position") == [("linear", True), ("quadratic", True)]
+    assert names("backlash_position") == [(n, True) for n in ("linear", "quadratic", "shape", "fine shape")]
     assert names("cosine") == [("scale", True)]
     assert names("cosine", with_only("target_mm", "setup")) == [("scale, gone since the realignment", True)]
     assert names("cross_axis") == [
@@ -112,8 +112,9 @@ def test_what_is_offered_and_what_only_refines() -> None:
     assert names("local_wear", with_only("target_mm")) == [("bump", True)]
     assert names("pitch_shape") == [(n, True) for n in ("lead error", "bow", "shape", "fine shape")]
     warm = [("warming since the start", True), ("warming since the start through two lags", False)]
-    temperatures = [("temperature", True)] * 2 + warm + [("lagged temperature", False)] * 2
-    assert names("thermal_expansion") == temperatures
+    temperatures = [("temperature", True)] * 2 + warm + [("lagged temperature", True)] * 2
+    about_a_point = [(f"{name}, about a fixed point", scan) for name, scan in temperatures]
+    assert names("thermal_expansion") == [*temperatures, *about_a_point]
     assert names("thermal_drift") == [*temperatures, ("warming since the start, unlike along the travel", True)]
     assert names("thermal_drift", with_only("time_s")) == warm
     assert names("thermal_drift", campaign(rows=3)) == [("temperature", True)] * 2
@@ -169,7 +170,7 @@ def test_constants_are_the_campaigns() -> None:
     assert forms("load_deflection")["curved", "load_kg"].constants == TRAVEL | {"mean": 50.0}
     assert forms("cross_axis")["curved", "pos_y_mm"].constants == TRAVEL | {"mean_mm": 100.0}
     drift = forms("thermal_drift")["warming since the start, unlike along the travel", "time_s"]
-    assert drift.constants == TRAVEL
+    assert drift.constants == TRAVEL | {"first_row": 10.0, "last_row": 3610.0}
     wander = forms("beam_drift")["flicker", "time_s"]
     assert wander.constants == {"start": 10.0, "duration": 3600.0, "waves": 10.0}  # a wave for every four rows
     assert wander.shrunk
@@ -225,6 +226,13 @@ def test_time_constants_from_a_few_rows_to_three_campaigns() -> None:
     assert (starts[0], starts[-1]) == pytest.approx((120.0, 10800.0))
     uneven = forms("thermal_drift")["warming since the start, unlike along the travel", "time_s"]
     assert uneven.starts == settle.starts[::2]
+    assert [form.log_odds for form in (settle, uneven, forms("thermal_drift")["temperature", "temp_screw_c"])] == [
+        -3,
+        -3,
+        0,
+    ]
+    unlogged = forms("thermal_drift", with_only("time_s"))["warming since the start", "time_s"]
+    assert unlogged.log_odds == 0.0  # nothing was measured that could be preferred
     lag = forms("thermal_expansion")["lagged temperature", "temp_screw_c"]
     assert lag.inputs == ("temp_screw_c", "time_s", "target_mm")
     assert bounds(lag.nonlinear[0]) == (60.0, 3600.0, True)
@@ -239,22 +247,24 @@ def test_time_constants_from_a_few_rows_to_three_campaigns() -> None:
     assert sparse["lagged temperature", "temp_head_c"].nonlinear[0].lower == 2000.0
 
 
-def test_zones_of_wear_from_half_the_spacing_to_a_quarter_of_the_half_span() -> None:
-    """Widths 10 to 25 mm in five steps of 2.5^¼; centres one width apart over 200 mm: 21, 17, 14, 11 and 9 of them."""
+def test_zones_of_wear_take_at_most_a_quarter_of_the_travel() -> None:
+    """Four widths of 12.5 mm are 50 of 200 mm; from half of that in five steps of 2^¼, centres one width apart."""
     bump = forms("local_wear")["bump", "target_mm"]
     centre, width = bump.nonlinear
     assert bounds(centre) == (100.0, 300.0, False)
-    assert bounds(width) == (5.0, 25.0, True)
+    assert bounds(width) == (3.125, 12.5, True)
     assert width.usual == pytest.approx((100.0 / 12, 0.7))
     widths = sorted({w for _, w in bump.starts})
-    assert widths == pytest.approx([10.0, 12.5743, 15.8114, 19.8818, 25.0], rel=1e-5)
-    assert [sum(w == one for _, w in bump.starts) for one in widths] == [21, 17, 14, 11, 9]
+    assert widths == pytest.approx([6.25, 7.4325, 8.8388, 10.5112, 12.5], rel=1e-5)
+    assert [sum(w == one for _, w in bump.starts) for one in widths] == [33, 28, 24, 20, 17]
     assert min(c for c, _ in bump.starts) == 100.0
     assert max(c for c, _ in bump.starts) == 300.0
-    assert sorted(c for c, w in bump.starts if w == widths[-1])[:2] == pytest.approx([100.0, 125.0])
+    assert sorted(c for c, w in bump.starts if w == widths[-1])[:2] == pytest.approx([100.0, 112.5])
     sparse = forms("local_wear", campaign(spacing_mm=80.0))["bump", "target_mm"]
-    assert min(w for _, w in sparse.starts) == pytest.approx(12.5)  # an eighth of the half span
+    assert min(w for _, w in sparse.starts) == pytest.approx(6.25)  # a sixteenth of the half span
     wear = EFFECTS["local_wear"]
+    assert [wear.is_exceeded(bump, (150.0, w)) for w in (6.0, 11.0, 12.5)] == [False, False, True]
+    assert bump.log_odds == pytest.approx(-math.log(24.0))  # as many places as usual widths fit into the travel
     assert wear.is_local(bump, (150.0, 10.0), campaign())  # a tenth of the half span
     assert not wear.is_local(bump, (150.0, 10.1), campaign())
     assert not EFFECTS["cyclic"].is_local(bump, (1.0,), campaign())
@@ -274,7 +284,7 @@ def test_periods_are_even_in_frequency_and_hold_the_usual_ones() -> None:
     assert np.diff(even) == pytest.approx(1 / 421.8)
     fundamental = forms("cyclic", survey)["fundamental", "target_mm"]
     assert fundamental.starts == period_grid(survey)
-    assert bounds(fundamental.nonlinear[0]) == (0.25, pytest.approx(140.6), True)
+    assert bounds(fundamental.nonlinear[0]) == (0.25, pytest.approx(70.3), True)
 
 
 def test_a_long_axis_has_as_many_lines_as_are_affordable_and_a_tiny_one_none() -> None:

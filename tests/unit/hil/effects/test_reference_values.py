@@ -14,6 +14,7 @@ import pytest
 from drivers.errors import InputError
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.air import refractivity_ppm
+from hil.effects.base import NonLinear
 from hil.effects.history import lagged
 
 EFFECTS = {effect.id: effect for effect in ALL}
@@ -35,6 +36,10 @@ def basis(
     return rows
 
 
+LEAST, MOST = 0.01, 10_000.0
+"""Range in which the non-linear parameters were searched."""
+
+
 def term(
     effect: str,
     form: str,
@@ -48,7 +53,8 @@ def term(
     """A fitted term with the given standard uncertainties of coefficients and theta, uncorrelated."""
     stds = stds or [0.1 * (i + 1) for i in range(len(coefficients) + len(theta))]
     covariance = tuple(tuple(s * s if i == j else 0.0 for j in range(len(stds))) for i, s in enumerate(stds))
-    what = Form(effect, form, tuple(inputs), constants or {})
+    searched = tuple(NonLinear(f"parameter_{i}", LEAST, MOST) for i in range(len(theta)))
+    what = Form(effect, form, tuple(inputs), constants or {}, searched)
     return Term(EFFECTS[effect], what, tuple(theta), tuple(coefficients), covariance)
 
 
@@ -131,7 +137,12 @@ def test_cosine_error_of_one_milliradian_is_half_a_ppm() -> None:
     assert values(found.parameters) == {"scale_ppm": (0.5, 0.01), "angle_urad": (1000.0, 10.0)}
     assert EFFECTS["cosine"].implausible(found) is None
     long = term("cosine", "scale", ["target_mm"], [-0.5], stds=[0.01])
-    assert values(long.parameters) == {"scale_ppm": (-0.5, 0.01), "angle_urad": (0.0, 10000.0)}
+    assert values(long.parameters) == {"scale_ppm": (-0.5, 0.01), "most_angle_urad": (0.0, 0.0)}
+    doubtful = term("cosine", "scale", ["target_mm"], [0.3], stds=[0.1 + 1e-9])
+    assert values(doubtful.parameters)["angle_urad"] == pytest.approx((774.597, 129.099), rel=1e-5)
+    small = term("cosine", "scale", ["target_mm"], [0.1], stds=[0.2])  # θ² = 2·(0.1 + 2·0.2) ppm at most
+    assert values(small.parameters) == {"scale_ppm": (0.1, 0.2), "most_angle_urad": (1000.0, 0.0)}
+    assert "at most 1e+03 µrad" in small.effect.explain(small)
     assert "never long" in str(EFFECTS["cosine"].implausible(long))
     assert "lead error" in long.effect.explain(long)
     gone = term("cosine", "scale, gone since the realignment", ["target_mm", "setup"], [0.5], stds=[0.01])
@@ -178,16 +189,72 @@ def test_lost_motion_fades_with_the_travel_since_the_reversal() -> None:
     both = basis("lost_motion", "two lengths", columns, (3.0, 6.0))
     assert both == [[1.0, 1.0], pytest.approx([-e1, -0.60653066]), pytest.approx([e2, e1])]
     found = term("lost_motion", "two lengths", list(columns), [5.0, -1.0], (3.0, 6.0))
-    assert values(found.parameters) == {
-        "amount_um": (5.0, 0.1),
+    assert values(found.parameters) == {  # of the amounts 5 ± 0.1 and -1 ± 0.2 the sum
+        "amount_um": (4.0, pytest.approx(0.2236068)),
         "length_mm": (3.0, 0.3),
-        "second_amount_um": (-1.0, 0.2),
         "second_length_mm": (6.0, 0.4),
     }
-    assert "off by 5 ± 0.1 µm" in found.effect.explain(found)
+    assert "off by 4 ± 0.22 µm" in found.effect.explain(found)
     assert "over 3 ± 0.3 mm" in found.effect.explain(found)
     single = term("lost_motion", "tanh", list(columns), [5.0], (3.0,))
     assert values(single.parameters) == {"amount_um": (5.0, 0.1), "length_mm": (3.0, 0.2)}
+
+
+def test_a_lost_motion_is_stated_where_rows_saw_it() -> None:
+    """Rows from 3 mm after the reversal on see e^-1 of it: 5 µm there are 1.839, with dL/L = 0.1 another 0.1·e^-1·5 of uncertainty."""
+    far = term(
+        "lost_motion",
+        "exponential",
+        ["since_reversal_mm", "direction"],
+        [5.0],
+        (3.0,),
+        constants={"shortest_mm": 3.0},
+        stds=[0.1, 0.3],
+    )
+    unsure = math.hypot(0.1, 5.0 * 0.1) * 0.36787944
+    assert values(far.parameters) == {
+        "amount_at_shortest_travel_um": (pytest.approx(1.8393972), pytest.approx(unsure, rel=1e-5)),
+        "shortest_travel_mm": (3.0, 0.0),
+        "length_mm": (3.0, 0.3),
+    }
+    assert "3 mm after it, the table is off by 1.839" in far.effect.explain(far)
+    near = term(
+        "lost_motion", "exponential", ["since_reversal_mm", "direction"], [5.0], (3.0,), constants={"shortest_mm": 0.3}
+    )
+    assert set(near.parameters) == {"amount_um", "length_mm"}, "e^-0.1 is 0.905: a tenth is extrapolated"
+
+
+def test_a_positive_parameter_that_is_not_determined_is_given_as_its_bounds() -> None:
+    """3 ± 3: the logarithm is ± 1, and two of that are a factor of e² = 7.389 either way, as far as was searched."""
+    inputs = ["since_reversal_mm", "direction"]
+    vague = term("lost_motion", "exponential", inputs, [5.0], (3.0,), stds=[0.1, 3.0])
+    assert values(vague.parameters) == {
+        "amount_um": (5.0, 0.1),
+        "least_length_mm": (pytest.approx(3.0 / math.e**2), 0.0),
+        "most_length_mm": (pytest.approx(3.0 * math.e**2), 0.0),
+    }
+    assert "over at least 0.406 mm and at most 22.2 mm of travel" in vague.effect.explain(vague)
+    above = term("lost_motion", "exponential", inputs, [5.0], (3.0,), stds=[0.1, 12.0])  # e^-8 of 3 was never searched
+    assert set(above.parameters) == {"amount_um", "most_length_mm"}
+    nothing = term("lost_motion", "exponential", inputs, [5.0], (3.0,), stds=[0.1, 90.0])
+    assert set(nothing.parameters) == {"amount_um"}
+    assert "undetermined number of mm" in nothing.effect.explain(nothing)
+
+
+def test_a_lag_that_only_fast_rows_show_is_stated_there() -> None:
+    """200 ± 230 ms with a knee at 0.5 mm/s is 200·40/(1 + 80) = 98.8 µm at 40 mm/s, the fastest."""
+    found = term(
+        "velocity_lag",
+        "saturating",
+        ["velocity_mm_s", "direction"],
+        [200.0],
+        (0.5,),
+        constants={"fastest_mm_s": 40.0},
+        stds=[230.0, 0.4],
+    )
+    assert set(found.parameters) == {"error_at_fastest_um", "least_knee_mm_s", "most_knee_mm_s"}
+    assert found.parameters["error_at_fastest_um"].value == pytest.approx(98.765, abs=1e-3)
+    assert "do not determine" in found.effect.explain(found)
 
 
 def test_velocity_lag_takes_its_sign_from_the_direction_alone() -> None:
@@ -337,16 +404,30 @@ def test_warming_since_the_start() -> None:
         "thermal_drift", "warming since the start through two lags", {"time_s": [0.0, 600.0, 1200.0]}, (600.0,)
     )
     assert slow == [[0.0, 0.0], pytest.approx([0.63212056, 0.36787944]), pytest.approx([0.86466472, 0.27067057])]
-    for form in ("warming since the start", "warming since the start through two lags"):
-        found = term("thermal_expansion", form, list(columns), [200.0], (600.0,))
-        assert values(found.parameters) == {"expansion_ppm": (200.0, 0.1), "time_constant_s": (600.0, 0.2)}
+    for form, second in (("warming since the start", []), ("warming since the start through two lags", [-30.0])):
+        tau_std = 0.3 if second else 0.2
+        found = term("thermal_expansion", form, list(columns), [200.0, *second], (600.0,))
+        assert values(found.parameters) == {"expansion_ppm": (200.0, 0.1), "time_constant_s": (600.0, tau_std)}
         assert "200 ± 0.1 ppm" in found.effect.explain(found)
-        assert "600 ± 0.2 s" in found.effect.explain(found)
+        assert f"600 ± {tau_std} s" in found.effect.explain(found)
         assert EFFECTS["thermal_expansion"].implausible(found) is None  # 200 ppm in all, not per kelvin
-        moved = term("thermal_drift", form, ["row_order"], [4.0], (60.0,))
-        assert values(moved.parameters) == {"drift_um": (4.0, 0.1), "time_constant_rows": (60.0, 0.2)}
+        moved = term("thermal_drift", form, ["row_order"], [4.0, *([-1.0] if second else [])], (60.0,))
+        assert values(moved.parameters) == {"drift_um": (4.0, 0.1), "time_constant_rows": (60.0, tau_std)}
         assert "drifts by 4 ± 0.1 µm" in moved.effect.explain(moved)
-        assert "60 ± 0.2 rows" in moved.effect.explain(moved)
+        assert f"60 ± {tau_std} rows" in moved.effect.explain(moved)
+
+
+def test_what_rows_show_of_a_slow_warming_counts_both_masses() -> None:
+    """From 0 to 600 s at τ = 3000 s: x = 0.2, 1 - e^-x = 0.181269, x·e^-x = 0.163746; 40·0.181269 - 20·0.163746 = 3.9758."""
+    rows = {"first_row": 0.0, "last_row": 600.0}
+    form = "warming since the start through two lags"
+    found = term("thermal_drift", form, ["time_s"], [40.0, -20.0], (3000.0,), constants=rows, stds=[1.0, 1.0, 1e-9])
+    shown = found.parameters["drift_over_the_rows_um"]
+    assert shown.value == pytest.approx(3.97584, abs=1e-4)
+    assert shown.std == pytest.approx(math.hypot(0.181269, 0.163746), rel=1e-4)
+    known = term("thermal_drift", form, ["time_s"], [40.0, -20.0], (3000.0,), constants=rows, stds=[1e-9, 1e-9, 300.0])
+    # dx/dτ = -x/τ: d(1 - e^-x) = -x·e^-x/τ, d(x·e^-x) = -x(1 - x)e^-x/τ: (-40·0.163746 + 20·0.130997)/3000 per s
+    assert known.parameters["drift_over_the_rows_um"].std == pytest.approx(300.0 * 3.9299 / 3000.0, rel=1e-4)
 
 
 def test_drift_with_a_temperature_and_along_the_travel() -> None:
@@ -410,7 +491,7 @@ def test_a_worn_zone_is_a_bell() -> None:
         "width_mm": (10.0, 0.4),
         "height_with_direction_um": (2.0, 0.2),
     }
-    assert "Around 100 ± 0.3 mm, over ±10 ± 0.4 mm" in found.effect.explain(found)
+    assert "Around 100 ± 0.3 mm, with a half width of 10 ± 0.4 mm" in found.effect.explain(found)
     assert "by 5 ± 0.1 µm:" in found.effect.explain(found)
     opposed = term("local_wear", "bump with direction", list(columns), [5.0], (100.0, 10.0))
     assert "opposite sign" in opposed.effect.explain(opposed)
@@ -498,8 +579,9 @@ def test_correlated_coefficients_in_amplitude_and_angle() -> None:
 def test_a_step_begins_after_its_moment() -> None:
     assert basis("datum_step", "step", {"time_s": [9.0, 10.0, 11.0]}, (10.0,)) == [[0.0], [0.0], [1.0]]
     for column, name, unit in (("time_s", "moment_s", "s"), ("row_order", "moment_rows", "rows")):
-        found = term("datum_step", "step", [column], [3.0], (10.0,))
-        assert values(found.parameters) == {"step_um": (3.0, 0.1), name: (10.0, 0.2)}
+        found = term("datum_step", "step", [column], [3.0], (10.0,), constants={"interval": 3.0})
+        between = pytest.approx(3.0 / math.sqrt(12.0))  # at any time between two rows
+        assert values(found.parameters) == {"step_um": (3.0, 0.1), name: (10.0, between)}
         assert f"At 10 {unit} all readings jump by 3 ± 0.1 µm" in found.effect.explain(found)
 
 

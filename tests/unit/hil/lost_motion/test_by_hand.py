@@ -24,6 +24,7 @@ from hil.lost_motion.at_load import (
 from hil.lost_motion.circle.figures import Circle, Trace, ring_of, trace_of
 from hil.lost_motion.estimate import Estimate, Uncertain, determined, estimate, separately_determined, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, compete, fit, length_bounds
+from hil.lost_motion.published import beside_published
 
 HALF = Rise(DEAD_ZONE, (1000.0,), (1.0,))
 """1000 µm over the load's first mm: until then the motor goes twice as far as the load."""
@@ -213,6 +214,8 @@ def test_two_tanh_terms_unless_another_is_better_by_a_tenth(
     contenders = (Contender(Fitted(one), 1.0, 1.0), Contender(Fitted(two), 1.0, two_tanh_rms_um))
     monkeypatch.setattr(choosing, "compete", lambda *_, **__: contenders)
     found = estimate([stroke(), stroke(-1), stroke()], 0.001)
+    asked = estimate([stroke(), stroke(-1), stroke()], 0.001, TANH)
+    assert (asked.rise.shape, asked.asked_for, found.asked_for) == (TANH, True, False)
     assert found.rise.shape is chosen
     end_mm = 0.190  # of the load
     rise = found.rise
@@ -369,3 +372,35 @@ def test_some_four_rings_to_the_largest_deviation(largest_um: float, ring_um: fl
 
 def test_a_ring_without_any_trace() -> None:
     assert ring_of([]) == pytest.approx(0.5)
+
+
+def chosen(rise: Rise, *others: Contender, asked_for: bool = False) -> Estimate:
+    parameters = {"amount_um": Uncertain(10.0, 0.1)}
+    contenders = (Contender(Fitted(rise), 0.2, 0.2), *others)
+    return Estimate(rise, parameters, parameters, contenders, (), 0.0, asked_for)
+
+
+def test_both_forms_agree_after_full_strokes_and_part_after_partial_ones() -> None:
+    found = chosen(Rise(TWO_TANH, (8.0, 4.0), (0.05, 0.2, 0.1)))
+    full = beside_published(found, [0.0, 9.0, 0.0, 0.03, 9.0])
+    assert full.apart_um == pytest.approx(0.0, abs=1e-9)
+    assert full.step_um == 0.0
+    # up 9, back 0.03: 8·tanh 0.6; up again 0.01: P of |Pbm| = 4.296 in branch 2, x't = 0.01·(0.1/0.03)
+    part = beside_published(found, [0.0, 9.0, 8.97, 8.98])
+    published = (8.0 * math.tanh(0.6) - 4.0) * math.tanh(0.01 * (0.1 / 0.03) / 0.05)
+    assert part.moves[-1].published_um == pytest.approx(published)
+    assert part.running_um[-1] == pytest.approx(8.0 * math.tanh(0.2))
+    assert part.apart_um == pytest.approx(8.0 * math.tanh(0.2) - published)
+    step = beside_published(found, [0.0, 9.0, 8.99, 9.0])  # 8·tanh 0.2 = 1.579 is below Pc2: 12 - 1.579 at once
+    assert step.step_um == pytest.approx(12.0 - 8.0 * math.tanh(0.2))
+    assert step.to_json()["parameters"] == {"Pc1_um": 8.0, "Pc2_um": 4.0, "a1_mm": 0.05, "a2_mm": 0.2, "b2_mm": 0.1}
+
+
+def test_by_how_much_a_shape_wins_is_told() -> None:
+    pieces = Rise(STRAIGHT_PIECES, (1.0,) * 16, tuple(0.01 * k for k in range(1, 17)))
+    two = Contender(Fitted(Rise(TWO_TANH, (6.0, 4.0), (0.02, 0.04, 0.01))), 0.3, 0.3)
+    other = Contender(Fitted(Rise(TANH, (10.0,), (0.02,))), 0.25, 0.25)
+    told = "straight pieces taken: 0.200 µm RMS on strokes held out, two tanh 0.300 (+50 %)"
+    assert chosen(pieces, other, two).choice == told
+    asked = Estimate(two.fitted.rise, {}, {}, (Contender(Fitted(pieces), 0.2, 0.2), other, two), (), 0.0, True)
+    assert asked.choice == "two tanh asked for: 0.300 µm RMS on strokes held out, straight pieces 0.200 (-33 %)"

@@ -79,6 +79,12 @@ def test_what_is_no_circle_or_has_no_samples_is_refused() -> None:
             Circle(CENTRE, **values)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="to be reached"):
         Circle(CENTRE, feed_mm_s=50.0)
+    # half of the arc before the turn, 5.236/2 mm; 20 mm/s² over it reach √(2·20·2.618) = 10.233 mm/s, 613.99 mm/min
+    with pytest.raises(
+        InputError, match=r"650 mm/min needs 2\.934 mm .* 2\.618 mm are allowed, .* takes up to 613\.9 mm/min"
+    ):
+        Circle(CENTRE, feed_mm_s=650.0 / 60.0)
+    Circle(CENTRE, feed_mm_s=613.9 / 60.0)
     half = Trace(np.linspace(0.0, 92.5, 500), np.zeros(500))
     with pytest.raises(InputError, match="no samples around 180°"):
         half.bump_um(180.0)

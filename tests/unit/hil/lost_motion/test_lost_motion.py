@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -19,12 +21,14 @@ from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, term_from_json
 from hil.lost_motion.estimate import Estimate, Uncertain
 from hil.lost_motion.procedure import (
+    LostMotionResult,
     Proof,
     proof_steps,
     residual_um,
     reversals_of,
     stretch_of,
     stroke_steps,
+    verdict,
     with_rise,
 )
 from hil.machine.measure import Step
@@ -131,15 +135,49 @@ def test_beside_tables_nothing_is_counted_twice() -> None:
         with_rise(Compensation(other), FOUND, HOW, (0.0, 500.0))
 
 
-def test_a_proof_needs_little_left_and_little_too_much() -> None:
+def test_a_proof_needs_little_left_little_too_much_and_less_than_before() -> None:
     records = driven(proof_steps(HOW, 1))
-    small = np.full(len(records), 0.3)
-    assert Proof(records, records, small, small, 8.0, 0.01).good
+    small, much = np.full(len(records), 0.3), np.full(len(records), 3.0)
+    assert Proof(records, records, much, small, 8.0, 0.01).good
     too_far = np.where(records.direction > 0, 0.5, -0.5)
-    assert not Proof(records, records, small, too_far, 8.0, 0.01).good
-    assert Proof(records, records, small, -0.9 * too_far, 8.0, 0.01).over_um == 0.0
-    assert not Proof(records, records, small, -0.9 * too_far, 8.0, 0.01).good  # never too far, and still off
-    assert Proof(records, records, small, too_far, 8.0, 0.2).good  # no worse than noise
+    assert not Proof(records, records, much, too_far, 8.0, 0.01).good
+    assert Proof(records, records, much, -0.9 * too_far, 8.0, 0.01).over_um == 0.0
+    assert not Proof(records, records, much, -0.9 * too_far, 8.0, 0.01).good  # never too far, and still off
+    assert Proof(records, records, much, too_far, 8.0, 0.2).good  # no worse than noise
+
+
+def test_the_gain_of_a_proof_by_hand() -> None:
+    """Squares fall by 3, 0, 3 and 0 µm²: 1.5 in the mean, with s = √3 and √3/2 of the mean; the RMS add up to √2.5 + 1."""
+    records = driven(proof_steps(HOW, 1))
+    before, after = np.array([2.0, -1.0, -2.0, 1.0]), np.array([1.0, 1.0, -1.0, -1.0])
+    gain = Proof(records, records, before, after, 8.0, 0.01).improvement_um
+    assert gain.value == pytest.approx(math.sqrt(2.5) - 1.0)
+    assert gain.std == pytest.approx(math.sqrt(3.0) / 2.0 / (math.sqrt(2.5) + 1.0))
+    assert Proof(records, records, 0.0 * before, 0.0 * after, 8.0, 0.01).improvement_um == Uncertain(0.0, 0.0)
+
+
+def test_what_is_no_better_than_before_is_not_stored_whatever_is_left() -> None:
+    """The case that was stored: 0.25 µm before and 0.26 after, of 53 µm."""
+    records = driven(proof_steps(HOW, 1))
+    alike = np.random.default_rng(4).normal(0.0, 0.25, (2, len(records)))
+    same = Proof(records, records, alike[0], 1.04 * alike[1], 53.0, 0.01)
+    assert not same.improves
+    assert not same.good
+    assert same.needless  # 0.25 of 53 µm was good already
+    result = replace(LostMotionResult(records, FOUND, None, None, same), estimate=FOUND)  # type: ignore[arg-type]
+    assert result.needless
+    assert not result.good
+    (said,) = verdict(result)
+    assert re.fullmatch(
+        r"no proven improvement, so nothing is stored: 0\.\d\d µm RMS before, 0\.\d\d after,"
+        r" a gain of -?0\.\d{3} ± 0\.\d{3} µm \(k = 2\);"
+        r" what is in force stays, nothing has to be done",
+        said,
+    )
+    bad = Proof(records, records, 10.0 * alike[0], 10.0 * alike[1], 53.0, 0.01)
+    assert not bad.needless  # no better, and nothing was good before
+    (said,) = verdict(replace(result, proof=bad))
+    assert said.endswith("look for what changes at the axis, then measure again with more runs and proof_moves")
 
 
 def test_an_axis_file_that_says_nothing_has_strokes_in_the_middle() -> None:

@@ -24,7 +24,7 @@ LENGTHS = {
 def told(first: Uncertain, second: Uncertain) -> dict[str, str]:
     parameters = {"amount_um": Uncertain(53.09, 0.0032), "amount_1_um": first, "amount_2_um": second, **LENGTHS}
     found = Estimate(RISE, parameters, parameters, (), (), 0.0)
-    proof = SimpleNamespace(before_um=np.ones(2), after_um=np.zeros(2), over_um=0.1)
+    proof = SimpleNamespace(before_um=np.ones(2), after_um=np.zeros(2), over_um=0.1, improvement_um=Uncertain(1.0, 0.0))
     result = SimpleNamespace(estimate=found, stretch=SimpleNamespace(noise_um=0.01), proof=proof)
     how = cast(LostMotionConfig, None)
     return facts(MeasuredLostMotion(how, cast(LostMotionResult, cast(Any, result)), None, Path()), "nothing")

@@ -262,6 +262,22 @@ def test_a_host_that_was_held_up_finds_no_overspeed() -> None:
     assert overspeed.look(212_000_000, 31.0, 100.0, now_ns=213_000_000) is None
 
 
+def test_a_position_that_a_host_dates_late_makes_no_overspeed_of_the_next() -> None:
+    """Held up for 0.29 s between an answer and the reading of its clock: 0.6 mm at 2 mm/s are not 0.6 mm in 5 ms."""
+    for faster, words in ((1.0, None), (2.5, "runs too fast: 1.475 mm in 0.005 s")):
+        overspeed = Overspeed()
+        assert overspeed.look(5_000_000, 10.0, 2.0, now_ns=6_000_000) is None
+        assert overspeed.look(300_000_000, 10.01, 2.0, now_ns=301_000_000) is None
+        wrong = overspeed.look(305_000_000, 10.01 + 0.59 * faster, 2.0, now_ns=306_000_000)
+        assert wrong is None if words is None else wrong is not None and wrong.startswith(words)
+
+
+def test_a_motor_that_is_ten_times_too_fast_is_told_at_the_second_look() -> None:
+    overspeed = Overspeed()
+    looks = [overspeed.look(10**7 * k, 0.5 * k, 5.0, now_ns=10**7 * k + 10**6) for k in range(8)]
+    assert [wrong is not None for wrong in looks].index(True) == 1
+
+
 @pytest.mark.parametrize(("arrived", "judged"), [(True, True), (False, False)])
 def test_the_mean_speed_counts_from_a_rest_only(arrived: bool, judged: bool) -> None:
     """A motor that a move under way carries along is further after the order than its new speed explains."""

@@ -77,6 +77,27 @@ def test_other_targets_lie_one_in_each_interval_away_from_its_ends(seed: int) ->
         assert low + 0.19 * (high - low) < target < high - 0.19 * (high - low)
 
 
+def test_what_a_drive_lets_know_in_a_move_is_kept_with_the_rows_and_told_once(tmp_path: Path) -> None:
+    with toy_session(ToyMachine()) as session:
+        drive = session.drive
+        drive.notes = ["found by open"]
+        session.untold_notes()
+        session.prepare()
+        heard: list[Event] = []
+
+        def listen(event: Event) -> None:
+            heard.append(event)
+            if event.found is not None and event.done == 2:
+                drive.notes = [*drive.notes, "it does not take 6084h"]
+
+        measure(session, campaign(tmp_path), "pass", STEPS, listen)
+        assert session.untold_notes() == []
+    assert [event.message for event in heard if event.warning] == ["it does not take 6084h"]
+    rows = (tmp_path / "pass.csv").read_text().splitlines()
+    assert rows.count("# it does not take 6084h") == 1
+    assert not any("found by open" in row for row in rows)
+
+
 # -- measuring ---------------------------------------------------------------------------------------------------------------
 
 
@@ -246,6 +267,30 @@ def test_rows_stay_when_the_beam_breaks(tmp_path: Path) -> None:
         ToyMachine(), lambda session: measure(session, campaign(tmp_path, resume=True), "measure", STEPS)
     )
     assert len(records) == len(STEPS)
+
+
+def test_rows_of_a_frozen_instrument_are_withdrawn_and_measured_again(tmp_path: Path) -> None:
+    """Strokes of 0.2 mm may all be waited out within the stated reversal: it is noticed rows after it began."""
+    small = [Step(1, sign, 20.0 + 0.2 * (sign > 0), overrun_mm=0.0, feed_mm_s=5.0) for sign in (1, -1) * 4]
+    steps = [Step(1, 1, 20.0), *small, Step(1, 1, 60.0), Step(1, 1, 80.0)]
+    whole = prepared(ToyMachine(), lambda session: measure(session, campaign(tmp_path / "whole"), "measure", steps))
+    machine = ToyMachine()
+
+    def freeze(event: Event) -> None:
+        if event.done == 4:
+            machine.trouble = Trouble(frozen_readings_at_s=machine.now_s)
+
+    place = tmp_path / "frozen"
+    with pytest.raises(MeasurementLostError, match="stands still"):
+        prepared(machine, lambda session: measure(session, campaign(place), "measure", steps, freeze))
+    written = (place / "measure.csv").read_text(encoding="utf-8")
+    assert "# withdrawn 6: the instrument was not seen to follow the motor since" in written
+    assert (
+        len(read_csv(place / "measure.csv")) == 3
+    )  # the fourth came before, and nothing moved after it that would show it
+    again = prepared(ToyMachine(), lambda session: measure(session, campaign(place, resume=True), "measure", steps))
+    assert again["measured_mm"] == pytest.approx(whole["measured_mm"], abs=1e-6)
+    assert [*again.target_mm] == [step.target_mm for step in steps]
 
 
 def test_a_pass_that_is_complete_moves_nothing(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ import pytest
 from support.toy_axis import ToyMachine, toy_session
 
 from drivers.drive import DriveSample, DriveState
-from drivers.errors import MotionTimeoutError
+from drivers.errors import MotionTimeoutError, SafetyError
+from hil.machine.supervisor import UNSEEN_S
 from hil.machine.time_out import Motion, drive_report, likely_reason
 from hil.machine.watched_axis import STALLED_S
 
@@ -101,3 +102,29 @@ def test_a_rest_before_a_motion_is_none_of_it() -> None:
         session.move_to(50.0)
         session.watch(STALLED_S + 1.0)
         session.move_to(60.0)
+
+
+@pytest.mark.parametrize(("slow_s", "in_a_row", "ends"), [(0.6, 99, True), (0.6, 4, False), (0.4, 99, False)])
+def test_an_axis_that_is_seen_too_seldom_is_stopped(slow_s: float, in_a_row: int, ends: bool) -> None:
+    """A line on which each request is answered at its second try works, at half a second a look."""
+    machine = ToyMachine()
+    with toy_session(machine) as session:
+        session.prepare()
+        sample, looks = session.drive.sample, [0]
+
+        def slow() -> object:
+            looks[0] += 1
+            if looks[0] % (in_a_row + 1):
+                session.clock.sleep_s(slow_s)
+            return sample()
+
+        session.drive.sample = slow  # type: ignore[method-assign, assignment]
+        began_s = machine.now_s
+        if not ends:
+            session.move_to(100.0, 5.0)
+            return
+        with pytest.raises(SafetyError, match="cannot be watched, 5 looks in a row took longer"):
+            session.move_to(100.0, 5.0)
+        assert machine.now_s - began_s < 5 * (slow_s + 0.1) + 1.0
+        assert machine.told("quick stop")
+    assert slow_s > UNSEEN_S

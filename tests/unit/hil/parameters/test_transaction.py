@@ -261,7 +261,7 @@ def test_what_is_the_same_is_not_written_and_stored_only_when_asked(tmp_path: Pa
 def test_parameters_are_written_without_power_on_the_motor_only(state: DriveState, tmp_path: Path) -> None:
     drive = PaperDrive(a=1)
     drive.shown_state = state
-    allowed = state in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
+    allowed = state in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
     assert (objection_to_state(state) is None) is allowed
     report = load(drive, tmp_path, a=5)
     assert report.ending is (Ending.WRITTEN if allowed else Ending.REFUSED)

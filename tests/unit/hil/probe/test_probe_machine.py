@@ -20,9 +20,13 @@ def test_the_example_shows_every_default_as_it_is(tmp_path: Path) -> None:
         (tmp_path / axis).write_text(EXAMPLE.with_name(axis).read_text())
     needed = ("[machine]", "[probe]", "[block]", "[bore]", "[bench]", "seed =", "name =", "x =", "y =", "spindle =")
     needed += ("face_mm", "start_mm", "y_mm", "search_mm", "x_mm", "reach_mm", "tip_radius_mm", "radius_limit_um")
-    path.write_text("\n".join(line for line in EXAMPLE.read_text().splitlines() if line.startswith(needed)))
+    before, _, rest = EXAMPLE.read_text().partition("[face]")
+    text = before + rest[rest.index("[store]") :]
+    path.write_text("\n".join(line for line in text.splitlines() if line.startswith(needed)))
     plain = load_probe_machine(path)
     assert (plain.probe, plain.block, plain.bore) == (shown.probe, shown.block, shown.bore)
+    assert plain.codes == shown.codes
+    assert set(shown.features) == {"face", "angle", "boss", "reference"}
     assert (plain.orientation, plain.home, plain.store.sealed) == (shown.orientation, shown.home, shown.store.sealed)
 
 

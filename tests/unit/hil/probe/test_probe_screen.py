@@ -12,8 +12,8 @@ import pytest
 from support import probe_files
 
 from hil.app.jobs.plan import Move, Plan
-from hil.probe.job import centring_plan, codes, correction_plan, measuring_plan
-from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
+from hil.probe.job import centring_plan, codes, correction_plan, feature_plan, measuring_plan
+from hil.probe.machine_file import BossConfig, ProbeMachineConfig, load_probe_machine
 from hil.probe.page_data import HistoryEntry, ball_positions, history_curves, history_entries, std_um, worst_closure_um
 from hil.probe.procedure import RunOutMeasurement
 from hil.probe.runout import CorrectionCode, FourFeeds, RunOut, mean_feeds, run_out
@@ -107,6 +107,15 @@ def test_plans_say_what_moves_how_far(config: ProbeMachineConfig) -> None:
         Move("bore_touch Y", 52.0, 68.0, 2.0),
         x,
         y,
+    }
+    boss = replace(config, features={"boss": BossConfig(80.0, 81.0, 9.0, 1.5)})
+    assert moves(feature_plan(boss, "boss", "step")) == {
+        Move("between X", 71.0, 89.0, 10.0),
+        Move("between Y", 72.0, 90.0, 10.0),
+        Move("other_step X", 71.0, 72.5, 2.0),
+        Move("other_step X", 87.5, 89.0, 2.0),
+        Move("other_step Y", 72.0, 73.5, 2.0),
+        Move("other_step Y", 88.5, 90.0, 2.0),
     }
     assert codes(config) == tuple(CorrectionCode)
     assert codes(replace(config, y=None)) == (CorrectionCode.M91,)

@@ -61,15 +61,15 @@ def test_nothing_measured_yet(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_sealed_values_need_the_builders_key_to_be_changed(tmp_path: Path) -> None:
     key = new_key()
-    builder = RunOutStore(tmp_path, "mill", Seal("secret", key.public_key(), key))
+    builder = RunOutStore(tmp_path, "mill", Seal("secret of the probe", key.public_key(), key))
     builder.save(RunOut(1.0, 1.0, 1.0), WHEN)
     builder.save(FOUND, WHEN)
-    user = RunOutStore(tmp_path, "mill", Seal("secret", key.public_key()))
+    user = RunOutStore(tmp_path, "mill", Seal("secret of the probe", key.public_key()))
     assert user.load()[0] == FOUND
     with pytest.raises(StateError, match="is locked"):
         user.save(FOUND, WHEN)
     assert b"0.01" not in user.path.read_bytes()
-    stranger = RunOutStore(tmp_path, "mill", Seal("secret", new_key().public_key()))
+    stranger = RunOutStore(tmp_path, "mill", Seal("secret of the probe", new_key().public_key()))
     with pytest.raises(ForeignSignatureError):
         stranger.load()
     data = bytearray(user.path.read_bytes())
@@ -84,12 +84,12 @@ def test_what_is_kept_is_locked_with_the_builders_key(tmp_path: Path, monkeypatc
     """As the slow test does at full cost: the first save seals, the next ones change that file, and only with the key."""
     monkeypatch.setattr(runout_store, "seal", partial(seal, cost=Cost(2, 1, 1)))
     key = new_key()
-    builder = RunOutStore(tmp_path, "mill", Seal("secret", key.public_key(), key))
+    builder = RunOutStore(tmp_path, "mill", Seal("secret of the probe", key.public_key(), key))
     builder.save(RunOut(1.0, 1.0, 1.0), WHEN)
     file_id = builder.path.read_bytes()[12:].split(b'"id":"')[1][:32]
     builder.save(FOUND, WHEN)
     assert builder.path.read_bytes()[12:].split(b'"id":"')[1][:32] == file_id  # changed, and not another
-    user = RunOutStore(tmp_path, "mill", Seal("secret", key.public_key()))
+    user = RunOutStore(tmp_path, "mill", Seal("secret of the probe", key.public_key()))
     assert user.load()[0] == FOUND
     assert user.path.name == "runout.sealed"
     with pytest.raises(StateError, match="is locked"):

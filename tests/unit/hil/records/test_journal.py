@@ -64,6 +64,32 @@ def test_rows_come_back_as_they_were_and_the_file_is_a_record_file(tmp_path: Pat
         assert all(math.isnan(value) for value in found["torque_percent"])
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_withdrawn_rows_are_left_out_wherever_the_file_is_read(tmp_path: Path, count: int) -> None:
+    place = Campaign(tmp_path / "c", {"kind": "test"}, resume=False)
+    with place.rows("measure", NAMES) as journal:
+        for number in range(3):
+            journal.append(row(number))
+        journal.withdraw(count, "the beam\nstood still")
+        assert len(journal) == 3 - count
+    assert place.has_rows("measure") == (count < 3)
+    assert place.last_time_s() == (1.5 * (2 - count) if count < 3 else 0.0)
+    again = Campaign(tmp_path / "c", {"kind": "test"}, resume=True)
+    with again.rows("measure", NAMES) as journal:
+        assert len(journal) == 3 - count
+        assert (journal.records() is None) == (count == 3)
+        journal.append(row(7))
+    assert numbers(tmp_path / "c" / "measure.csv") == [*range(3 - count), 7]
+
+
+def test_a_file_that_withdraws_more_rows_than_there_are_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "measure.csv"
+    journal_of(path, 2)
+    path.write_text(path.read_text() + "# withdrawn 3: by hand\n")
+    with pytest.raises(InputError, match=r"line 4: withdraws 3 rows, there are 2 above it|withdraws 3 rows"):
+        read_csv(path)
+
+
 def test_a_file_taken_up_again_goes_on_behind_its_rows(tmp_path: Path) -> None:
     path = tmp_path / "measure.csv"
     journal_of(path, 3)

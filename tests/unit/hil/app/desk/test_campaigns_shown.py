@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,10 @@ from hil.app.desk.campaigns import axis_history, measurements, reports
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion import InMotion
+from hil.calibration.job import with_signs
 from hil.calibration.page_data import calibration_screen, latest
+from hil.correction.manual import read_signs
+from hil.correction.tables import Band, SingleTable
 from hil.diagnosis.loop.jobs.plan import feeds_of, unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.page_data import diagnosis_screen
@@ -71,7 +75,7 @@ def test_calibration_before_and_after_with_the_band(axis: AxisConfig) -> None:
     assert after.sections == 4
     assert before.u95_um == {}  # the axis file says nothing of it
     assert not screen.tables
-    assert screen.unfinished == {"calibrate": ("calibrate-002", 1)}
+    assert screen.unfinished == {"calibrate": ("calibrate-002", 1, (), None)}
 
     (here / "round-2.csv").write_text(to_csv(SECOND))
     (here / "finished").touch()
@@ -79,7 +83,56 @@ def test_calibration_before_and_after_with_the_band(axis: AxisConfig) -> None:
     screen = calibration_screen(axis)
     assert screen.stages["after"].outside == ()
     assert screen.stages["verified"].begun.isoformat().startswith("2026-03-01")
-    assert screen.unfinished == {"verify": ("verify-001", 7)}
+    assert screen.unfinished == {"verify": ("verify-001", 7, (), None)}
+
+
+def test_each_stage_is_judged_with_the_signs_that_its_campaign_was_begun_with(axis: AxisConfig) -> None:
+    """And what lies between targets of two signs is not judged; the axis file has no signs."""
+    first, *_, last = axis.measurement.targets_mm
+    inside = rows((run, way, x, way * 10.0) for run in (1, 2) for way in (1, -1) for x in (first, last))
+    middle = (first + last) / 2
+    places = [(first, 1, 10.0), (first, -1, 10.0), (middle, 1, 10.0), (middle, -1, 0.0)]
+    between = rows((run, way, x, error_um) for run in (1, 2) for x, way, error_um in places)
+    axis = replace(axis, correction=replace(axis.correction, band=Band(9.0, 11.0)))
+    axis = replace(axis, measurement=replace(axis.measurement, targets_mm=(first, last)))
+    signed = with_signs(axis, read_signs("x", "from_mm,to_mm,plus,minus\n-1000,1000,1,-1\n"))
+    step = with_signs(axis, read_signs("x", f"from_mm,to_mm,plus,minus\n{last},1000,1,-1\n"))
+    at, folder = "2026-03-01T10:00:00+00:00", axis.store.directory
+    backlash = {"position_mm": [1.0, 2.0], "value_um": [3.0, 4.0]}
+    began = {**signed.purpose("calibrate"), "backlash": backlash}
+    kept(folder, "calibrate-001", {"measure": between, "round-1": inside}, at, **began)
+    kept(folder, "verify-001", {"verify": between}, at, **step.purpose("verify"), seed=3)
+    screen = calibration_screen(axis)
+    assert screen.stages["after"].outside == ()
+    assert screen.stages["after"].band == signed.correction.band
+    assert [(one.direction) for one in screen.stages["before"].outside or ()] == [-1, -1]
+    verified = screen.stages["verified"]
+    assert verified.outside == ()
+    assert [(one.target_mm, one.direction) for one in verified.not_judged] == [(middle, -1)]
+    assert verified.sections == 3
+    resumable = screen.unfinished["calibrate"]
+    assert resumable.signs == signed.correction.signs
+    assert resumable.backlash == SingleTable(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    assert screen.unfinished["verify"].signs == step.correction.signs
+    assert with_signs(axis, resumable.signs).purpose("calibrate") == signed.purpose("calibrate")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("from_mm,to_mm,plus,minus\n0,10,1,0.5\n", "expected 1 or -1"),
+        ("from_mm,to_mm,plus,minus\n0,10,1,-1\n5,20,1,1\n", "have two signs"),
+        ("from_mm,to_mm,plus,minus\n10,0,1,1\n", "expected from_mm < to_mm"),
+        ("from_mm,to_mm,plus\n0,10,1\n", "header lacks minus"),
+        ("from_mm,to_mm,plus,minus\n0,10,1,x\n", "signs.csv:2: minus is"),
+    ],
+)
+def test_signs_that_cannot_be_used(text: str, why: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_signs("signs.csv", text)
+    assert why in str(caught.value)
+    assert "signs.csv" in str(caught.value)
+    assert read_signs("signs.csv", "from_mm,to_mm,plus,minus\n") == ()
 
 
 def test_figures_come_with_what_the_axis_file_says_of_the_instrument(tmp_path: Path) -> None:

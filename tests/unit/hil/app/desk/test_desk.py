@@ -276,6 +276,15 @@ def test_what_a_job_says_and_measures_is_shown_and_bounded(at_work: Watched) -> 
     assert at_work.desk.graph("test", since=2998).series["curve"] == [(2998, -2998), (2999, -2999)]
 
 
+def test_what_is_found_of_a_drive_in_a_job_is_a_message_of_the_job(at_work: Watched) -> None:
+    def work(place: Workplace) -> None:
+        assert place.connected is not None
+        place.connected.notes = [*place.connected.notes, "it does not take 6084h"]
+
+    assert at_work.run(work).messages == ("it does not take 6084h",)
+    assert at_work.run(lambda _: None).messages == ()  # once
+
+
 def test_the_axis_is_shown_while_a_job_moves_it(at_work: Watched) -> None:
     """Looks of the procedure itself, in its own time."""
     seen = []

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pypdfium2 as pdfium
 import pytest
-from support.bench_axis import lay_out
+from support.bench_axis import PASSWORDS, lay_out
 
 from hil.app.report.compare import difference, verdict
 from hil.app.terminal.main import main
@@ -152,7 +152,7 @@ def test_the_same_data_give_the_same_paper() -> None:
 @pytest.mark.slow
 def test_signatures_are_shown_and_a_bad_one_is_a_verdict(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lay_out(place / "axis")
-    key = load_private_key(place / "axis" / "builder.key", "builder")
+    key = load_private_key(place / "axis" / "builder.key", PASSWORDS["HIL_KEY_PASSWORD"])
     Path("a.csv.sig").write_bytes(sign_detached(Path("a.csv").read_bytes(), key))
     argv = ["report", "a.csv", "b.csv", "--builder", "axis/builder.pub", "--out", "s.html", "--json", "s.json"]
     assert main(argv) == 0

@@ -24,6 +24,7 @@ from hil.app.report.data import NamedCampaign, ReportData, TableInForce
 from hil.app.report.document import render_html
 from hil.app.report.pdf import groups, on_paper, render_pdf, write
 from hil.app.report.svg import Ground, Theme, figure_on
+from hil.correction.tables import Band
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.records.rows import Records
 
@@ -72,7 +73,7 @@ def whole() -> ReportData:
         "Axis X, 校正前 and after",
         (campaign("as found", 1, source="before.csv", sha256="ab" * 32), after),
         {"Axis": "X", "Instrument": "µMD, serial 7"},
-        (-2.0, 2.0),
+        Band(-2.0, 2.0),
         (TableInForce("correction tables", "ef" * 32, "bidirectional, 9 positions"),),
         FOUND,
         after,

@@ -24,6 +24,7 @@ from hil.app.report.data import NamedCampaign, ReportData, TableInForce, environ
 from hil.app.report.document import before_after_image, render_files, render_html
 from hil.app.report.document import html as as_html
 from hil.app.report.views import label_of
+from hil.correction.tables import Band, SignedSections
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.figures.iso230 import FIGURES, iso230
 from hil.records.rows import Records, read_csv
@@ -105,7 +106,7 @@ def data(**changes: Any) -> ReportData:
         "title": "Axis X",
         "campaigns": (NamedCampaign("before", campaign_rows()), NamedCampaign("after", campaign_rows(2, 0.1))),
         "identity": {"Axis": "X", "Drive": "CiA 402, node 3"},
-        "band_um": (-2.0, 2.0),
+        "band": Band(-2.0, 2.0),
         "tables": (TableInForce("pitch", "ab" * 32, "bidirectional, 9 sections"),),
         "notes": ("lubricated before the test",),
         "created": "2024-03-01 10:00 UTC",
@@ -233,14 +234,34 @@ def test_identity_tables_notes_environment_and_diagnosis_are_there(page: Page) -
 
 def test_band_tile_counts_target_means() -> None:
     only = (NamedCampaign("after", campaign_rows(2, 0.1)),)
-    assert "18 of 18" in Page(render_html(data(campaigns=only, band_um=(-50.0, 50.0)))).words
+    assert "18 of 18" in Page(render_html(data(campaigns=only, band=Band(-50.0, 50.0)))).words
     figures = iso230(campaign_rows(2, 0.1))
     assert figures.mean_up is not None
     assert figures.mean_down is not None
     means = [*figures.mean_up, *figures.mean_down]
     expected = sum(0.0 <= mean <= 0.5 for mean in means)
     assert 0 < expected < 18
-    assert f"{expected} of 18" in Page(render_html(data(campaigns=only, band_um=(0.0, 0.5)))).words
+    assert f"{expected} of 18" in Page(render_html(data(campaigns=only, band=Band(0.0, 0.5)))).words
+
+
+def test_band_tile_counts_with_the_signs_and_leaves_out_what_the_band_does_not_judge() -> None:
+    records = campaign_rows(2, 0.1)
+    figures = iso230(records)
+    targets, middle = figures.target_mm, float(figures.target_mm[4])
+    shifted = np.where((records.direction < 0) & (records.target_mm >= middle - 1.0), -50.0, 50.0)
+    columns = {name: records[name] for name in records.columns}
+    moved = Records.of({**columns, "measured_mm": records.measured_mm + (shifted - records.error_um) / 1000.0})
+    only = (NamedCampaign("after", moved),)
+    signs = (SignedSections(middle - 1.0, 1e6, 1, -1),)
+    whole = data(campaigns=only, band=Band(49.0, 51.0, signs), band_targets_mm=tuple(targets.tolist()))
+    assert "18 of 18" in Page(render_html(whole)).words
+    assert "13 of 18" in Page(render_html(data(campaigns=only, band=Band(49.0, 51.0)))).words
+    between = data(
+        campaigns=only,
+        band=Band(49.0, 51.0, signs),
+        band_targets_mm=(float(targets[0]), float(targets[3]), middle + 0.5, float(targets[-1])),
+    )
+    assert "17 of 17 target means, 1 not judged" in Page(render_html(between)).words
 
 
 def test_hostile_text_stays_text() -> None:
@@ -264,7 +285,7 @@ def test_hostile_text_stays_text() -> None:
 
 
 def test_one_campaign_needs_no_comparison() -> None:
-    page = Page(render_html(data(campaigns=(NamedCampaign("alone", campaign_rows()),), band_um=None)))
+    page = Page(render_html(data(campaigns=(NamedCampaign("alone", campaign_rows()),), band=None)))
     assert "Comparison" not in page.words
     assert "as found" not in page.words
     assert "change" not in page.words
@@ -280,7 +301,7 @@ def test_one_campaign_needs_no_comparison() -> None:
     ],
 )
 def test_campaigns_short_of_the_standard_are_shown_and_say_so(records: Records, says: str) -> None:
-    page = Page(render_html(data(campaigns=(NamedCampaign("short", records),), band_um=None)))
+    page = Page(render_html(data(campaigns=(NamedCampaign("short", records),), band=None)))
     assert says in page.words
     assert len(page.data["data-campaign-1-records"]["columns"]["run"]) == len(records)
 
@@ -297,7 +318,7 @@ def test_long_records_are_cut_in_the_table_and_whole_in_the_data() -> None:
     n = 6000
     x = rng.uniform(0, 300, n)
     columns = {"run": np.ones(n), "direction": np.where(x > 150, 1.0, -1.0), "target_mm": x, "measured_mm": x + 1e-3}
-    html = render_html(data(campaigns=(NamedCampaign("sweep", Records.of(columns)),), band_um=None))
+    html = render_html(data(campaigns=(NamedCampaign("sweep", Records.of(columns)),), band=None))
     page = Page(html)
     assert "The first 2000 of 6000 rows" in page.words
     assert len(page.data["data-campaign-1-records"]["columns"]["run"]) == n
@@ -497,7 +518,6 @@ def test_environment_states_ranges_and_skips_what_was_never_measured() -> None:
     [
         ({"campaigns": ()}, "at least one campaign"),
         ({"campaigns": (NamedCampaign("a", campaign_rows()),) * 2}, "share a label"),
-        ({"band_um": (7.0, 6.0)}, "expected low < high"),
     ],
 )
 def test_report_data_that_make_no_report_are_refused(changes: dict[str, Any], says: str) -> None:
@@ -528,11 +548,11 @@ def test_drawings_as_files() -> None:
 
 def test_the_comparison_alone_as_svg_and_png() -> None:
     campaigns = data().campaigns
-    svg = before_after_image(campaigns, "svg", (-2, 2))
+    svg = before_after_image(campaigns, "svg", Band(-2, 2))
     assert svg.startswith(b"<?xml")
     assert b"#0072b2" in svg
     assert b"before" in svg
-    assert svg == before_after_image(campaigns, "svg", (-2, 2))
+    assert svg == before_after_image(campaigns, "svg", Band(-2, 2))
     assert before_after_image(campaigns).startswith(b"\x89PNG")
 
 

@@ -6,12 +6,14 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from hil.app.report.data import NamedCampaign, history
 from hil.app.report.plots import before_after_plot, error_plot, history_plot, residual_plot
 from hil.app.report.svg import LIGHT, PAGE, file_bytes, inline_svg
 from hil.app.report.views import binned_mean
+from hil.correction.tables import Band, SignedSections
 from hil.figures.iso230 import Iso230, iso230
 from hil.records.rows import Floats, Records
 
@@ -42,10 +44,24 @@ def axes(figure: Figure) -> list[Axes]:
     return list(figure.axes)
 
 
+def test_the_band_is_drawn_with_the_sign_of_each_section_and_direction() -> None:
+    records = rows(1)
+    first, last = float(records.target_mm.min()), float(records.target_mm.max())
+    middle = (first + last) / 2
+    band = Band(6.0, 7.0, (SignedSections(middle, last + 1.0, 1, -1),))
+    (ax,) = axes(error_plot(NamedCampaign("a", records), LIGHT, band))
+    boxes = [one.get_paths()[0].get_extents() for one in ax.collections if isinstance(one, PolyCollection)]
+    drawn = {(one.x0, one.x1, one.y0, one.y1) for one in boxes}
+    assert {(first, middle, 6.0, 7.0), (middle, last, 6.0, 7.0), (middle, last, -7.0, -6.0)} <= drawn
+    assert (first, middle, -7.0, -6.0) not in drawn
+    names = [text.get_text() for legend in ax.figure.legends for text in legend.get_texts()]
+    assert {"specified ±(6 to 7) µm", "specified, direction +", "specified, direction −"} <= set(names)
+
+
 def test_error_plot_draws_every_run_the_means_and_the_accuracy() -> None:
     records = rows(1)
     figures = iso230(records)
-    (ax,) = axes(error_plot(NamedCampaign("a", records), LIGHT, (-1.0, 1.0)))
+    (ax,) = axes(error_plot(NamedCampaign("a", records), LIGHT, Band(-1.0, 1.0)))
     for sign, name, mean in ((1, "+", figures.mean_up), (-1, "−", figures.mean_down)):
         ((x, y),) = lines(ax, f"direction {name}: mean ± 2s")
         assert x == pytest.approx(figures.target_mm)

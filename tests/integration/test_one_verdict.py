@@ -1,0 +1,90 @@
+"""One set of records gives one verdict, whichever way it comes to the diagnosis: command, model, screen, loop and demo."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.calibration.explore import Exploration, explore, plan_runs
+from hil.diagnosis.job import diagnose_passes
+from hil.diagnosis.loop.procedure import Turning, decide
+from hil.diagnosis.stored import STORED
+from hil.machine.events import silent
+from hil.machine.wiring import connected
+from hil.records.journal import Campaign
+
+Verdict = list[tuple[str, frozenset[str]]]
+
+
+def verdict(form: dict[str, Any]) -> tuple[Verdict, bool, list[list[str]]]:
+    """Each finding with its rivals, whether something is unexplained, and what carries it."""
+    found = [(f["effect"], frozenset(r["effect"] for r in f["rivals"])) for f in form["findings"]]
+    return found, form["unexplained"], [one["columns"] for one in form["carried_by"]]
+
+
+def confidences(form: dict[str, Any]) -> list[float]:
+    return [f["confidence"] for f in form["findings"]]
+
+
+def said_by_command(folder: Path, *arguments: str) -> dict[str, Any]:
+    out = folder / "said.json"
+    main(["diagnose", *arguments, "--json", str(out)])
+    form = json.loads(out.read_text())
+    assert isinstance(form, dict)
+    return form
+
+
+def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -> None:
+    text = files("hil.examples").joinpath("demo_axis.toml").read_text(encoding="utf-8")
+    (tmp_path / "axis.toml").write_text(text)
+    axis = load_axis(tmp_path / "axis.toml")
+    with connected(axis) as machine:
+        campaign = Campaign.numbered(axis.store.directory, axis.purpose("demo"), resume=False)
+        session = machine.session
+        session.prepare(campaign.directory)
+        exploration = Exploration(runs=11, rows=10, warm_up_s=20.0)
+        before = explore(session, campaign, "before", plan_runs(session, exploration, 1))
+        follow, rows, further = decide(session, campaign, before, Turning(exploration, most_further=0), silent)
+    assert not further
+    assert len(rows) == len(before)
+    loop = follow.to_json()
+    assert {"torque_percent", "motor_mm"} <= set(before.columns), "readings that a loop cannot put into force"
+    assert loop["findings"], "rows that say nothing show nothing of the ways either"
+
+    passes = list(campaign.directory.glob("before-*.csv"))
+    by_name = sorted(passes)  # a shell's order: the tenth before the second
+    assert [path.stem for path in by_name[:3]] == ["before-1", "before-10", "before-11"]
+    command = said_by_command(tmp_path, *map(str, by_name))
+    assert verdict(command) == verdict(loop)
+    assert confidences(command) == pytest.approx(confidences(loop), abs=1e-9)
+
+    stored = tmp_path / f"before{STORED}"
+    diagnose_passes(axis, by_name, stored)
+    screen = json.loads(stored.read_text())
+    assert verdict(screen) == verdict(loop)
+    assert confidences(screen) == pytest.approx(confidences(loop), abs=1e-9)
+
+    model = tmp_path / "model.json"
+    assert main(["fit", *map(str, by_name), "--out", str(model)]) == 0
+    with_model = said_by_command(tmp_path, *map(str, by_name), "--model", str(model))
+    assert verdict(with_model) == verdict(loop)
+    assert confidences(with_model) == pytest.approx(confidences(loop), abs=0.05)
+
+
+@pytest.mark.slow  # the whole demo
+def test_the_demo_says_what_the_command_says_of_its_files(tmp_path: Path) -> None:
+    out, result = tmp_path / "demo", tmp_path / "demo.json"
+    assert main(["demo", "--out", str(out), "--json", str(result)]) == 0
+    demo = json.loads(result.read_text())["diagnosis"]
+    passes = [str(path) for path in sorted(out.glob("campaign/*/before-*.csv"))]
+    assert len(passes) == 4
+    command = said_by_command(tmp_path, *passes)
+    assert verdict(command) == verdict(demo)
+    assert confidences(command) == pytest.approx(confidences(demo), abs=1e-9)
+    assert [name for name, _ in verdict(demo)[0]] == ["thermal_expansion", "cyclic", "lost_motion"]
