@@ -2,7 +2,7 @@
 
 Both run in this process in turn, over a bus that answers SYNC at once with the same frames and costs both the same. What each does:
 
-    both    one RPDO per axis (6040h, 607Ah), SYNC, one TPDO per axis (6041h, 6064h), every value packed, sent, received and unpacked
+    both    one RPDO per axis (607Ah), SYNC, one TPDO per axis (6041h, 6064h), every value packed, sent, received and unpacked
     ours    besides: mm <-> counts, travel, speed, following error and state of each axis, the time of SYNC and of each answer, missed
             cycles, late answers, a look for stray frames before SYNC, dispatch with a lock
     theirs  bare: raw values only, nothing checked, no time kept, spared the thread that would receive for it
@@ -92,7 +92,7 @@ class AnsweringBus(can.BusABC):
         elif cob_id == 0x080:
             self.received.extend(self._answers.values())
         else:
-            self._answers[cob_id].data[2:6] = msg.data[2:6]
+            self._answers[cob_id].data[2:6] = msg.data
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         return self.received.popleft() if self.received else None
@@ -130,7 +130,7 @@ def _ours(axes: int, stack: ExitStack) -> Callable[[int], None]:
 
 
 def _nodes(axes: int, stack: ExitStack) -> tuple[AnsweringBus, canopen.Network, list[tuple[Any, ...]]]:
-    """The canopen package's own objects on a bus: of each node its RPDO, and the four mapped variables."""
+    """The canopen package's own objects on a bus: of each node its RPDO, and the three mapped variables."""
     bus = AnsweringBus(tuple(range(1, axes + 1)), LeapingClock())
     bus.streaming = True
     stack.callback(bus.shutdown)
@@ -139,14 +139,14 @@ def _nodes(axes: int, stack: ExitStack) -> tuple[AnsweringBus, canopen.Network, 
     for node_id in range(1, axes + 1):
         node = network.add_node(node_id, str(EDS))
         rpdo, tpdo = node.rpdo[1], node.tpdo[1]
-        for pdo, names in ((rpdo, ("Controlword", "Target position")), (tpdo, ("Statusword", "Position actual value"))):
+        for pdo, names in ((rpdo, ("Target position",)), (tpdo, ("Statusword", "Position actual value"))):
             pdo.clear()
             for name in names:
                 pdo.add_variable(name)
             pdo.enabled = True
         rpdo.cob_id, tpdo.cob_id = 0x200 + node_id, 0x180 + node_id
         tpdo.subscribe()
-        nodes.append((rpdo, *(rpdo[0], rpdo[1], tpdo[0], tpdo[1])))
+        nodes.append((rpdo, rpdo[0], tpdo[0], tpdo[1]))
     return bus, network, nodes
 
 
@@ -156,14 +156,13 @@ def _theirs_bare(axes: int, stack: ExitStack) -> Callable[[int], None]:
     def run(cycles: int) -> None:
         for cycle in range(cycles):
             target = 10 * (cycle % 100)
-            for rpdo, control, position, _, _ in nodes:
-                control.raw = 0x0F
+            for rpdo, position, _, _ in nodes:
                 position.raw = target
                 rpdo.transmit()
             network.sync.transmit()
             while (message := bus.recv(0.0)) is not None:
                 network.notify(message.arbitration_id, message.data, message.timestamp)
-            feedback = [(status.raw, actual.raw) for _, _, _, status, actual in nodes]
+            feedback = [(status.raw, actual.raw) for _, _, status, actual in nodes]
             assert feedback[0] == (STATUS_ENABLED, target)
 
     return run
@@ -184,15 +183,14 @@ def _theirs_checked(axes: int, stack: ExitStack) -> Callable[[int], None]:
                     pytest.fail("outside")
                 planned.append(counts)
             sent = planned
-            for (rpdo, control, position, _, _), counts in zip(nodes, planned, strict=True):
-                control.raw = 0x0F
+            for (rpdo, position, _, _), counts in zip(nodes, planned, strict=True):
                 position.raw = counts
                 rpdo.transmit()
             network.sync.transmit()
             while (message := bus.recv(0.0)) is not None:
                 network.notify(message.arbitration_id, message.data, message.timestamp)
             feedback = []
-            for (_, _, _, status, actual), counts in zip(nodes, planned, strict=True):
+            for (_, _, status, actual), counts in zip(nodes, planned, strict=True):
                 word, place = status.raw, actual.raw
                 if word & 0x106F != 0x1027 or abs(place - counts) > lag:
                     pytest.fail("does not follow")
