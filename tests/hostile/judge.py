@@ -53,9 +53,8 @@ at 1000 mm/s² (1.25 mm) and by the time that a servo needs to notice the switch
 REACH_MM = 1.0
 """Allowed distance above the travel, mm, which no order reaches: overshoot of a supervised axis
 (`hil.machine.position_check.OUTSIDE_MM`)."""
-COAST_MM = 50.0**2 / (2 * 80.0)
-"""The same for a drive that loses its power by itself, instead of `HOMING_MM`: from the 50 mm/s of its homing, at 80 mm/s²; the end
-stop, 8 mm outside, comes first. No command can stop it."""
+COASTING_MM = 0.5
+"""Allowed distance beyond the place to which a drive without power coasts, mm: what it moves between two looks of the judge."""
 NOTICED_MM = 1.0
 """A fault after which the axis moves no further than this may go unnoticed, mm."""
 STILL_MM_S = 0.01
@@ -127,6 +126,11 @@ class Truth:
         self._fresh = True
         self.way_mm = 0.0  # travel of all axes
         self._last: list[float] = []
+        self._was_powered = False
+        self.coasts_to_mm = [
+            0.0,
+            0.0,
+        ]  # lowest and highest place to which an axis that lost its power in motion may coast
         self._lately: deque[tuple[int, float]] = deque()  # of the table, over `READ_S`
         self.clock.attach(self._look, bearable=lambda _now_ns: 60_000_000_000)
 
@@ -154,6 +158,22 @@ class Truth:
         stood_mm = self._lately[0][1] if self._lately else self.bench.plant.position_mm
         return min(measured_mm - self.bench.plant.position_mm, measured_mm - stood_mm, key=abs)
 
+    def let_coast(self) -> None:
+        """The power is gone: no command can stop the axis before friction does. An end stop may come first."""
+        if not isinstance(self.bench, Bench):
+            return
+        slowing_mm_s2 = self.bench.servo.parameters.coast_rev_s2 * self.bench.parameters.plant.screw.lead_mm
+        for place_mm, velocity_mm_s in self.places():
+            rest_mm = place_mm + velocity_mm_s * abs(velocity_mm_s) / (2.0 * slowing_mm_s2)
+            low_mm, high_mm = self.coasts_to_mm
+            self.coasts_to_mm = [min(low_mm, rest_mm - COASTING_MM), max(high_mm, rest_mm + COASTING_MM)]
+
+    def outside_mm(self, low_mm: float, high_mm: float, *, coasted: bool) -> float:
+        """Distance that the axis was beyond two places, mm, 0 within. coasted: as far as it coasted without power does not count."""
+        if coasted:
+            low_mm, high_mm = min(low_mm, self.coasts_to_mm[0]), max(high_mm, self.coasts_to_mm[1])
+        return max(low_mm - self.low_mm, self.high_mm - high_mm, 0.0)
+
     def speed_mm_s(self) -> float:
         return max(abs(velocity) for _, velocity in self.places())
 
@@ -168,6 +188,9 @@ class Truth:
         if self._fresh:
             self.low_mm, self.high_mm, self._fresh = min(places), max(places), False
         self.low_mm, self.high_mm = min(self.low_mm, *places), max(self.high_mm, *places)
+        if self._was_powered and not self.powered:
+            self.let_coast()
+        self._was_powered = self.powered
         end_ns = self.ends()
         if end_ns is not None and now_ns > end_ns:
             raise HangError(f"simulated time is at {now_ns * 1e-9:.1f} s")
@@ -418,10 +441,9 @@ def _what_the_plant_shows(kind: Kind, truths: list[Truth], peer: Peer | None, en
         if truth.powered:
             ended.ended += ", held"
         low_mm, high_mm = truth.limits_mm
-        below_mm, above_mm = low_mm - truth.low_mm, truth.high_mm - high_mm
-        reach_mm = max(HOMING_MM, COAST_MM if kind.coasts else 0.0)
-        if below_mm > reach_mm + kind.disobeys_mm or above_mm > REACH_MM + kind.disobeys_mm:
-            yield f"{max(below_mm, above_mm):.2f} mm outside the limits"
+        low_mm, high_mm = low_mm - HOMING_MM - kind.disobeys_mm, high_mm + REACH_MM + kind.disobeys_mm
+        if (beyond_mm := truth.outside_mm(low_mm, high_mm, coasted=kind.coasts)) > 0.0:
+            yield f"{beyond_mm:.2f} mm further outside than allowed"
 
 
 def cases(seeds: int = 10, wires: Sequence[str] | None = None) -> list[Case]:

@@ -240,9 +240,9 @@ def _judged(case: Break, error: BaseException | None, truth: Truth, rows: Rows, 
         yield f"ends by {type(error).__name__}: {error}"
     elif error is not None and case.method in KEEPS_ZERO:
         yield f"does not go on: {' '.join(str(error).split())[:200]}"
-    below_mm, above_mm = TRAVEL_MM[0] - truth.low_mm, truth.high_mm - TRAVEL_MM[1]
-    if below_mm > HOMING_MM or above_mm > REACH_MM:
-        yield f"{max(below_mm, above_mm):.2f} mm outside the limits"
+    low_mm, high_mm = TRAVEL_MM[0] - HOMING_MM, TRAVEL_MM[1] + REACH_MM
+    if (beyond_mm := truth.outside_mm(low_mm, high_mm, coasted=case.way == POWER)) > 0.0:
+        yield f"{beyond_mm:.2f} mm further outside than allowed"
     if not rows.off_mm:
         return
     spread_mm = max(rows.off_mm) - min(rows.off_mm)
