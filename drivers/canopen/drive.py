@@ -18,7 +18,7 @@ from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
 from drivers.canopen.homing import Homing
 from drivers.canopen.identity import Identity, error_history, read_identity, stores_on_command
-from drivers.canopen.motion import FAULTS, ProfileMotion
+from drivers.canopen.motion import ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import NmtCommand
 from drivers.canopen.objects import Entry
@@ -32,7 +32,16 @@ from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import object_of, read_motion_units, read_units, readings, unit_objects
-from drivers.drive import Capability, DriveSample, DriveState, DriveZero, HomingSpeeds, ServoDrive
+from drivers.drive import (
+    FAULTS,
+    WITHOUT_POWER,
+    Capability,
+    DriveSample,
+    DriveState,
+    DriveZero,
+    HomingSpeeds,
+    ServoDrive,
+)
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -371,7 +380,7 @@ class CanOpenDrive(StoppableDrive):
     def require_disabled(self, verb: str) -> None:
         """Raise StateError unless the axis is disabled."""
         state = self.sample().state
-        if state not in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
+        if state not in WITHOUT_POWER:
             raise StateError(f"drive {self.name} cannot {verb}: it is {state.value}, disable it first")
 
     def store_parameters(self, *, timeout_s: float = 10.0) -> None:

@@ -19,7 +19,7 @@ from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.streamed_move import FEED_S, StreamedMove
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import DriveState
+from drivers.drive import FAULTS, WITHOUT_POWER, DriveState
 from drivers.errors import (
     AbortError,
     CapabilityError,
@@ -35,7 +35,6 @@ from drivers.undo import undo_all
 
 POLL_S = 0.001
 RUN = Command.ENABLE_OPERATION.word
-FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 def mode_of(shown: int) -> Mode:
@@ -176,8 +175,7 @@ class ProfileMotion:
         """Modes that 6061h shows once they are written to 6060h. An axis under power is not tried with: it has the present mode."""
         if not 0 <= self.shown(objects.MODE, self.mode) <= max(Mode):
             return []  # a maker's own mode could perhaps not be put back
-        state = decode_state(self._sdo.read(objects.STATUSWORD))
-        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.NOT_READY):
+        if not self._is_off():
             return [self.mode] if self.mode is not Mode.NONE else []
         found: list[Mode] = []
         try:
@@ -235,8 +233,9 @@ class ProfileMotion:
             self.mode_unseen = False
 
     def _is_off(self) -> bool:
+        """Whether the drive is without power for another reason than a fault."""
         state = decode_state(self._sdo.read(objects.STATUSWORD))
-        return state in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY)
+        return state in WITHOUT_POWER and state not in FAULTS
 
     def _not_followed(self, mode: Mode, shown: int) -> ProtocolError:
         return ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")

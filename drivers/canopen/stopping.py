@@ -18,7 +18,7 @@ from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, S
 from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.homing import Homing
-from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion
+from drivers.canopen.motion import LOOK_S, RUN, ProfileMotion
 from drivers.canopen.node import Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.power import PowerStage
@@ -29,7 +29,7 @@ from drivers.canopen.stream_axis import Axis
 from drivers.canopen.sync import SYNC
 from drivers.canopen.table_map import TableMap
 from drivers.clock import Clock
-from drivers.drive import DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import FAULTS, WITHOUT_POWER, DriveLimits, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
@@ -46,13 +46,7 @@ from drivers.scaling import AxisScaling, MotionScaling
 from drivers.shared_time import SharedTime
 from drivers.standstill import Standstill
 
-WITHOUT_TORQUE = (
-    DriveState.NOT_READY,
-    DriveState.SWITCH_ON_DISABLED,
-    DriveState.READY,
-    DriveState.SWITCHED_ON,
-    DriveState.FAULT,
-)
+WITHOUT_TORQUE = (*WITHOUT_POWER, DriveState.SWITCHED_ON)
 """States in which a drive does not move its axis."""
 HALT_TAKEN_S = 1.0
 """Time from a halt to the beginning of its ramp, and of the vibration of the load after it, s."""

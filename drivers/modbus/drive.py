@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.drive import FAULTS, Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
@@ -28,7 +28,7 @@ from drivers.errors import (
 )
 from drivers.modbus.codec import Raw
 from drivers.modbus.correction_table import ModbusCorrectionTable
-from drivers.modbus.drive_map import FAULTS, DriveMap, HomingMap, Need, RunMap, StreamMap, all_hold
+from drivers.modbus.drive_map import DriveMap, HomingMap, Need, RunMap, StreamMap, all_hold
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_facts import FactLedger, Proof
