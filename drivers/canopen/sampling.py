@@ -62,7 +62,7 @@ class Sampler:
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
         self.missed = 0  # SYNCs that were not answered in time
-        self.by_sdo = False  # a stream uses the TPDOs
+        self.tpdos_in_stream = False  # a stream has them; see `StoppableDrive.begin_streaming`
         self.without_pdos = False  # the drive takes no TPDO of status and position: every sample is read by SDO
         self.node_id = node.node_id
         self._in_sync = True  # the TPDOs answer SYNC
@@ -79,6 +79,16 @@ class Sampler:
     def position_counts(self) -> int:
         """6064h as last received, counts."""
         return self.values[objects.POSITION_ACTUAL]
+
+    @property
+    def by_sdo(self) -> bool:
+        """Whether no TPDO is there for samples: a stream uses them, or the drive takes none."""
+        return self.tpdos_in_stream or self.without_pdos
+
+    @property
+    def by_own_sync(self) -> bool:
+        """Whether samples are to be requested by SYNC sent on this link."""
+        return not (self.by_sdo or self._link.sync.taken)
 
     def subscribe(self) -> None:
         """Listen to the TPDOs; they answer SYNC from now on or are switched off by `settle`."""
@@ -106,8 +116,8 @@ class Sampler:
 
     def settle(self) -> bool:
         """Have the TPDOs answer SYNC, or not, as its owner needs; whether this link may send SYNC. Raises as an SDO write does."""
-        ours = not (self.by_sdo or self.without_pdos or self._link.sync.taken)
-        if not (self.by_sdo or self.without_pdos) and ours is not self._in_sync:
+        ours = self.by_own_sync
+        if not self.by_sdo and ours is not self._in_sync:
             for spec in self.specs:
                 self._sdo.write(_cob_id(spec), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
             self._in_sync = ours
@@ -119,7 +129,7 @@ class Sampler:
             self.settle()
         except BridgeError:
             return False  # they still answer, and count in the load
-        return self.by_sdo or self.without_pdos or not self._in_sync
+        return self.by_sdo or not self._in_sync
 
     def refresh(self) -> None:
         """Request all values now, by SYNC again and again until `ANSWER_WITHIN_S` have passed, at least twice.
@@ -147,7 +157,7 @@ class Sampler:
         """Make sure that the TPDOs carry what was mapped: the position by SYNC lies between two that are read by SDO.
 
         Raises ProtocolError for a drive that keeps another mapping than it has answered, and as `refresh`."""
-        if self.by_sdo or self.without_pdos or not self._in_sync:
+        if self.by_sdo or not self._in_sync:
             return
         for _ in range(PROOFS):
             before = self._sdo.read(objects.POSITION_ACTUAL)
@@ -180,7 +190,7 @@ class Sampler:
             ours = self._settled()
         except (TransportError, ProtocolError):  # SDO does not answer: the TPDOs stay as they are
             ours = not self._link.sync.foreign_runs
-        if self.by_sdo or self.without_pdos or not self._in_sync:
+        if self.by_sdo or not self._in_sync:
             return False
         try:
             return self._answered(send=ours)
@@ -213,7 +223,7 @@ class Sampler:
         try:
             return self.settle()
         except AbortError:
-            return not (self.by_sdo or self.without_pdos or self._link.sync.taken)
+            return self.by_own_sync
 
     def _read(self) -> None:
         for spec in self.specs:

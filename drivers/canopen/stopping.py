@@ -156,21 +156,21 @@ class StoppableDrive(ServoDrive):
     @property
     def is_streaming(self) -> bool:
         """Whether a `stream.CyclicStream` paces this drive; its samples are read by SDO meanwhile, as SYNC belongs to the stream."""
-        return self.sampler.by_sdo
+        return self.sampler.tpdos_in_stream
 
     def begin_streaming(self, axis: Axis) -> None:
         """A stream takes SYNC and the PDOs; it restores the PDOs before `end_streaming`. Raises StateError while another one does."""
         self._require_open()
         if self.is_streaming:
             raise StateError(f"drive {self.name} is streaming already")
-        self.sampler.by_sdo = True
+        self.sampler.tpdos_in_stream = True
         self.sampler.unsubscribe()
         self._stream_axis = axis
 
     def end_streaming(self) -> None:
         """To be called when the PDOs are those of `open` again."""
         self._stream_axis = None
-        self.sampler.by_sdo = False
+        self.sampler.tpdos_in_stream = False
         self.sampler.subscribe()
 
     def set_mode(self, mode: Mode, *, until_enabled: bool = False) -> None:
@@ -212,7 +212,7 @@ class StoppableDrive(ServoDrive):
         halted = False
         try:
             if not self.sampler.heard_by_sync():
-                if not (self.sampler.by_sdo or self.sampler.without_pdos or self.link.sync.taken):
+                if self.sampler.by_own_sync:
                     self.send_stop()  # the drive should have answered: stop before anything is read
                 self.sampler.refresh_somehow()
             state = decode_state(self.sampler.statusword)
