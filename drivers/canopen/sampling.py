@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from drivers.canopen import objects
 from drivers.canopen.bus import FrameHandler
 from drivers.canopen.node import Node
-from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.pdo import EXISTS_NOT, SYNC_EVERY, PdoSpec, wanted_image
+from drivers.canopen.objects import Entry
+from drivers.canopen.pdo import COB_ID, EXISTS_NOT, SYNC_EVERY, PdoSpec, wanted_image
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sync import SYNC
 from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError, TransportError
@@ -119,7 +119,7 @@ class Sampler:
         ours = self.by_own_sync
         if not self.by_sdo and ours is not self._in_sync:
             for spec in self.specs:
-                self._sdo.write(_cob_id(spec), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
+                self._sdo.write(spec.pdo.setting(COB_ID), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
             self._in_sync = ours
         return ours
 
@@ -249,7 +249,3 @@ class Sampler:
             self.heard_ns = time_ns
 
         return receive
-
-
-def _cob_id(spec: PdoSpec) -> Entry:
-    return Entry(spec.communication, 1, DataType.U32, "COB-ID")
