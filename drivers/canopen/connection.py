@@ -20,7 +20,6 @@ from drivers.canopen.pdo import (
     EVENT,
     EXISTS_NOT,
     MAKERS_EVENT,
-    OBJECT_MISSING,
     SYNC_EVERY,
     Pdo,
     PdoImage,
@@ -28,6 +27,7 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, spec_of
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.sync import SYNC
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, ProtocolError

@@ -26,7 +26,7 @@ from drivers.canopen.parameters import LOAD, ON_COMMAND, SAVE
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
-from drivers.canopen.sampling import Sampler, exists, sampled_pdos
+from drivers.canopen.sampling import Sampler, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream import AxesBySync, OneAxisStream
@@ -110,8 +110,8 @@ class CanOpenDrive(StoppableDrive):
                 modes=settings.modes,
                 highest=self._highest,
             )
-            self.homing = Homing(self.name, self.power, self.motion)
-            self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
+            self.homing = Homing(self.sdo, self.power, self.motion)
+            self._has_probe = self.sdo.read_if_shown(objects.PROBE_FUNCTION, None) is not None
             self._stores = stores_on_command(self.sdo)
             self._note_ramps()
             if self.node.eds is not None:
@@ -284,7 +284,9 @@ class CanOpenDrive(StoppableDrive):
         method, home_mm = asked.method, asked.home_position_mm
         if self.motion.supports(Mode.HOMING):
             method = sdo.read(objects.HOMING_METHOD) if method is None else method
-            home_mm = self.scaling.load_mm(self.motion.shown(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
+            home_mm = (
+                self.scaling.load_mm(self.sdo.read_if_shown(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
+            )
         facts: dict[str, int | str] = {}
         if identity is not None:
             facts = {"vendor": identity.vendor_id, "product": identity.product_code, "serial": identity.serial}
@@ -298,7 +300,7 @@ class CanOpenDrive(StoppableDrive):
         def speed(stated: float | None, entry: objects.Entry) -> float | None:
             if stated is not None or self.units.ambiguous:
                 return stated
-            return self.units.mm_s(self.motion.shown(entry, 0)) or None
+            return self.units.mm_s(self.sdo.read_if_shown(entry, 0)) or None
 
         return HomingSpeeds(
             speed(asked.speed_switch_mm_s, objects.HOMING_SPEED_SWITCH),
@@ -401,7 +403,7 @@ class CanOpenDrive(StoppableDrive):
 
     def _require_command(self, entry: objects.Entry, verb: str) -> None:
         self.require_disabled(verb)
-        if not self.sdo.read_or(entry, 0) & ON_COMMAND:
+        if not self.sdo.read_if_there(entry, 0) & ON_COMMAND:
             raise CapabilityError(f"drive {self.name}: {entry} is not done on command")
 
     def restart(self, timeout_s: float = 5.0) -> None:

@@ -12,7 +12,7 @@ from drivers.canopen.eds import EdsEntry, EdsFile
 from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import CanOpenParameters
-from drivers.canopen.pdo import OBJECT_MISSING
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 

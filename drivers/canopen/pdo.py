@@ -18,7 +18,6 @@ ID_MASK = 0x7FF
 SYNC_EVERY = 1  # transmission type: at each SYNC
 EVENT = 255
 MAKERS_EVENT = 254
-OBJECT_MISSING = (0x06020000, 0x06090011)
 RPDOS, TPDOS = 0x1400, 0x1800
 """Index of the first communication parameter of each direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
 COB_ID, KIND, INHIBIT, EVENT_TIMER, SYNC_START = 1, 2, 3, 5, 6

@@ -17,8 +17,9 @@ from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import ON_COMMAND, SAVE
-from drivers.canopen.pdo import OBJECT_MISSING, Pdo
+from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
 from drivers.canopen.whole_pdo import Block, WholePdo, described, pdo_at

@@ -27,15 +27,6 @@ AGREES_COUNTS = 16
 """Tolerance of that, counts: noise of a fine encoder."""
 
 
-def exists(sdo: SdoClient, entry: Entry) -> bool:
-    """Whether the drive shows this object. Raises as `SdoClient.read`, but not AbortError."""
-    try:
-        sdo.read(entry)
-    except AbortError:  # one that it does not show is of no use either
-        return False
-    return True
-
-
 def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
     """TPDO 1 with status, position and torque, TPDO 2 with velocity and following error; objects that a drive lacks are left out.
 
@@ -43,9 +34,12 @@ def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
     for entry in (objects.STATUSWORD, objects.POSITION_ACTUAL):
         sdo.read(entry)
     first = [objects.STATUSWORD, objects.POSITION_ACTUAL]
-    if exists(sdo, objects.TORQUE_ACTUAL):
-        first.append(objects.TORQUE_ACTUAL)
-    second = [entry for entry in (objects.VELOCITY_ACTUAL, objects.FOLLOWING_ERROR_ACTUAL) if exists(sdo, entry)]
+
+    def shown(*entries: Entry) -> list[Entry]:
+        return [entry for entry in entries if sdo.read_if_shown(entry, None) is not None]
+
+    first += shown(objects.TORQUE_ACTUAL)
+    second = shown(objects.VELOCITY_ACTUAL, objects.FOLLOWING_ERROR_ACTUAL)
     specs = [PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, tuple(first))]
     if second:
         specs.append(PdoSpec(2, True, 0x280 + node_id, SYNC_EVERY, tuple(second)))

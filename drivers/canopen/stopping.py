@@ -370,7 +370,7 @@ class StoppableDrive(ServoDrive):
         return ways
 
     def _quick_stop_holds(self) -> bool:
-        ending = QUICK_STOP_ENDINGS.get(self.motion.shown(objects.QUICK_STOP_OPTION, 2))
+        ending = QUICK_STOP_ENDINGS.get(self.sdo.read_if_shown(objects.QUICK_STOP_OPTION, 2))
         return ending is not None and ending.stays
 
     def _note_ramps(self) -> None:
@@ -386,7 +386,7 @@ class StoppableDrive(ServoDrive):
                 f"drive {self.name}: gravity can move this axis and no brake is stated, but after a quick stop (605Ah) its drive"
                 " switches its power off"
             )
-        quick = self.motion.shown(objects.QUICK_STOP_DECELERATION, 0)
+        quick = self.sdo.read_if_shown(objects.QUICK_STOP_DECELERATION, 0)
         quick_mm_s2 = self.units.mm_s2(quick)
         if 0 < quick_mm_s2 < self.limits.max_acceleration_mm_s2 * (1 - 1e-6):
             self.notes.append(

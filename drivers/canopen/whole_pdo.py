@@ -21,13 +21,13 @@ from drivers.canopen.pdo import (
     INHIBIT,
     KIND,
     NO_RTR,
-    OBJECT_MISSING,
     SETTINGS,
     SYNC_START,
     Pdo,
     pdo_entry,
     pdo_of,
 )
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.raw_parameters import Steps
 

@@ -19,7 +19,7 @@ from drivers.canopen.sdo import SdoClient
 from drivers.canopen.units import read_motion_units, read_units, readings
 from drivers.clock import WallClock
 from drivers.drive_notes import DriveNotes, Wire, shipped_notes
-from drivers.errors import AbortError, BridgeError, InputError, NoAnswerError, TransportError
+from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError
 from drivers.modbus.drive_map import DriveMap, all_hold
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
@@ -177,7 +177,8 @@ def _described(
         f"axis = {value}" if key == "axis" else f'{key} = "{value}"    # as you gave it' for key, value in given.items()
     ]
     for key in notes.axis_file if notes is not None else ():
-        if key.key in given or (key.unless is not None and _read(sdo, Entry(key.unless, 0, DataType.U32, ""))):
+        unless = None if key.unless is None else Entry(key.unless, 0, DataType.U32, "")
+        if key.key in given or (unless is not None and sdo.read_if_shown(unless, 0)):
             continue
         value = key.value or ask.choose(key)
         given[key.key] = value
@@ -196,9 +197,9 @@ def _described(
         remedy = "give it by --velocity-unit, as the drive's manual has it under 6081h"
         return FirstContact(None, several[0], [*told, f"{motion.ambiguous}; {remedy}"])
     told.append(f"velocities in {motion.velocity.text} ({motion.velocity.source}), 1 unit is {motion.mm_s(1):.4g} mm/s")
-    modes = _read(sdo, objects.SUPPORTED_MODES)
+    modes = sdo.read_if_shown(objects.SUPPORTED_MODES, None)
     homes = not modes or bool(modes & Mode.HOMING.supported_bit)
-    method, offset = _read(sdo, objects.HOMING_METHOD), _read(sdo, objects.HOME_OFFSET)
+    method, offset = sdo.read_if_shown(objects.HOMING_METHOD, None), sdo.read_if_shown(objects.HOME_OFFSET, None)
     if homes and method is None:
         told.append("homing: the drive does not say how it homes (6098h); see its manual, and [drive.homing] method")
     elif homes and not method:
@@ -250,14 +251,6 @@ def _units_told(several: tuple[Any, ...], name: str) -> list[str]:
         f"{float(counts):g} units per turn of the screw" if counts is not None else f"a lead of {float(feed or 0):g} mm"
     )
     return [f"its feed constant (6092h) may also mean {text}: hil doctor tells which, before the axis moves far"]
-
-
-def _read(sdo: SdoClient, entry: Entry) -> int | None:
-    """None for an object that is missing, or that the drive does not show."""
-    try:
-        return sdo.read(entry)
-    except AbortError:
-        return None
 
 
 def _whole(option: str, text: str, highest: int) -> int:
