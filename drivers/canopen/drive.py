@@ -31,7 +31,7 @@ from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
-from drivers.canopen.units import object_of, read_motion_units, read_units, readings, unit_objects
+from drivers.canopen.units import motion_units, object_of, read_units, readings, unit_objects
 from drivers.drive import (
     FAULTS,
     WITHOUT_POWER,
@@ -90,8 +90,8 @@ class CanOpenDrive(StoppableDrive):
             self.link.listen()
             self.identity = read_identity(self.sdo)
             settings = self.settings
-            self.units = read_motion_units(
-                self.sdo,
+            self.units = motion_units(
+                partial(self.sdo.read_if_shown, absent=None),
                 self.scaling,
                 velocity=settings.velocity_unit,
                 acceleration=settings.acceleration_unit,
@@ -341,7 +341,7 @@ class CanOpenDrive(StoppableDrive):
         """Parameters by the drive's EDS where one was given, and the standard's objects."""
         self._require_open()
         if self._parameters is None:
-            self._parameters = NamedParameters(self.node)
+            self._parameters = NamedParameters(self.node, self.units)
         return self._parameters
 
     @property

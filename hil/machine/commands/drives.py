@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.eds_text import summary
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.units import read_motion_units, read_units, readings
+from drivers.canopen.units import motion_units, read_units, readings
 from drivers.clock import WallClock
 from drivers.drive_notes import DriveNotes, Wire, shipped_notes
 from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError
@@ -186,8 +187,8 @@ def _described(
     several = readings(read_units(sdo))
     scaling = ask.scaling(several[0])
     told += _units_told(several, args.drive)
-    motion = read_motion_units(
-        sdo,
+    motion = motion_units(
+        partial(sdo.read_if_shown, absent=None),
         scaling,
         velocity=given.get("velocity_unit"),
         acceleration=given.get("acceleration_unit"),
