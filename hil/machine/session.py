@@ -24,7 +24,6 @@ from drivers.undo import undo_all
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command, Compensation, MotionHistory
-from hil.correction.tables import TableSet
 from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
 from hil.machine.cross_axis import CrossAxis
@@ -207,10 +206,6 @@ class AxisSession:
         if cross is None or cross.ready:
             return cross
         return cross if self.compensation is not None and self.compensation.moves_axis == cross.name else None
-
-    @property
-    def _cross_tables(self) -> TableSet | None:
-        return None if self.compensation is None else self.compensation.tables
 
     def _check_made_with(self, compensation: Compensation) -> None:
         if self.made_with is not None:
@@ -403,7 +398,7 @@ class AxisSession:
             yield
 
     def _across(self, cross: CrossAxis, command: Command) -> Command:
-        return cross.command(self._cross_tables, command.target_mm, self.elapsed_s())
+        return cross.command(self.across_um(command.target_mm, cross.name), self.elapsed_s())
 
     def stream_along(
         self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]
@@ -460,8 +455,9 @@ class AxisSession:
 
     def across_um(self, target_mm: float, other: str) -> float:
         """What this axis's straightness adds to the set-points of another while its own target is `target_mm`, µm."""
-        tables = self._cross_tables
-        return 0.0 if tables is None else float(tables.cross_correction_um(target_mm, other))
+        if self.compensation is None:
+            return 0.0
+        return float(self.compensation.tables.cross_correction_um(target_mm, other))
 
     def set_point(
         self, target_mm: float, velocity_mm_s: float, known: dict[str, float], *, across_um: float = 0.0
