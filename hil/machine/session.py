@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.drive import Capability, DriveSample, ServoDrive
-from drivers.errors import StateError
+from drivers.errors import InputError, StateError
 from drivers.instrument import DistanceInstrument, Reading
 from drivers.set_points import FirstOfGroup, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
@@ -198,6 +198,12 @@ class AxisSession:
         self.cross.check(compensation.tables)
         if ready and not self.cross.ready:
             raise StateError(f"axis {name}, which straightness moves, is not ready: prepare() first")
+
+    def require_cross(self) -> CrossAxis:
+        """The axis that straightness moves. Raises InputError where none is connected."""
+        if self.cross is None:
+            raise InputError("straightness is corrected by another axis, and none is connected")
+        return self.cross
 
     @property
     def _cross_in_use(self) -> CrossAxis | None:
