@@ -51,6 +51,12 @@ class DriveState(Enum):
     FAULT = "fault"
 
 
+FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
+"""States that show a fault."""
+WITHOUT_POWER = (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
+"""States in which the power stage is off: parameters are written in these only."""
+
+
 class Capability(Enum):
     """What a drive may or may not be able to do; checked before motion, so that a refusal comes before motion."""
 
@@ -281,7 +287,7 @@ class ServoDrive(ABC):
         Raises DriveFaultError in a fault state: only `reset_fault` resets a fault.
         """
         state = self.sample()
-        if state.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        if state.state in FAULTS:
             raise DriveFaultError(
                 f"drive {self.name} is in {state.state.value}; reset the fault before enabling", state.fault_code
             )
@@ -408,7 +414,7 @@ class ServoDrive(ABC):
 
     def _require_enabled(self, verb: str) -> DriveSample:
         sample = self.sample()
-        if sample.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        if sample.state in FAULTS:
             raise DriveFaultError(f"drive {self.name} cannot {verb}: {sample.state.value}", sample.fault_code)
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {self.name} cannot {verb}: it is {sample.state.value}")

@@ -10,7 +10,7 @@ from bisect import bisect_right
 from math import isfinite, isnan, nan
 
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import FAULTS, Capability, DriveLimits, DriveSample, DriveState, ServoDrive
 from drivers.errors import InputError, StateError
 from drivers.instrument import DistanceInstrument, Environment, Reading
 from drivers.instruments.replay import Recording
@@ -96,7 +96,7 @@ class ReplayDrive(ServoDrive):
         columns = self._replay.columns
         row = max(self._replay.rows_until_now() - 1, 0)
         state = STATES[int(columns["state"][row])] if isfinite(columns["state"][row]) else DriveState.SWITCH_ON_DISABLED
-        if state not in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        if state not in FAULTS:
             state = DriveState.ENABLED if self._enabled else DriveState.SWITCH_ON_DISABLED
         torque, homed = columns["torque_percent"][row], columns["homed"][row]
         return DriveSample(

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.clock import NS_PER_S
-from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.drive import FAULTS, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     CapabilityError,
     DriveFaultError,
@@ -132,7 +132,7 @@ class PacedStream(SetPointStream):
 
     def _judge(self, sample: DriveSample, before_mm: float, now_mm: float) -> None:
         state, name = sample.state, self.drive.name
-        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        if state in FAULTS:
             raise DriveFaultError(f"drive {name} went into {state.value} while streaming", sample.fault_code)
         if state is not DriveState.ENABLED:
             raise StateError(f"drive {name} left operation enabled while streaming: {state.value}")

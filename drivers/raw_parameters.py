@@ -147,6 +147,10 @@ class RawParameters(ABC):
         """The parameter at an address, None where the drive has none."""
         return self.entries.get(address)
 
+    def unit_of(self, parameter: RawParameter) -> str:
+        """The unit of a parameter's value; "" where it has none, or where none is known."""
+        return parameter.info.unit
+
     def doubts_of_file(self, found: DriveIdentity) -> Sequence[str]:
         """Why the maker's file is not that of the drive found: another vendor, another product. Empty where there is no such file."""
         del found

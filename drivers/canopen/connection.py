@@ -15,16 +15,25 @@ from typing import Any
 from drivers.canopen import objects
 from drivers.canopen.node import HEARTBEAT, NmtCommand, NmtState, Node
 from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.pdo import EVENT, EXISTS_NOT, ID_MASK, MAKERS_EVENT, OBJECT_MISSING, SYNC_EVERY, PdoImage, PdoSpec
+from drivers.canopen.pdo import (
+    COB_ID,
+    EVENT,
+    EXISTS_NOT,
+    MAKERS_EVENT,
+    SYNC_EVERY,
+    Pdo,
+    PdoImage,
+    PdoSpec,
+)
 from drivers.canopen.pdo_lint import Finding
-from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup
+from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, spec_of
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.sync import SYNC
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, ProtocolError
 from drivers.undo import one_line, undo_all
 
 QUICK_STOP_ON_ABORT = 3  # 6007h
-TPDOS = 0x1800
 MOST_CONSUMERS = 127  # of 1016h
 SYNC_CHANGED = 0
 """Transmission type 0: taken at the next SYNC, sent at one only when it changed."""
@@ -88,10 +97,9 @@ class Connection:
         Raises as `set_up`."""
         undo_all([("", self._pdos.restore)] if self._pdos is not None else [])
         for image in [] if self._pdos is None else self._pdos.found:
-            cob_id = Entry(image.communication, 1, DataType.U32, "COB-ID")
-            if image.communication >= TPDOS and not image.cob_id & EXISTS_NOT:
+            if image.pdo.transmit and not image.cob_id & EXISTS_NOT:
                 with suppress(AbortError):
-                    self._set_for_now(cob_id, image.cob_id | EXISTS_NOT)
+                    self._set_for_now(image.pdo.setting(COB_ID), image.cob_id | EXISTS_NOT)
         self.stop_rpdo = self.rpdo = None
         self.no_stream = "its PDOs are not those that were set up"
         self.notes.append(
@@ -164,11 +172,11 @@ class Connection:
         """
         node_id = self._sdo.node_id
         stop = PdoSpec(2, False, 0x300 + node_id, EVENT, (objects.CONTROLWORD,), only_stops=True)
-        wanted = {spec.communication: spec for spec in (*sampled, rpdo, stop)}
-        kinds = {spec.communication: _kinds(spec) for spec in wanted.values()}
+        wanted = {spec.pdo: spec for spec in (*sampled, rpdo, stop)}
+        kinds = {spec.pdo: _kinds(spec) for spec in wanted.values()}
         for used in kinds.values():
             next(used)
-        refusals: dict[int, BridgeError] = {}
+        refusals: dict[Pdo, BridgeError] = {}
         refuse = True
         while True:
             self._pdos = PdoSetup(self._sdo, node_id, tuple(wanted.values()))
@@ -177,11 +185,11 @@ class Connection:
                 break
             except PdoRefusedError as error:
                 self._do_without(wanted, kinds, error)
-                refusals[error.spec.communication] = error
+                refusals[error.spec.pdo] = error
             except InputError as error:  # a set-point RPDO without the statusword sent is refused by the linter
-                if rpdo.communication in wanted and not any(spec.transmit for spec in wanted.values()):
-                    refusals[rpdo.communication] = error
-                    del wanted[rpdo.communication]
+                if rpdo.pdo in wanted and not any(spec.transmit for spec in wanted.values()):
+                    refusals[rpdo.pdo] = error
+                    del wanted[rpdo.pdo]
                 elif refuse and refusals and all(spec.transmit for spec in wanted.values()):
                     refuse = False  # PDOs of the drive itself, which it does not let be changed, and that are not used
                 else:
@@ -191,25 +199,25 @@ class Connection:
                     raise
                 last = next(reversed(wanted))
                 refusals[last] = error
-                other = next(kinds[last], None) if last == stop.communication else None
+                other = next(kinds[last], None) if last == stop.pdo else None
                 if other is None:
                     del wanted[last]
                 else:
                     wanted[last] = replace(stop, kind=other)
         fixed = None if any(not spec.transmit for spec in wanted.values()) else self._fixed_stop()
-        self.stop_rpdo = wanted.get(stop.communication, fixed)
-        self.rpdo = wanted.get(rpdo.communication)
-        in_force = tuple(wanted[spec.communication] for spec in sampled if spec.communication in wanted)
-        if in_force and in_force[0].communication != sampled[0].communication:
+        self.stop_rpdo = wanted.get(stop.pdo, fixed)
+        self.rpdo = wanted.get(rpdo.pdo)
+        in_force = tuple(wanted[spec.pdo] for spec in sampled if spec.pdo in wanted)
+        if in_force and in_force[0].pdo != sampled[0].pdo:
             in_force = ()
         self._note_pdos(refusals, sampled, in_force)
         return in_force
 
     def _do_without(
-        self, wanted: dict[int, PdoSpec], kinds: dict[int, Iterator[int]], refused: PdoRefusedError
+        self, wanted: dict[Pdo, PdoSpec], kinds: dict[Pdo, Iterator[int]], refused: PdoRefusedError
     ) -> None:
         """Leave out what was refused. Status and position go together: without them no TPDO is set up."""
-        place = refused.spec.communication
+        place = refused.spec.pdo
         spec = wanted[place]
         if refused.entry in OPTIONAL and len(spec.entries) > 1:
             wanted[place] = replace(spec, entries=tuple(entry for entry in spec.entries if entry != refused.entry))
@@ -226,19 +234,17 @@ class Connection:
         images: Sequence[PdoImage] = () if self._pdos is None else self._pdos.found
         for image in images:
             alone = image.mapped == (objects.CONTROLWORD.mapping,)
-            if image.communication < 0x1800 and alone and not image.cob_id & EXISTS_NOT and image.kind >= MAKERS_EVENT:
-                number = image.communication - 0x1400 + 1
-                cob_id = image.cob_id & ID_MASK
-                return PdoSpec(number, False, cob_id, image.kind, (objects.CONTROLWORD,), only_stops=True)
+            if alone and not image.pdo.transmit and not image.cob_id & EXISTS_NOT and image.kind >= MAKERS_EVENT:
+                return replace(spec_of(image), only_stops=True)
         return None
 
     def _note_pdos(
-        self, refusals: dict[int, BridgeError], sampled: tuple[PdoSpec, ...], in_force: tuple[PdoSpec, ...]
+        self, refusals: dict[Pdo, BridgeError], sampled: tuple[PdoSpec, ...], in_force: tuple[PdoSpec, ...]
     ) -> None:
         """What is used instead of what the drive refused, one sentence each."""
         name = self._sdo.name
         if not in_force and sampled:
-            why = refusals.get(sampled[0].communication)
+            why = refusals.get(sampled[0].pdo)
             self.notes.append(f"{name} is sampled by SDO, as it takes no TPDO of status and position ({why})")
         elif sampled:
             kept = {entry for spec in in_force for entry in spec.entries}
@@ -246,10 +252,12 @@ class Connection:
             if lost:
                 self.notes.append(f"{name} does not map {', '.join(str(entry) for entry in lost)}: left out")
         if self.rpdo is None:
-            self.no_stream = f"it takes no RPDO of set-points ({refusals.get(0x1400)})"
+            why = refusals.get(Pdo.numbered(1, transmit=False))
+            self.no_stream = f"it takes no RPDO of set-points ({why})"
         if self.stop_rpdo is None:
             how = "by SDO alone" if self.rpdo is None else "by RPDO 1, which waits for SYNC, and by SDO"
-            self.notes.append(f"{name} takes no event-driven RPDO 2 ({refusals.get(0x1401)}): a stop goes {how}")
+            why = refusals.get(Pdo.numbered(2, transmit=False))
+            self.notes.append(f"{name} takes no event-driven RPDO 2 ({why}): a stop goes {how}")
 
     def put_back(self, *, unwatched: bool = True) -> None:
         """Restore everything that was found; the node is pre-operational afterwards. Every step is tried, see `undo_all`.

@@ -18,7 +18,7 @@ from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
 from drivers.canopen.homing import Homing
 from drivers.canopen.identity import Identity, error_history, read_identity, stores_on_command
-from drivers.canopen.motion import FAULTS, ProfileMotion
+from drivers.canopen.motion import ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import NmtCommand
 from drivers.canopen.objects import Entry
@@ -26,13 +26,22 @@ from drivers.canopen.parameters import LOAD, ON_COMMAND, SAVE
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
-from drivers.canopen.sampling import Sampler, exists, sampled_pdos
+from drivers.canopen.sampling import Sampler, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
-from drivers.canopen.units import object_of, read_motion_units, read_units, readings, unit_objects
-from drivers.drive import Capability, DriveSample, DriveState, DriveZero, HomingSpeeds, ServoDrive
+from drivers.canopen.units import motion_units, object_of, read_units, readings, unit_objects
+from drivers.drive import (
+    FAULTS,
+    WITHOUT_POWER,
+    Capability,
+    DriveSample,
+    DriveState,
+    DriveZero,
+    HomingSpeeds,
+    ServoDrive,
+)
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -81,8 +90,8 @@ class CanOpenDrive(StoppableDrive):
             self.link.listen()
             self.identity = read_identity(self.sdo)
             settings = self.settings
-            self.units = read_motion_units(
-                self.sdo,
+            self.units = motion_units(
+                partial(self.sdo.read_if_shown, absent=None),
                 self.scaling,
                 velocity=settings.velocity_unit,
                 acceleration=settings.acceleration_unit,
@@ -101,8 +110,8 @@ class CanOpenDrive(StoppableDrive):
                 modes=settings.modes,
                 highest=self._highest,
             )
-            self.homing = Homing(self.name, self.power, self.motion)
-            self._has_probe = exists(self.sdo, objects.PROBE_FUNCTION)
+            self.homing = Homing(self.sdo, self.power, self.motion)
+            self._has_probe = self.sdo.read_if_shown(objects.PROBE_FUNCTION, None) is not None
             self._stores = stores_on_command(self.sdo)
             self._note_ramps()
             if self.node.eds is not None:
@@ -275,7 +284,9 @@ class CanOpenDrive(StoppableDrive):
         method, home_mm = asked.method, asked.home_position_mm
         if self.motion.supports(Mode.HOMING):
             method = sdo.read(objects.HOMING_METHOD) if method is None else method
-            home_mm = self.scaling.load_mm(self.motion.shown(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
+            home_mm = (
+                self.scaling.load_mm(self.sdo.read_if_shown(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
+            )
         facts: dict[str, int | str] = {}
         if identity is not None:
             facts = {"vendor": identity.vendor_id, "product": identity.product_code, "serial": identity.serial}
@@ -289,7 +300,7 @@ class CanOpenDrive(StoppableDrive):
         def speed(stated: float | None, entry: objects.Entry) -> float | None:
             if stated is not None or self.units.ambiguous:
                 return stated
-            return self.units.mm_s(self.motion.shown(entry, 0)) or None
+            return self.units.mm_s(self.sdo.read_if_shown(entry, 0)) or None
 
         return HomingSpeeds(
             speed(asked.speed_switch_mm_s, objects.HOMING_SPEED_SWITCH),
@@ -330,7 +341,7 @@ class CanOpenDrive(StoppableDrive):
         """Parameters by the drive's EDS where one was given, and the standard's objects."""
         self._require_open()
         if self._parameters is None:
-            self._parameters = NamedParameters(self.node)
+            self._parameters = NamedParameters(self.node, self.units)
         return self._parameters
 
     @property
@@ -371,7 +382,7 @@ class CanOpenDrive(StoppableDrive):
     def require_disabled(self, verb: str) -> None:
         """Raise StateError unless the axis is disabled."""
         state = self.sample().state
-        if state not in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT):
+        if state not in WITHOUT_POWER:
             raise StateError(f"drive {self.name} cannot {verb}: it is {state.value}, disable it first")
 
     def store_parameters(self, *, timeout_s: float = 10.0) -> None:
@@ -392,7 +403,7 @@ class CanOpenDrive(StoppableDrive):
 
     def _require_command(self, entry: objects.Entry, verb: str) -> None:
         self.require_disabled(verb)
-        if not self.sdo.read_or(entry, 0) & ON_COMMAND:
+        if not self.sdo.read_if_there(entry, 0) & ON_COMMAND:
             raise CapabilityError(f"drive {self.name}: {entry} is not done on command")
 
     def restart(self, timeout_s: float = 5.0) -> None:

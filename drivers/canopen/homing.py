@@ -22,6 +22,7 @@ from drivers.canopen.cia402 import Control, HomingStatus, Mode, decode_homing
 from drivers.canopen.motion import LEFT_OUT, RUN, ProfileMotion
 from drivers.canopen.objects import Entry
 from drivers.canopen.power import PowerStage
+from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import HomingSettings
 from drivers.clock import NS_PER_S
 from drivers.errors import AbortError, CapabilityError, DriveFaultError
@@ -42,11 +43,11 @@ class Homing:
     under_way: begun, and its end not seen yet. without_bit_10: it has ended and bit 10 was not shown.
     """
 
-    def __init__(self, drive_name: str, power: PowerStage, motion: ProfileMotion) -> None:
+    def __init__(self, sdo: SdoClient, power: PowerStage, motion: ProfileMotion) -> None:
         self.homed: bool | None = None
         self.under_way = self.without_bit_10 = False
         self._method: int | None = None
-        self._name = drive_name
+        self._sdo = sdo
         self._power = power
         self._motion = motion
         self._was_low = False  # seen in progress since bit 4 rose
@@ -70,10 +71,10 @@ class Homing:
             except AbortError as error:  # one speed may serve the whole homing
                 if entry is not objects.HOMING_SPEED_ZERO or error.code not in LEFT_OUT:
                     raise
-        self._method = self._motion.shown(objects.HOMING_METHOD, 0)
+        self._method = self._sdo.read_if_shown(objects.HOMING_METHOD, 0)
         if homing.method is not None and self._method != homing.method:
             raise CapabilityError(
-                f"drive {self._name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
+                f"drive {self._sdo.name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
             )
         self._motion.set_mode(Mode.HOMING)
         self.homed, self.under_way, self.without_bit_10 = False, False, False
@@ -125,7 +126,7 @@ class Homing:
             self.under_way = False
             self._power.write(RUN)
             raise DriveFaultError(
-                f"drive {self._name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
+                f"drive {self._sdo.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
             )
 
     def _end_attained(self) -> None:
@@ -134,8 +135,8 @@ class Homing:
         if not self._moved and self._method is not None and 0 < self._method < TAKES_THE_PLACE[0]:
             self._power.write(RUN)
             raise DriveFaultError(
-                f"drive {self._name}: homing failed: method {self._method} searches a switch or the index, and it is shown as attained"
-                " where the axis stood, without motion"
+                f"drive {self._sdo.name}: homing failed: method {self._method} searches a switch or the index, and it is shown as"
+                " attained where the axis stood, without motion"
             )
         self.homed = True
 

@@ -31,7 +31,7 @@ class Identity:
 
 def read_identity(sdo: SdoClient) -> Identity:
     """Identity of a servo drive. Raises ProtocolError for a node of another device profile (1000h), and as `SdoClient.read`."""
-    profile = _number(sdo, objects.DEVICE_TYPE) & 0xFFFF
+    profile = sdo.read_if_shown(objects.DEVICE_TYPE, 0) & 0xFFFF
     if profile not in (PROFILE, NO_PROFILE):
         raise ProtocolError(f"{sdo.name}: node {sdo.node_id} has device profile {profile}, not {PROFILE}")
     try:
@@ -39,22 +39,14 @@ def read_identity(sdo: SdoClient) -> Identity:
     except AbortError as error:
         raise ProtocolError(f"{sdo.name}: node {sdo.node_id} is no drive of profile {PROFILE}: {error}") from error
     return Identity(
-        _number(sdo, objects.VENDOR_ID),
-        _number(sdo, objects.PRODUCT_CODE),
-        _number(sdo, objects.REVISION),
-        _number(sdo, objects.SERIAL_NUMBER),
+        sdo.read_if_shown(objects.VENDOR_ID, 0),
+        sdo.read_if_shown(objects.PRODUCT_CODE, 0),
+        sdo.read_if_shown(objects.REVISION, 0),
+        sdo.read_if_shown(objects.SERIAL_NUMBER, 0),
         _text(sdo, objects.DEVICE_NAME),
         _text(sdo, objects.HARDWARE_VERSION),
         _text(sdo, objects.SOFTWARE_VERSION),
     )
-
-
-def _number(sdo: SdoClient, entry: Entry) -> int:
-    """0 for one that the drive lacks or does not show: all but the status and the position may be missing."""
-    try:
-        return sdo.read(entry)
-    except AbortError:
-        return 0
 
 
 def _text(sdo: SdoClient, entry: Entry) -> str:
@@ -66,15 +58,12 @@ def _text(sdo: SdoClient, entry: Entry) -> str:
 
 def stores_on_command(sdo: SdoClient) -> bool:
     """Whether 1010h:1 says that it stores on command; False for a drive that does not let it be read."""
-    try:
-        return bool(sdo.read_or(objects.STORE_ALL, 0) & ON_COMMAND)
-    except AbortError:
-        return False
+    return bool(sdo.read_if_shown(objects.STORE_ALL, 0) & ON_COMMAND)
 
 
 def error_history(sdo: SdoClient) -> list[int]:
     """1003h, the latest first; the lower 16 bits of each are an error code. Raises as `SdoClient.read`."""
-    count = min(sdo.read_or(objects.ERROR_HISTORY, 0), _MOST_ERRORS)
+    count = min(sdo.read_if_there(objects.ERROR_HISTORY, 0), _MOST_ERRORS)
     return [
         sdo.read(Entry(0x1003, number, objects.DataType.U32, "standard error field")) for number in range(1, count + 1)
     ]

@@ -17,9 +17,10 @@ from drivers.canopen.objects import Entry
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.streamed_move import FEED_S, StreamedMove
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import DriveState
+from drivers.drive import FAULTS, WITHOUT_POWER, DriveState
 from drivers.errors import (
     AbortError,
     CapabilityError,
@@ -35,7 +36,6 @@ from drivers.undo import undo_all
 
 POLL_S = 0.001
 RUN = Command.ENABLE_OPERATION.word
-FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 def mode_of(shown: int) -> Mode:
@@ -70,7 +70,7 @@ LOOK_S = 0.01
 HOLDING = (0, Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION)
 """Modes of 6061h in which an axis whose target is its position is enabled safely."""
 OUT_OF_RANGE = (0x06090030, 0x06090031)
-LEFT_OUT = (0x06010002, 0x06020000, 0x06090011)
+LEFT_OUT = (0x06010002, *OBJECT_MISSING)
 """Read-only, no such object, no such subindex."""
 TRIED_MODES = (
     Mode.PROFILE_POSITION,
@@ -144,13 +144,6 @@ class ProfileMotion:
         self._queued: _Queued | None = None
         self._going: tuple[int, ...] = ()  # targets of the move in progress and of the one that follows it
 
-    def shown(self, entry: Entry, absent: int) -> int:
-        """An object as the drive shows it now; `absent` where it shows none."""
-        try:
-            return self._sdo.read(entry)
-        except AbortError:
-            return absent
-
     def supports(self, mode: Mode) -> bool:
         """Whether 6502h lists the mode."""
         return bool(self.supported_modes & mode.supported_bit)
@@ -158,10 +151,7 @@ class ProfileMotion:
     # -- modes -----------------------------------------------------------------------------------------------------------
     def _modes(self, named: Sequence[int]) -> int:
         """6502h, else the modes that the axis file names, else those that the drive takes at standstill; as bits of 6502h."""
-        try:
-            told = self._sdo.read(objects.SUPPORTED_MODES)
-        except AbortError:
-            told = 0
+        told = self._sdo.read_if_shown(objects.SUPPORTED_MODES, 0)
         if told:
             return told
         if named:
@@ -174,10 +164,9 @@ class ProfileMotion:
 
     def _tried_modes(self) -> list[Mode]:
         """Modes that 6061h shows once they are written to 6060h. An axis under power is not tried with: it has the present mode."""
-        if not 0 <= self.shown(objects.MODE, self.mode) <= max(Mode):
+        if not 0 <= self._sdo.read_if_shown(objects.MODE, self.mode) <= max(Mode):
             return []  # a maker's own mode could perhaps not be put back
-        state = decode_state(self._sdo.read(objects.STATUSWORD))
-        if state not in (DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.NOT_READY):
+        if not self._is_off():
             return [self.mode] if self.mode is not Mode.NONE else []
         found: list[Mode] = []
         try:
@@ -235,8 +224,9 @@ class ProfileMotion:
             self.mode_unseen = False
 
     def _is_off(self) -> bool:
+        """Whether the drive is without power for another reason than a fault."""
         state = decode_state(self._sdo.read(objects.STATUSWORD))
-        return state in (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY)
+        return state in WITHOUT_POWER and state not in FAULTS
 
     def _not_followed(self, mode: Mode, shown: int) -> ProtocolError:
         return ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
@@ -360,10 +350,7 @@ class ProfileMotion:
     def _limit(self, entry: Entry) -> int:
         """A limit that the drive states, in its units; 0 where it states none."""
         if entry not in self._limits:
-            try:
-                self._limits[entry] = max(0, self._sdo.read(entry))
-            except AbortError:
-                self._limits[entry] = 0
+            self._limits[entry] = max(0, self._sdo.read_if_shown(entry, 0))
         return self._limits[entry]
 
     def note_limits(self, velocity_mm_s: float, acceleration_mm_s2: float) -> None:
@@ -467,7 +454,8 @@ class ProfileMotion:
 
     def _interpolated_s(self) -> float:
         """60C2h, s, at most `FEED_S`."""
-        value, exponent = self.shown(objects.INTERPOLATION_PERIOD, 0), self.shown(objects.INTERPOLATION_EXPONENT, -3)
+        value = self._sdo.read_if_shown(objects.INTERPOLATION_PERIOD, 0)
+        exponent = self._sdo.read_if_shown(objects.INTERPOLATION_EXPONENT, -3)
         return min(FEED_S, value * 10.0**exponent) if value > 0 and exponent < 0 else FEED_S
 
     @property
@@ -535,7 +523,10 @@ class ProfileMotion:
     def _refuse_limited(self, target: int) -> None:
         """The drive limits this target to its own software limits: stop instead of arriving elsewhere. Raises LimitError."""
         self.halt()
-        low, high = self._sdo.read_or(objects.SOFTWARE_LIMIT_MIN, 0), self._sdo.read_or(objects.SOFTWARE_LIMIT_MAX, 0)
+        low, high = (
+            self._sdo.read_if_there(objects.SOFTWARE_LIMIT_MIN, 0),
+            self._sdo.read_if_there(objects.SOFTWARE_LIMIT_MAX, 0),
+        )
         raise LimitError(
             f"{self._sdo.name}: the drive limits the target {target} to its own software limits (607Dh) {low} to {high}"
         )
@@ -543,7 +534,7 @@ class ProfileMotion:
     def _position_window(self) -> int:
         window = self._written.get(objects.POSITION_WINDOW)
         if window is None:
-            window = self._written[objects.POSITION_WINDOW] = self._sdo.read_or(objects.POSITION_WINDOW, 0)
+            window = self._written[objects.POSITION_WINDOW] = self._sdo.read_if_there(objects.POSITION_WINDOW, 0)
         return window
 
     def _hand_over(self, flags: Control, way: _Way | None, *, wait_until_free: bool) -> None:

@@ -12,10 +12,13 @@ from drivers.canopen.eds import EdsEntry, EdsFile
 from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import CanOpenParameters
-from drivers.canopen.pdo import OBJECT_MISSING
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
+from drivers.scaling import MotionScaling
 
+VELOCITY, ACCELERATION = "velocity", "acceleration"
+"""In place of a unit: the drive's own one, see `unit_text`."""
 _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
     # object, unit, whether it may be written
     (objects.DEVICE_NAME, "", False),
@@ -34,7 +37,7 @@ _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
     (objects.HOME_OFFSET, "counts", True),
     (objects.SOFTWARE_LIMIT_MIN, "counts", True),
     (objects.SOFTWARE_LIMIT_MAX, "counts", True),
-    (objects.QUICK_STOP_DECELERATION, "counts/s2", True),
+    (objects.QUICK_STOP_DECELERATION, ACCELERATION, True),
     (objects.ENCODER_INCREMENTS, "", False),
     (objects.ENCODER_REVOLUTIONS, "", False),
     (objects.GEAR_MOTOR_REVOLUTIONS, "", True),
@@ -42,9 +45,9 @@ _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
     (objects.FEED, "", True),
     (objects.FEED_SHAFT_REVOLUTIONS, "", True),
     (objects.HOMING_METHOD, "", True),
-    (objects.HOMING_SPEED_SWITCH, "counts/s", True),
-    (objects.HOMING_SPEED_ZERO, "counts/s", True),
-    (objects.HOMING_ACCELERATION, "counts/s2", True),
+    (objects.HOMING_SPEED_SWITCH, VELOCITY, True),
+    (objects.HOMING_SPEED_ZERO, VELOCITY, True),
+    (objects.HOMING_ACCELERATION, ACCELERATION, True),
 )
 
 
@@ -53,7 +56,7 @@ def _name(entry: Entry) -> str:
 
 
 def known_objects(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], dict[str, str]]:
-    """The drive's known objects, by name, and their units. An EDS takes precedence over the standard."""
+    """The drive's known objects, by name, and their units as `unit_text` takes them. An EDS takes precedence over the standard."""
     entries: dict[tuple[int, int], EdsEntry] = dict(eds.entries) if eds is not None else {}
     names: dict[str, EdsEntry] = {}
     units: dict[str, str] = {}
@@ -73,11 +76,23 @@ def known_objects(eds: EdsFile | None) -> tuple[EdsFile, dict[str, EdsEntry], di
     return EdsFile(path, entries, ()), names, units
 
 
-class NamedParameters(DriveParameters):
-    """Parameters of one open drive. Without an EDS only the standard's objects that the drive answers, without limits."""
+def unit_text(unit: str, motion: MotionScaling | None) -> str:
+    """A unit of `known_objects` as text. motion: the drive's own units of velocity and acceleration; "" where they are not known."""
+    if unit not in (VELOCITY, ACCELERATION):
+        return unit
+    if motion is None or motion.ambiguous:
+        return ""
+    return motion.velocity.text if unit == VELOCITY else motion.acceleration.text
 
-    def __init__(self, node: Node) -> None:
+
+class NamedParameters(DriveParameters):
+    """Parameters of one open drive. Without an EDS only the standard's objects that the drive answers, without limits.
+
+    motion: its own units of velocity and acceleration."""
+
+    def __init__(self, node: Node, motion: MotionScaling) -> None:
         self._name = node.name
+        self._motion = motion
         file, self._entries, self._units = known_objects(node.eds)
         self._access = CanOpenParameters(node, file)
         self._present: tuple[str, ...] | None = tuple(self._entries) if node.eds is not None else None
@@ -103,7 +118,7 @@ class NamedParameters(DriveParameters):
         return ParameterInfo(
             name,
             kind_of(found.entry.type),
-            self._units.get(name, ""),
+            unit_text(self._units.get(name, ""), self._motion),
             low,
             high,
             self._access.refusal(found) is None,

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from drivers.canopen.objects import Entry
+from drivers.canopen.objects import DataType, Entry
 from drivers.errors import InputError
 
 EXISTS_NOT = 0x80000000
@@ -18,7 +18,76 @@ ID_MASK = 0x7FF
 SYNC_EVERY = 1  # transmission type: at each SYNC
 EVENT = 255
 MAKERS_EVENT = 254
-OBJECT_MISSING = (0x06020000, 0x06090011)
+RPDOS, TPDOS = 0x1400, 0x1800
+"""Index of the first communication parameter of each direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
+COB_ID, KIND, INHIBIT, EVENT_TIMER, SYNC_START = 1, 2, 3, 5, 6
+"""Sub-indices of a communication parameter (the same clauses)."""
+SETTINGS = {
+    COB_ID: (DataType.U32, "COB-ID"),
+    KIND: (DataType.U8, "transmission type"),
+    INHIBIT: (DataType.U16, "inhibit time"),
+    EVENT_TIMER: (DataType.U16, "event timer"),
+    SYNC_START: (DataType.U8, "SYNC start value"),
+}
+"""Type and name of each."""
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """A PDO by the index of its communication parameter, 1400h to 15FFh or 1800h to 19FFh."""
+
+    communication: int
+
+    @classmethod
+    def numbered(cls, number: int, *, transmit: bool) -> Pdo:
+        """The PDO of a number, which counts from 1, in one direction."""
+        return cls((TPDOS if transmit else RPDOS) + number - 1)
+
+    @property
+    def transmit(self) -> bool:
+        """Whether the drive sends it."""
+        return self.communication >= TPDOS
+
+    @property
+    def number(self) -> int:
+        """Its number, which counts from 1."""
+        return self.communication - (TPDOS if self.transmit else RPDOS) + 1
+
+    @property
+    def mapping(self) -> int:
+        """Index of its mapping parameter."""
+        return self.communication + 0x200
+
+    @property
+    def name(self) -> str:
+        """Such as "TPDO 1"."""
+        return f"{'TPDO' if self.transmit else 'RPDO'} {self.number}"
+
+    @property
+    def address(self) -> str:
+        """Its address in parameter sets, such as "1800h PDO"."""
+        return f"{self.communication:04X}h PDO"
+
+    def setting(self, subindex: int) -> Entry:
+        """An entry of its communication parameter."""
+        return pdo_entry(self.communication, subindex)
+
+    def mapped(self, subindex: int) -> Entry:
+        """An entry of its mapping parameter; sub-index 0 is the number of objects mapped."""
+        return pdo_entry(self.mapping, subindex)
+
+
+def pdo_of(index: int) -> Pdo | None:
+    """The PDO that an index belongs to, None for another object."""
+    return Pdo(index & ~0x200) if RPDOS <= index < 0x1C00 else None
+
+
+def pdo_entry(index: int, subindex: int) -> Entry:
+    """An entry of a communication or mapping parameter."""
+    if index & 0x200:
+        return Entry(index, subindex, DataType.U32 if subindex else DataType.U8, "PDO mapping parameter")
+    kind, name = SETTINGS.get(subindex, (DataType.U8, "communication parameter"))
+    return Entry(index, subindex, kind, f"PDO {name}")
 
 
 @dataclass(frozen=True)
@@ -43,17 +112,12 @@ class PdoSpec:
             raise InputError(f"{self} maps {self.bits} bits, at most 64 fit")
 
     def __str__(self) -> str:
-        return f"{'TPDO' if self.transmit else 'RPDO'} {self.number} ({self.cob_id:03X}h)"
+        return f"{self.pdo.name} ({self.cob_id:03X}h)"
 
     @property
-    def communication(self) -> int:
-        """Index of the communication parameters."""
-        return (0x1800 if self.transmit else 0x1400) + self.number - 1
-
-    @property
-    def mapping(self) -> int:
-        """Index of the mapping parameters."""
-        return (0x1A00 if self.transmit else 0x1600) + self.number - 1
+    def pdo(self) -> Pdo:
+        """Its place in the dictionary."""
+        return Pdo.numbered(self.number, transmit=self.transmit)
 
     @property
     def bits(self) -> int:
@@ -70,8 +134,7 @@ class PdoSpec:
 class PdoImage:
     """The parameters of one PDO as read from the drive, to be restored later."""
 
-    communication: int
-    mapping: int
+    pdo: Pdo
     cob_id: int
     kind: int
     mapped: tuple[int, ...] = field(default=())
@@ -81,7 +144,7 @@ class PdoImage:
 def wanted_image(spec: PdoSpec) -> PdoImage:
     """The image that a spec asks for."""
     cob_id = spec.cob_id | (NO_RTR if spec.transmit else 0)
-    return PdoImage(spec.communication, spec.mapping, cob_id, spec.kind, tuple(entry.mapping for entry in spec.entries))
+    return PdoImage(spec.pdo, cob_id, spec.kind, tuple(entry.mapping for entry in spec.entries))
 
 
 def same(present: PdoImage, wanted: PdoImage) -> bool:

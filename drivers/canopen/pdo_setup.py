@@ -13,9 +13,12 @@ from functools import partial
 from drivers.canopen import objects
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import (
+    COB_ID,
     EXISTS_NOT,
     ID_MASK,
+    KIND,
     NO_RTR,
+    Pdo,
     PdoImage,
     PdoSpec,
     same,
@@ -44,11 +47,8 @@ def entry_of(mapped: int) -> Entry:
 
 def spec_of(image: PdoImage) -> PdoSpec:
     """A drive's image as a spec. Raises InputError when it maps more than 64 bits."""
-    transmit = image.communication >= 0x1800
-    number = image.communication - (0x1800 if transmit else 0x1400) + 1
-    return PdoSpec(
-        number, transmit, image.cob_id & ID_MASK, image.kind, tuple(entry_of(mapped) for mapped in image.mapped)
-    )
+    pdo, entries = image.pdo, tuple(entry_of(mapped) for mapped in image.mapped)
+    return PdoSpec(pdo.number, pdo.transmit, image.cob_id & ID_MASK, image.kind, entries)
 
 
 READ_ONLY = 0x06010002
@@ -94,11 +94,10 @@ class PdoSetup:
         images = []
         for transmit in (False, True):
             for number in range(1, SURVEYED + 1):
-                place = 0x1800 if transmit else 0x1400
-                wanted = next((spec for spec in self.wanted if spec.communication == place + number - 1), None)
-                probe = wanted or PdoSpec(number, transmit, 0, 0, ())
+                pdo = Pdo.numbered(number, transmit=transmit)
+                entries = next((len(spec.entries) for spec in self.wanted if spec.pdo == pdo), 0)
                 try:
-                    images.append(read_image(self._sdo, probe))
+                    images.append(read_image(self._sdo, pdo, entries))
                 except AbortError:
                     break  # no further PDO, or one that does not show what it maps
         self._before = images
@@ -106,27 +105,25 @@ class PdoSetup:
 
     def in_the_way(self) -> list[PdoImage]:
         """Active PDOs that are not wanted and would interfere: they command the same objects, or use our COB-IDs."""
-        places = {spec.communication for spec in self.wanted}
+        places = {spec.pdo for spec in self.wanted}
         return [
             image
             for image in self._before
-            if image.communication not in places
-            and not image.cob_id & EXISTS_NOT
-            and (self._alone or self._conflicts(image))
+            if image.pdo not in places and not image.cob_id & EXISTS_NOT and (self._alone or self._conflicts(image))
         ]
 
     def _conflicts(self, image: PdoImage) -> bool:
         """Whether an active PDO uses one of our COB-IDs, or could command what ours command."""
         commanded = {entry.mapping for spec in self.wanted if not spec.transmit for entry in spec.entries}
         own_id = image.cob_id & ID_MASK in {spec.cob_id for spec in self.wanted}
-        return own_id or (image.communication < 0x1800 and not commanded.isdisjoint(image.mapped))
+        return own_id or (not image.pdo.transmit and not commanded.isdisjoint(image.mapped))
 
     def lint(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
         """Findings on the wanted PDOs together with those that remain."""
-        replaced = {spec.communication for spec in self.wanted} | {image.communication for image in self.in_the_way()}
+        replaced = {spec.pdo for spec in self.wanted} | {image.pdo for image in self.in_the_way()}
         staying = []
         for image in self._before:
-            if image.communication not in replaced and not image.cob_id & EXISTS_NOT:
+            if image.pdo not in replaced and not image.cob_id & EXISTS_NOT:
                 with suppress(InputError):  # an impossible PDO of the drive itself is not checked
                     staying.append(spec_of(image))
         dictionaries = None if dictionary is None else {self._node_id: dictionary}
@@ -154,13 +151,13 @@ class PdoSetup:
             for image in self.in_the_way():
                 self._changed.append(image)
                 try:
-                    self._sdo.write(_communication(image.communication, 1), image.cob_id | EXISTS_NOT)
+                    self._sdo.write(image.pdo.setting(COB_ID), image.cob_id | EXISTS_NOT)
                 except AbortError as error:
                     if error.code not in KEPT or self._conflicts(image):
                         raise
                     self._changed.remove(image)  # it only adds to the load of the bus
             for spec in self.wanted:
-                before = next((image for image in self._before if image.communication == spec.communication), None)
+                before = next((image for image in self._before if image.pdo == spec.pdo), None)
                 before = self._found(spec) if before is None else before
                 if not same(before, wanted_image(spec)):
                     self._changed.append(before)
@@ -174,7 +171,7 @@ class PdoSetup:
 
     def _found(self, spec: PdoSpec) -> PdoImage:
         try:
-            return read_image(self._sdo, spec)
+            return read_image(self._sdo, spec.pdo, len(spec.entries))
         except AbortError as error:
             raise PdoRefusedError(f"{spec}: {error}", error.code, spec, None, kind=False) from error
 
@@ -189,39 +186,32 @@ class PdoSetup:
                 self._changed.insert(0, image)  # so that it can be tried again
                 raise
 
-        undo_all([(f"PDO {image.communication:04X}h not put back", partial(put_back, image)) for image in changed])
+        undo_all([(f"PDO {image.pdo.communication:04X}h not put back", partial(put_back, image)) for image in changed])
 
 
 # -- one PDO of a drive ------------------------------------------------------------------------------------------------
-def _communication(index: int, subindex: int) -> Entry:
-    return Entry(index, subindex, DataType.U8 if subindex == 2 else DataType.U32, "PDO communication parameter")
+def read_image(sdo: SdoClient, pdo: Pdo, entries: int = 0) -> PdoImage:
+    """A PDO of the drive. entries: number of objects that are to be mapped, whose places are read too where fewer are mapped now.
 
-
-def _mapping(index: int, subindex: int) -> Entry:
-    return Entry(index, subindex, DataType.U32 if subindex else DataType.U8, "PDO mapping parameter")
-
-
-def read_image(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
-    """The image in the drive at the place of the spec. Raises ProtocolError for an impossible number of mapped objects."""
-    count = sdo.read(_mapping(spec.mapping, 0))
+    Raises ProtocolError for an impossible number of mapped objects."""
+    count = sdo.read(pdo.mapped(0))
     if count > 64:
-        raise ProtocolError(f"{sdo.name}: {spec.mapping:04X}h:00 says {count} mapped objects")
+        raise ProtocolError(f"{sdo.name}: {pdo.mapping:04X}h:00 says {count} mapped objects")
     return PdoImage(
-        spec.communication,
-        spec.mapping,
-        sdo.read(_communication(spec.communication, 1)),
-        sdo.read(_communication(spec.communication, 2)),
-        tuple(sdo.read(_mapping(spec.mapping, subindex)) for subindex in range(1, count + 1)),
-        _beyond(sdo, spec, count),
+        pdo,
+        sdo.read(pdo.setting(COB_ID)),
+        sdo.read(pdo.setting(KIND)),
+        tuple(sdo.read(pdo.mapped(subindex)) for subindex in range(1, count + 1)),
+        _beyond(sdo, pdo, range(count + 1, entries + 1)),
     )
 
 
-def _beyond(sdo: SdoClient, spec: PdoSpec, count: int) -> tuple[int, ...]:
-    """Entries behind the mapped ones that the spec would overwrite; as far as the drive shows them."""
+def _beyond(sdo: SdoClient, pdo: Pdo, subindices: range) -> tuple[int, ...]:
+    """Entries behind the mapped ones that a mapping would overwrite; as far as the drive shows them."""
     found: list[int] = []
-    for subindex in range(count + 1, len(spec.entries) + 1):
+    for subindex in subindices:
         try:
-            found.append(sdo.read(_mapping(spec.mapping, subindex)))
+            found.append(sdo.read(pdo.mapped(subindex)))
         except AbortError:
             break
     return tuple(found)
@@ -238,21 +228,21 @@ def write_image(sdo: SdoClient, image: PdoImage, steps: list[Entry] | None = Non
         _write(sdo, entry, value)
 
     fixed = _fixed_cob_id(sdo, image, write)
-    write(_mapping(image.mapping, 0), 0)
+    write(image.pdo.mapped(0), 0)
     for subindex, mapped in enumerate(image.mapped, start=1):
-        write(_mapping(image.mapping, subindex), mapped)
+        write(image.pdo.mapped(subindex), mapped)
     for subindex, mapped in enumerate(image.beyond, start=len(image.mapped) + 1):
         with suppress(AbortError):  # behind the mapped ones: a drive may refuse what cannot be mapped
-            sdo.write(_mapping(image.mapping, subindex), mapped)
-    write(_mapping(image.mapping, 0), len(image.mapped))
-    kind = _communication(image.communication, 2)
+            sdo.write(image.pdo.mapped(subindex), mapped)
+    write(image.pdo.mapped(0), len(image.mapped))
+    kind = image.pdo.setting(KIND)
     try:
         write(kind, image.kind)
     except AbortError as error:
         if error.code != READ_ONLY or sdo.read(kind) != image.kind:
             raise
     if not image.cob_id & EXISTS_NOT and not fixed:
-        write(_communication(image.communication, 1), image.cob_id)
+        write(image.pdo.setting(COB_ID), image.cob_id)
 
 
 def _put_back(sdo: SdoClient, image: PdoImage) -> None:
@@ -261,13 +251,12 @@ def _put_back(sdo: SdoClient, image: PdoImage) -> None:
         write_image(sdo, image)
         return
     except AbortError:
-        direction = PdoSpec(image.communication % 0x400 + 1, image.communication >= 0x1800, 0, 0, ())
-        if read_image(sdo, direction).mapped != image.mapped:
+        if read_image(sdo, image.pdo).mapped != image.mapped:
             raise
-    kind = _communication(image.communication, 2)
+    kind = image.pdo.setting(KIND)
     if sdo.read(kind) != image.kind:
         sdo.write(kind, image.kind)
-    cob_id = _communication(image.communication, 1)
+    cob_id = image.pdo.setting(COB_ID)
     if not image.cob_id & EXISTS_NOT and sdo.read(cob_id) != image.cob_id:
         sdo.write(cob_id, image.cob_id)
 
@@ -288,7 +277,7 @@ def _write(sdo: SdoClient, entry: Entry, value: int) -> None:
 
 def _fixed_cob_id(sdo: SdoClient, image: PdoImage, write: Callable[[Entry, int], None]) -> bool:
     """Switch the PDO off; True where that is refused and its COB-ID is the wanted one: it is changed with a count of 0 alone."""
-    entry = _communication(image.communication, 1)
+    entry = image.pdo.setting(COB_ID)
     try:
         write(entry, image.cob_id | EXISTS_NOT)
     except AbortError as error:
@@ -304,7 +293,7 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
 
     Raises AbortError naming the PDO when a step is refused, ProtocolError when the drive holds something else.
     """
-    before = read_image(sdo, spec)
+    before = read_image(sdo, spec.pdo, len(spec.entries))
     wanted = wanted_image(spec)
     if same(before, wanted):
         return before
@@ -313,15 +302,15 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
         write_image(sdo, wanted, steps)
     except AbortError as error:
         last = steps[-1]
-        maps = last.index == spec.mapping and 0 < last.subindex <= len(spec.entries)
+        maps = last.index == spec.pdo.mapping and 0 < last.subindex <= len(spec.entries)
         raise PdoRefusedError(
             f"{spec} cannot be configured: {error}",
             error.code,
             spec,
             spec.entries[last.subindex - 1] if maps else None,
-            kind=last.index == spec.communication and last.subindex == 2,
+            kind=last == spec.pdo.setting(KIND),
         ) from error
-    after = read_image(sdo, spec)
+    after = read_image(sdo, spec.pdo)
     if not same(after, wanted):
         raise ProtocolError(f"{sdo.name}: {spec} reads back {after}, written was {wanted}")
     return before

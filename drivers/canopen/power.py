@@ -13,7 +13,7 @@ from drivers.canopen.node import error_text
 from drivers.canopen.objects import CONTROLWORD, ERROR_CODE, STATUSWORD
 from drivers.canopen.sdo import SdoClient
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import DriveState
+from drivers.drive import FAULTS, DriveState
 from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError, StateError
 
 POLL_S = 0.002
@@ -175,7 +175,7 @@ class PowerStage:
             state = decode_state(status)
             if state is goal or state in also:
                 return
-            if goal is DriveState.ENABLED and state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            if goal is DriveState.ENABLED and state in FAULTS:
                 code = self.error_code()
                 raise DriveFaultError(
                     f"{self._name}: fault while enabling: {error_text(code) if code else 'no error code'}", code

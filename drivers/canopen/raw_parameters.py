@@ -12,16 +12,18 @@ from drivers.canopen import objects
 from drivers.canopen.cia402 import decode_state
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.eds_text import summary
-from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of
+from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of, unit_text
 from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import ON_COMMAND, SAVE
-from drivers.canopen.pdo import OBJECT_MISSING
+from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
-from drivers.canopen.whole_pdo import Block, Pdo, WholePdo, described, pdo_at
+from drivers.canopen.units import MOTION_OBJECTS, motion_units
+from drivers.canopen.whole_pdo import Block, WholePdo, described, pdo_at
 from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
@@ -45,6 +47,7 @@ from drivers.raw_parameters import (
     WireTime,
     no_observer,
 )
+from drivers.scaling import AxisScaling, MotionScaling
 
 STORE_S = 10.0  # longest time of a drive's store command
 START_S = 10.0  # longest time from a reset to the boot-up message
@@ -61,7 +64,8 @@ def address_of(key: Key) -> str:
 class CanOpenRawParameters(RawParameters):
     """Parameters of one node. eds None: the standard's objects that the node has, without limits. timeout_s: for one answer, s.
 
-    table: map of the drive's own correction table, whose objects are no parameters.
+    table: map of the drive's own correction table, whose objects are no parameters. scaling, velocity_unit, acceleration_unit: of the
+    axis file, for the units of velocities and accelerations; without a scaling these are shown without a unit.
     """
 
     def __init__(
@@ -74,6 +78,9 @@ class CanOpenRawParameters(RawParameters):
         table: TableMap | None = None,
         timeout_s: float = 0.5,
         bitrate: int = 1_000_000,
+        scaling: AxisScaling | None = None,
+        velocity_unit: str | None = None,
+        acceleration_unit: str | None = None,
     ) -> None:
         self.name = name
         self.line: CanLine = line
@@ -83,10 +90,13 @@ class CanOpenRawParameters(RawParameters):
         file, names, units = known_objects(eds)
         self._keys = {address_of(key): found for key, found in file.entries.items()}
         self._assumed = eds is None
-        units_by_key = {(names[name].entry.index, names[name].entry.subindex): unit for name, unit in units.items()}
+        self._scaling = scaling
+        self._stated = {"velocity": velocity_unit, "acceleration": acceleration_unit}
+        self._motion: MotionScaling | None = None  # known once the drive was asked who it is
+        self._units = {names[name].entry.key: unit for name, unit in units.items()}
         self._eds = eds
         self._every = {
-            address: _parameter(address, found, units_by_key.get(found.entry.key, ""), table)
+            address: _parameter(address, found, unit_text(self._units.get(found.entry.key, ""), None), table)
             for address, found in sorted(self._keys.items())
         }
         self._entries = {
@@ -114,6 +124,11 @@ class CanOpenRawParameters(RawParameters):
         if self._eds is not None and (pdo.communication, 1) not in self._eds.entries:
             return None
         return RawParameter(address, ParameterInfo(pdo.name, ParameterKind.TEXT, "", None, None, True), "PDO")
+
+    def unit_of(self, parameter: RawParameter) -> str:
+        """That of a velocity or an acceleration is known after `identify`, as the drive had it then."""
+        found = self._keys.get(parameter.address)
+        return "" if found is None else unit_text(self._units.get(found.entry.key, ""), self._motion)
 
     def doubts_of_file(self, found: DriveIdentity) -> Sequence[str]:
         if self._eds is None:
@@ -242,9 +257,22 @@ class CanOpenRawParameters(RawParameters):
     def _whole(self, pdo: Pdo) -> WholePdo:
         return WholePdo(pdo, self._upload, self._download)
 
+    def _read_units(self, scaling: AxisScaling, vendor: int) -> Steps[MotionScaling | None]:
+        """Of velocity and acceleration, by the axis file, the drive's objects, its maker's manual or the standard; None where one of
+        the objects cannot be understood."""
+        found: dict[Entry, int] = {}
+        for entry in MOTION_OBJECTS:
+            try:
+                found[entry] = int(entry.unpack((yield from self._upload(entry))))
+            except AbortError:
+                continue
+            except ProtocolError:
+                return None
+        return motion_units(found.get, scaling, **self._stated, vendor=vendor)
+
     # -- on the wire -----------------------------------------------------------------------------------------------------
     def identify(self) -> Steps[DriveIdentity]:
-        """1018h, 1008h to 100Ah; objects that the node does not have are left out."""
+        """1018h, 1008h to 100Ah; objects that the node does not have are left out. The units of `unit_of` are read too."""
         facts: dict[str, int | str] = {}
         for name, entry in (
             ("vendor_id", objects.VENDOR_ID),
@@ -262,6 +290,8 @@ class CanOpenRawParameters(RawParameters):
         def chosen(*names: str) -> dict[str, int | str]:
             return {name: facts[name] for name in names if name in facts}
 
+        if self._scaling is not None:
+            self._motion = yield from self._read_units(self._scaling, int(facts.get("vendor_id", 0)))
         model = chosen("vendor_id", "product_code", "device")
         return DriveIdentity("canopen", model, chosen("revision", "hardware", "firmware"), chosen("serial"))
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from drivers.canopen import objects
 from drivers.canopen.bus import FrameHandler
 from drivers.canopen.node import Node
-from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.pdo import EXISTS_NOT, SYNC_EVERY, PdoSpec, wanted_image
+from drivers.canopen.objects import Entry
+from drivers.canopen.pdo import COB_ID, EXISTS_NOT, SYNC_EVERY, PdoSpec, wanted_image
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sync import SYNC
 from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError, TransportError
@@ -27,15 +27,6 @@ AGREES_COUNTS = 16
 """Tolerance of that, counts: noise of a fine encoder."""
 
 
-def exists(sdo: SdoClient, entry: Entry) -> bool:
-    """Whether the drive shows this object. Raises as `SdoClient.read`, but not AbortError."""
-    try:
-        sdo.read(entry)
-    except AbortError:  # one that it does not show is of no use either
-        return False
-    return True
-
-
 def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
     """TPDO 1 with status, position and torque, TPDO 2 with velocity and following error; objects that a drive lacks are left out.
 
@@ -43,9 +34,12 @@ def sampled_pdos(sdo: SdoClient, node_id: int) -> tuple[PdoSpec, ...]:
     for entry in (objects.STATUSWORD, objects.POSITION_ACTUAL):
         sdo.read(entry)
     first = [objects.STATUSWORD, objects.POSITION_ACTUAL]
-    if exists(sdo, objects.TORQUE_ACTUAL):
-        first.append(objects.TORQUE_ACTUAL)
-    second = [entry for entry in (objects.VELOCITY_ACTUAL, objects.FOLLOWING_ERROR_ACTUAL) if exists(sdo, entry)]
+
+    def shown(*entries: Entry) -> list[Entry]:
+        return [entry for entry in entries if sdo.read_if_shown(entry, None) is not None]
+
+    first += shown(objects.TORQUE_ACTUAL)
+    second = shown(objects.VELOCITY_ACTUAL, objects.FOLLOWING_ERROR_ACTUAL)
     specs = [PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, tuple(first))]
     if second:
         specs.append(PdoSpec(2, True, 0x280 + node_id, SYNC_EVERY, tuple(second)))
@@ -62,7 +56,7 @@ class Sampler:
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
         self.missed = 0  # SYNCs that were not answered in time
-        self.by_sdo = False  # a stream uses the TPDOs
+        self.tpdos_in_stream = False  # a stream has them; see `StoppableDrive.begin_streaming`
         self.without_pdos = False  # the drive takes no TPDO of status and position: every sample is read by SDO
         self.node_id = node.node_id
         self._in_sync = True  # the TPDOs answer SYNC
@@ -79,6 +73,16 @@ class Sampler:
     def position_counts(self) -> int:
         """6064h as last received, counts."""
         return self.values[objects.POSITION_ACTUAL]
+
+    @property
+    def by_sdo(self) -> bool:
+        """Whether no TPDO is there for samples: a stream uses them, or the drive takes none."""
+        return self.tpdos_in_stream or self.without_pdos
+
+    @property
+    def by_own_sync(self) -> bool:
+        """Whether samples are to be requested by SYNC sent on this link."""
+        return not (self.by_sdo or self._link.sync.taken)
 
     def subscribe(self) -> None:
         """Listen to the TPDOs; they answer SYNC from now on or are switched off by `settle`."""
@@ -106,10 +110,10 @@ class Sampler:
 
     def settle(self) -> bool:
         """Have the TPDOs answer SYNC, or not, as its owner needs; whether this link may send SYNC. Raises as an SDO write does."""
-        ours = not (self.by_sdo or self.without_pdos or self._link.sync.taken)
-        if not (self.by_sdo or self.without_pdos) and ours is not self._in_sync:
+        ours = self.by_own_sync
+        if not self.by_sdo and ours is not self._in_sync:
             for spec in self.specs:
-                self._sdo.write(_cob_id(spec), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
+                self._sdo.write(spec.pdo.setting(COB_ID), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
             self._in_sync = ours
         return ours
 
@@ -119,7 +123,7 @@ class Sampler:
             self.settle()
         except BridgeError:
             return False  # they still answer, and count in the load
-        return self.by_sdo or self.without_pdos or not self._in_sync
+        return self.by_sdo or not self._in_sync
 
     def refresh(self) -> None:
         """Request all values now, by SYNC again and again until `ANSWER_WITHIN_S` have passed, at least twice.
@@ -147,7 +151,7 @@ class Sampler:
         """Make sure that the TPDOs carry what was mapped: the position by SYNC lies between two that are read by SDO.
 
         Raises ProtocolError for a drive that keeps another mapping than it has answered, and as `refresh`."""
-        if self.by_sdo or self.without_pdos or not self._in_sync:
+        if self.by_sdo or not self._in_sync:
             return
         for _ in range(PROOFS):
             before = self._sdo.read(objects.POSITION_ACTUAL)
@@ -180,7 +184,7 @@ class Sampler:
             ours = self._settled()
         except (TransportError, ProtocolError):  # SDO does not answer: the TPDOs stay as they are
             ours = not self._link.sync.foreign_runs
-        if self.by_sdo or self.without_pdos or not self._in_sync:
+        if self.by_sdo or not self._in_sync:
             return False
         try:
             return self._answered(send=ours)
@@ -213,7 +217,7 @@ class Sampler:
         try:
             return self.settle()
         except AbortError:
-            return not (self.by_sdo or self.without_pdos or self._link.sync.taken)
+            return self.by_own_sync
 
     def _read(self) -> None:
         for spec in self.specs:
@@ -239,7 +243,3 @@ class Sampler:
             self.heard_ns = time_ns
 
         return receive
-
-
-def _cob_id(spec: PdoSpec) -> Entry:
-    return Entry(spec.communication, 1, DataType.U32, "COB-ID")

@@ -22,6 +22,7 @@ from drivers.canopen.sdo_transfer import (
     ABORT_GENERAL,
     ABORT_TIMEOUT,
     LARGEST_ANNOUNCED,
+    OBJECT_MISSING,
     Conversation,
     Transfer,
     abort_frame,
@@ -43,6 +44,7 @@ from drivers.errors import (
 )
 from drivers.raw_parameters import Pause, Steps
 
+Absent = TypeVar("Absent", int, None)
 T = TypeVar("T")
 Same = Callable[[bytes, bytes], bool]
 """same(shown, meant): whether bytes that were read back equal the value that was written."""
@@ -301,14 +303,22 @@ class SdoClient:
             raise ProtocolError(f"{self.name}: {entry} is no integer: {value!r}")
         return value
 
-    def read_or(self, entry: Entry, absent: int) -> int:
-        """Read an integer object; `absent` where the device answers that it does not exist. Raises as `read`."""
+    def read_if_there(self, entry: Entry, absent: Absent) -> int | Absent:
+        """Read an integer object; `absent` where the device answers that it does not exist. Raises as `read`, AbortError too for one
+        that exists and is refused."""
         try:
             return self.read(entry)
         except AbortError as error:
-            if error.code in (0x06020000, 0x06090011):
+            if error.code in OBJECT_MISSING:
                 return absent
             raise
+
+    def read_if_shown(self, entry: Entry, absent: Absent) -> int | Absent:
+        """Read an integer object; `absent` where the device refuses it, for any reason. Raises as `read`, but not AbortError."""
+        try:
+            return self.read(entry)
+        except AbortError:
+            return absent
 
     def read_text(self, entry: Entry) -> str:
         """Read a string object. Raises as `read`."""

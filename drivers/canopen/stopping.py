@@ -18,7 +18,7 @@ from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, S
 from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.homing import Homing
-from drivers.canopen.motion import FAULTS, LOOK_S, RUN, ProfileMotion
+from drivers.canopen.motion import LOOK_S, RUN, ProfileMotion
 from drivers.canopen.node import Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.power import PowerStage
@@ -29,7 +29,7 @@ from drivers.canopen.stream_axis import Axis
 from drivers.canopen.sync import SYNC
 from drivers.canopen.table_map import TableMap
 from drivers.clock import Clock
-from drivers.drive import DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import FAULTS, WITHOUT_POWER, DriveLimits, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
@@ -46,13 +46,7 @@ from drivers.scaling import AxisScaling, MotionScaling
 from drivers.shared_time import SharedTime
 from drivers.standstill import Standstill
 
-WITHOUT_TORQUE = (
-    DriveState.NOT_READY,
-    DriveState.SWITCH_ON_DISABLED,
-    DriveState.READY,
-    DriveState.SWITCHED_ON,
-    DriveState.FAULT,
-)
+WITHOUT_TORQUE = (*WITHOUT_POWER, DriveState.SWITCHED_ON)
 """States in which a drive does not move its axis."""
 HALT_TAKEN_S = 1.0
 """Time from a halt to the beginning of its ramp, and of the vibration of the load after it, s."""
@@ -162,21 +156,21 @@ class StoppableDrive(ServoDrive):
     @property
     def is_streaming(self) -> bool:
         """Whether a `stream.CyclicStream` paces this drive; its samples are read by SDO meanwhile, as SYNC belongs to the stream."""
-        return self.sampler.by_sdo
+        return self.sampler.tpdos_in_stream
 
     def begin_streaming(self, axis: Axis) -> None:
         """A stream takes SYNC and the PDOs; it restores the PDOs before `end_streaming`. Raises StateError while another one does."""
         self._require_open()
         if self.is_streaming:
             raise StateError(f"drive {self.name} is streaming already")
-        self.sampler.by_sdo = True
+        self.sampler.tpdos_in_stream = True
         self.sampler.unsubscribe()
         self._stream_axis = axis
 
     def end_streaming(self) -> None:
         """To be called when the PDOs are those of `open` again."""
         self._stream_axis = None
-        self.sampler.by_sdo = False
+        self.sampler.tpdos_in_stream = False
         self.sampler.subscribe()
 
     def set_mode(self, mode: Mode, *, until_enabled: bool = False) -> None:
@@ -218,7 +212,7 @@ class StoppableDrive(ServoDrive):
         halted = False
         try:
             if not self.sampler.heard_by_sync():
-                if not (self.sampler.by_sdo or self.sampler.without_pdos or self.link.sync.taken):
+                if self.sampler.by_own_sync:
                     self.send_stop()  # the drive should have answered: stop before anything is read
                 self.sampler.refresh_somehow()
             state = decode_state(self.sampler.statusword)
@@ -376,7 +370,7 @@ class StoppableDrive(ServoDrive):
         return ways
 
     def _quick_stop_holds(self) -> bool:
-        ending = QUICK_STOP_ENDINGS.get(self.motion.shown(objects.QUICK_STOP_OPTION, 2))
+        ending = QUICK_STOP_ENDINGS.get(self.sdo.read_if_shown(objects.QUICK_STOP_OPTION, 2))
         return ending is not None and ending.stays
 
     def _note_ramps(self) -> None:
@@ -392,7 +386,7 @@ class StoppableDrive(ServoDrive):
                 f"drive {self.name}: gravity can move this axis and no brake is stated, but after a quick stop (605Ah) its drive"
                 " switches its power off"
             )
-        quick = self.motion.shown(objects.QUICK_STOP_DECELERATION, 0)
+        quick = self.sdo.read_if_shown(objects.QUICK_STOP_DECELERATION, 0)
         quick_mm_s2 = self.units.mm_s2(quick)
         if 0 < quick_mm_s2 < self.limits.max_acceleration_mm_s2 * (1 - 1e-6):
             self.notes.append(

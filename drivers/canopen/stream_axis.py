@@ -19,7 +19,7 @@ from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup
 from drivers.canopen.power import PowerStage
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import FAULTS, DriveLimits, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
 from drivers.scaling import AxisScaling, MotionScaling
 
@@ -242,7 +242,7 @@ class Axis:
         state, name = decode_state(self.status), self.node.name
         if self.power.stopped:
             return StateError(f"drive {name} was told to stop while streaming")
-        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        if state in FAULTS:
             code = self.node.monitor.last_error_code() or None
             return DriveFaultError(f"drive {name} went into {state.value} while streaming", code)
         if state is not DriveState.ENABLED:

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 
 from drivers.canopen import objects
 from drivers.canopen.node import Node
-from drivers.canopen.pdo import OBJECT_MISSING
-from drivers.errors import AbortError
 from drivers.scaling import AxisScaling
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
 
@@ -45,17 +43,9 @@ class CanOpenTouchProbe(TouchProbe):
     def _read(self, probe: int, edge: Edge) -> LatchReading:
         place = 2 * (probe - 1) + edge
         counts = self._node.sdo.read(objects.PROBE_POSITION[place])
-        edges = self._optional(objects.PROBE_COUNTER[place])
-        stamp = self._optional(objects.PROBE_STAMP[place])
+        edges = self._node.sdo.read_if_there(objects.PROBE_COUNTER[place], None)
+        stamp = self._node.sdo.read_if_there(objects.PROBE_STAMP[place], None)
         return LatchReading(self._scaling.load_mm(counts), stamp, edges)
-
-    def _optional(self, entry: objects.Entry) -> int | None:
-        try:
-            return self._node.sdo.read(entry)
-        except AbortError as error:
-            if error.code in OBJECT_MISSING:
-                return None
-            raise
 
     def _status(self, probe: int) -> int:
         return _byte(self._node.sdo.read(objects.PROBE_STATUS), probe)

@@ -12,8 +12,9 @@ that their manufacturer chose. Micrometres are assumed then, the usual choice.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from functools import partial
 
 from drivers.canopen import objects
 from drivers.canopen.objects import Entry
@@ -28,12 +29,13 @@ UM_PER_MM = 1000
 
 def read_units(sdo: SdoClient) -> ReportedScaling:
     """Read the objects. Raises NoAnswerError, ProtocolError; an object that is missing or zero becomes None."""
-    encoder = _ratio(sdo, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
+    read = partial(sdo.read_if_shown, absent=None)
+    encoder = _ratio(read, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
     if encoder == 1:  # as delivered, never set
         encoder = None
-    gear = _ratio(sdo, objects.GEAR_MOTOR_REVOLUTIONS, objects.GEAR_SHAFT_REVOLUTIONS)
-    feed = _ratio(sdo, objects.FEED, objects.FEED_SHAFT_REVOLUTIONS)
-    si_unit = _read(sdo, objects.SI_UNIT_POSITION)
+    gear = _ratio(read, objects.GEAR_MOTOR_REVOLUTIONS, objects.GEAR_SHAFT_REVOLUTIONS)
+    feed = _ratio(read, objects.FEED, objects.FEED_SHAFT_REVOLUTIONS)
+    si_unit = read(objects.SI_UNIT_POSITION)
     turn = None if not si_unit else _units_per_turn(si_unit)
     if turn is not None:
         return ReportedScaling(encoder, gear, None, turn)
@@ -86,16 +88,8 @@ def _power_of_metre(si_unit: int) -> Fraction | None:
     return Fraction(10) ** (prefix - 0x100 if prefix & 0x80 else prefix)
 
 
-def _read(sdo: SdoClient, entry: Entry) -> int | None:
-    """None for an object that is missing, or that the drive does not show."""
-    try:
-        return sdo.read(entry)
-    except AbortError:
-        return None
-
-
-def _ratio(sdo: SdoClient, above: Entry, below: Entry) -> Fraction | None:
-    numerator, denominator = _read(sdo, above), _read(sdo, below)
+def _ratio(read: Callable[[Entry], int | None], above: Entry, below: Entry) -> Fraction | None:
+    numerator, denominator = read(above), read(below)
     if not numerator or denominator == 0:
         return None
     return Fraction(numerator, 1 if denominator is None else denominator)
@@ -148,8 +142,26 @@ _STATE_IT = 'state velocity_unit in [drive], such as velocity_unit = "rpm"'
 _CONTRADICT = Fraction(1, 1000)
 
 
-def read_motion_units(
-    sdo: SdoClient,
+MOTION_OBJECTS = (
+    objects.SI_UNIT_VELOCITY,
+    objects.SI_UNIT_ACCELERATION,
+    objects.VELOCITY_NOTATION,
+    objects.VELOCITY_DIMENSION,
+    objects.ACCELERATION_NOTATION,
+    objects.ACCELERATION_DIMENSION,
+    *objects.VELOCITY_FACTOR,
+    *objects.VELOCITY_FACTOR_NEW,
+    *objects.ACCELERATION_FACTOR,
+    objects.VELOCITY_ENCODER_INCREMENTS,
+    objects.VELOCITY_ENCODER_REVOLUTIONS,
+    objects.ENCODER_INCREMENTS,
+    objects.ENCODER_REVOLUTIONS,
+)
+"""Objects that `motion_units` may read."""
+
+
+def motion_units(
+    read: Callable[[Entry], int | None],
     scaling: AxisScaling,
     *,
     velocity: str | None = None,
@@ -157,12 +169,13 @@ def read_motion_units(
     vendor: int = 0,
 ) -> MotionScaling:
     """The units of velocity and acceleration: stated by the axis file (velocity, acceleration), by the drive's objects, by its maker's
-    manual (vendor, 1018h:1), or the standard's position units per second.
+    manual (vendor, 1018h:1), or the standard's position units per second. read(): a value, None for an object that the drive does not
+    show.
 
-    Raises InputError for a text that is no unit, and as `SdoClient.read`. What contradicts itself is `ambiguous`.
+    Raises InputError for a text that is no unit, and as `read`. What contradicts itself is `ambiguous`.
     """
     usual = MotionScaling.in_counts(scaling)
-    stated, doubt = _by_objects(sdo, scaling, 1)
+    stated, doubt = _by_objects(read, scaling, 1)
     by_file = None if velocity is None else motion_unit(velocity, scaling, 1)
     ambiguous = doubt if by_file is None else ""
     if by_file is not None and stated is not None and not _same(by_file, stated):
@@ -178,7 +191,7 @@ def read_motion_units(
     speed = chosen or usual.velocity
     ramp = None if acceleration is None else motion_unit(acceleration, scaling, 2)
     if ramp is None:
-        ramp, doubt = _by_objects(sdo, scaling, 2)
+        ramp, doubt = _by_objects(read, scaling, 2)
         if ramp is None and doubt and not ambiguous:
             ambiguous = f"its unit of acceleration is not known: {doubt}; state acceleration_unit in [drive]"
     if ramp is None and maker is not None and (chosen is None or chosen.text == maker[1] or stated is not None):
@@ -193,10 +206,10 @@ def _same(one: MotionUnit, other: MotionUnit) -> bool:
     return abs(one.counts - other.counts) <= _CONTRADICT * abs(other.counts)
 
 
-def _by_objects(sdo: SdoClient, scaling: AxisScaling, times: int) -> tuple[MotionUnit | None, str]:
+def _by_objects(read: Callable[[Entry], int | None], scaling: AxisScaling, times: int) -> tuple[MotionUnit | None, str]:
     """The unit that the drive's objects state, None where they state none; and why it cannot be known, "" where it can."""
     si = objects.SI_UNIT_VELOCITY if times == 1 else objects.SI_UNIT_ACCELERATION
-    code = _read(sdo, si)
+    code = read(si)
     found: list[MotionUnit] = []
     if code:
         text = si_text(code, times)
@@ -208,26 +221,26 @@ def _by_objects(sdo: SdoClient, scaling: AxisScaling, times: int) -> tuple[Motio
         if times == 1
         else (objects.ACCELERATION_NOTATION, objects.ACCELERATION_DIMENSION)
     )
-    index = _read(sdo, dimension)
+    index = read(dimension)
     if index:
         named = _DIMENSIONS[dimension].get(index)
         if named is None:
             return None, f"{dimension.index:04X}h is {index:02X}h, which is no dimension that is known here"
-        factor = Fraction(10) ** (_read(sdo, notation) or 0)
+        factor = Fraction(10) ** (read(notation) or 0)
         text = named if factor == 1 else f"{factor} {named}"
         found.append(motion_unit(text, scaling, times, f"{notation.index:04X}h and {dimension.index:04X}h"))
     factors: Sequence[Sequence[Entry]] = (
         (objects.VELOCITY_FACTOR, objects.VELOCITY_FACTOR_NEW) if times == 1 else (objects.ACCELERATION_FACTOR,)
     )
     for above, below in factors:
-        ratio = _ratio(sdo, above, below)
+        ratio = _ratio(read, above, below)
         if ratio is not None and ratio != 1:
             text = f"{ratio} counts/s{'' if times == 1 else '2'}"
             found.append(motion_unit(text, scaling, times, f"{above.index:04X}h"))
     if times == 1 and not found:
         speed, place = (
-            _ratio(sdo, objects.VELOCITY_ENCODER_INCREMENTS, objects.VELOCITY_ENCODER_REVOLUTIONS),
-            _ratio(sdo, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS),
+            _ratio(read, objects.VELOCITY_ENCODER_INCREMENTS, objects.VELOCITY_ENCODER_REVOLUTIONS),
+            _ratio(read, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS),
         )
         if speed and place and speed > 1 and speed != place:
             return None, f"6090h has {speed} increments per revolution, 608Fh {place}"

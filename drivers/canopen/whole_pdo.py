@@ -13,45 +13,27 @@ from functools import cached_property
 
 from drivers.canopen.dcf import pack_concise, unpack_concise
 from drivers.canopen.eds import Key
-from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.pdo import EXISTS_NOT, NO_RTR, OBJECT_MISSING
+from drivers.canopen.objects import Entry
+from drivers.canopen.pdo import (
+    COB_ID,
+    EVENT_TIMER,
+    EXISTS_NOT,
+    INHIBIT,
+    KIND,
+    NO_RTR,
+    SETTINGS,
+    SYNC_START,
+    Pdo,
+    pdo_entry,
+    pdo_of,
+)
+from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.raw_parameters import Steps
 
-COB_ID, KIND, INHIBIT, EVENT, SYNC_START = 1, 2, 3, 5, 6
-"""Sub-indices of the communication parameter (CiA 301, 7.5.2.35 and 7.5.2.37)."""
-_TYPES = {COB_ID: DataType.U32, KIND: DataType.U8, INHIBIT: DataType.U16, EVENT: DataType.U16, SYNC_START: DataType.U8}
 _ADDRESS = re.compile(r"^(1[4-7][0-9A-F]{2}|1[89AB][0-9A-F]{2})h PDO$")
 MOST_ENTRIES = 64
 _TEXT_ENTRIES = 8
-
-
-@dataclass(frozen=True)
-class Pdo:
-    """A PDO by the index of its communication parameter, 1400h to 15FFh or 1800h to 19FFh."""
-
-    communication: int
-
-    @property
-    def mapping(self) -> int:
-        """Index of its mapping parameter."""
-        return self.communication + 0x200
-
-    @property
-    def name(self) -> str:
-        """Such as "TPDO 1"."""
-        transmit = self.communication >= 0x1800
-        return f"{'TPDO' if transmit else 'RPDO'} {self.communication - (0x1800 if transmit else 0x1400) + 1}"
-
-    @property
-    def address(self) -> str:
-        """Its address in parameter sets, such as "1800h PDO"."""
-        return f"{self.communication:04X}h PDO"
-
-
-def pdo_of(index: int) -> Pdo | None:
-    """The PDO that an index belongs to, None for another object."""
-    return Pdo(index & ~0x200) if 0x1400 <= index < 0x1C00 else None
 
 
 def pdo_at(address: str) -> Pdo | None:
@@ -78,7 +60,7 @@ class Block:
         if len({pdo_of(index) for (index, _), _ in block.items}) != 1:
             raise InputError("expected the objects of one PDO")
         for (index, subindex), value in block.items:
-            if len(value) != _entry(index, subindex).type.size:
+            if len(value) != pdo_entry(index, subindex).type.size:
                 raise InputError(f"{index:04X}h:{subindex:02X} has {len(value)} bytes")
         return block
 
@@ -134,19 +116,13 @@ def described(data: bytes) -> str:
     words = []
     if block.cob_id is not None:
         words.append(f"{block.cob_id & 0x1FFFFFFF:03X}h{' off' if block.cob_id & EXISTS_NOT else ''}")
-    for sub, name in ((KIND, "type"), (INHIBIT, "inhibit"), (EVENT, "event"), (SYNC_START, "from SYNC")):
+    for sub, name in ((KIND, "type"), (INHIBIT, "inhibit"), (EVENT_TIMER, "event"), (SYNC_START, "from SYNC")):
         if (False, sub) in block.numbers:
             words.append(f"{name} {block.numbers[False, sub]}")
     if block.mapped is not None:
         shown = [f"{value >> 16:04X}h:{value >> 8 & 0xFF:02X}" for value in block.mapped]
         words.append(" ".join(shown[:_TEXT_ENTRIES]) or "nothing mapped")
     return ", ".join(words)
-
-
-def _entry(index: int, subindex: int) -> Entry:
-    if index & 0x200:
-        return Entry(index, subindex, DataType.U32 if subindex else DataType.U8, "PDO mapping parameter")
-    return Entry(index, subindex, _TYPES.get(subindex, DataType.U8), "PDO communication parameter")
 
 
 @dataclass(frozen=True)
@@ -161,8 +137,8 @@ class WholePdo:
         """All its parameters; times that the node does not have are left out. Raises ProtocolError for an impossible count, and what
         the transfers raise."""
         items: list[tuple[Key, bytes]] = []
-        for sub in _TYPES:
-            entry = _entry(self.pdo.communication, sub)
+        for sub in SETTINGS:
+            entry = self.pdo.setting(sub)
             try:
                 data = yield from self.upload(entry)
             except AbortError as error:
@@ -170,14 +146,14 @@ class WholePdo:
                     raise
                 continue
             items.append((entry.key, data[: entry.type.size]))
-        count_entry = _entry(self.pdo.mapping, 0)
+        count_entry = self.pdo.mapped(0)
         data = yield from self.upload(count_entry)
         count = int(count_entry.unpack(data))
         if count > MOST_ENTRIES:
             raise ProtocolError(f"{self.pdo.name} says it maps {count} objects")
         items.append((count_entry.key, data[:1]))
         for sub in range(1, count + 1):
-            entry = _entry(self.pdo.mapping, sub)
+            entry = self.pdo.mapped(sub)
             items.append((entry.key, (yield from self.upload(entry))[: entry.type.size]))
         return Block(tuple(items))
 
@@ -192,21 +168,20 @@ class WholePdo:
         now = present.cob_id or 0
         cob_id = now if meant.cob_id is None else meant.cob_id
         if not now & EXISTS_NOT:
-            yield from self._put(self.pdo.communication, COB_ID, now | EXISTS_NOT)
+            yield from self._put(self.pdo.setting(COB_ID), now | EXISTS_NOT)
         if meant.mapped is not None and meant.mapped != present.mapped:
-            yield from self._put(self.pdo.mapping, 0, 0)
+            yield from self._put(self.pdo.mapped(0), 0)
             for sub, value in enumerate(meant.mapped, start=1):
-                yield from self._put(self.pdo.mapping, sub, value)
-            yield from self._put(self.pdo.mapping, 0, len(meant.mapped))
-        for sub in (KIND, INHIBIT, EVENT, SYNC_START):
+                yield from self._put(self.pdo.mapped(sub), value)
+            yield from self._put(self.pdo.mapped(0), len(meant.mapped))
+        for sub in (KIND, INHIBIT, EVENT_TIMER, SYNC_START):
             wanted = meant.numbers.get((False, sub))
             if wanted is not None and wanted != present.numbers.get((False, sub)):
-                yield from self._put(self.pdo.communication, sub, wanted)
+                yield from self._put(self.pdo.setting(sub), wanted)
         if (cob_id ^ (now | EXISTS_NOT)) & ~NO_RTR:
-            yield from self._put(self.pdo.communication, COB_ID, cob_id)
+            yield from self._put(self.pdo.setting(COB_ID), cob_id)
 
-    def _put(self, index: int, subindex: int, value: int) -> Steps[None]:
-        entry = _entry(index, subindex)
+    def _put(self, entry: Entry, value: int) -> Steps[None]:
         yield from self.download(entry, entry.pack(value))
 
 
@@ -215,6 +190,6 @@ def wholes(items: Sequence[tuple[Key, bytes]]) -> dict[Pdo, Block]:
     found: dict[Pdo, list[tuple[Key, bytes]]] = {}
     for (index, subindex), data in items:
         pdo = pdo_of(index)
-        if pdo is not None and (index & 0x200 or subindex in _TYPES):
+        if pdo is not None and (index & 0x200 or subindex in SETTINGS):
             found.setdefault(pdo, []).append(((index, subindex), data))
     return {pdo: Block.of(parts) for pdo, parts in found.items()}

@@ -47,7 +47,6 @@ from drivers.toml_schema import Document
 from drivers.toml_types import Key, Limits, Positive, SchemaError, Text, Via, not_empty
 from drivers.touch_probe import Edge
 
-FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 POSITION_UNITS = ("counts", "rev")
 VELOCITY_UNITS = ("counts/s", "rpm", "rev/s")
 ACCELERATION_UNITS = ("counts/s2", "rpm/s", "rev/s2", "ms/1000rpm", "ms/3000rpm")

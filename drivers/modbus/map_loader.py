@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.drive import DriveState
-from drivers.modbus.drive_map import FAULTS, DriveMap, Transition, leads_to_enabled
+from drivers.drive import FAULTS, DriveState
+from drivers.modbus.drive_map import DriveMap, Transition, leads_to_enabled
 from drivers.modbus.register_map import RegisterMap, find_map, parse_registers
 from drivers.toml_schema import Document
 

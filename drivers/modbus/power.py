@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.clock import Clock
-from drivers.drive import DriveSample, DriveState
+from drivers.drive import FAULTS, DriveSample, DriveState
 from drivers.errors import DriveFaultError, MotionTimeoutError, ProtocolError, StateError
-from drivers.modbus.drive_map import FAULTS, DriveMap, Transition
+from drivers.modbus.drive_map import DriveMap, Transition
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.orders import POLL_S, Orders
 from drivers.modbus.register_access import RegisterAccess

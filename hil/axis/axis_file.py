@@ -231,6 +231,12 @@ class AxisConfig(DriveAxis):
         instrument = self.instrument
         return AgreementLimits(instrument.agrees_within_um, self.largest_reversal_um, instrument.latency_s)
 
+    def across(self) -> StraightnessConfig:
+        """The axis that straightness moves. Raises InputError for a file without [straightness]."""
+        if self.straightness is None:
+            raise InputError("has no [straightness], which names the axis that straightness moves", path=self.path)
+        return self.straightness
+
     def purpose(self, kind: str) -> dict[str, Any]:
         """What decides which rows a campaign of this kind measures, as plain values: a resumed one must have the same."""
         return {

@@ -423,15 +423,13 @@ def run_straightness(
     present: what is stored for this axis, own: for the axis that is moved; both in force. Raises what `measure_straightness` raises.
     """
     axis, session = machine.axis, machine.session
-    if axis.straightness is None or session.cross is None:
-        raise InputError("names no axis that its straightness moves ([straightness])", path=axis.path)
-    config = axis.straightness
-    purpose = {**axis.purpose(STRAIGHTNESS), "seed": seed, "moves": session.cross.name, "at_mm": config.at_mm}
+    config, cross = axis.across(), session.require_cross()
+    purpose = {**axis.purpose(STRAIGHTNESS), "seed": seed, "moves": cross.name, "at_mm": config.at_mm}
     purpose |= {} if present is None else compensation_in_force(present)
     purpose |= {} if own is None else {"own": compensation_in_force(own)}
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     tell_unchecked(campaign, listener)
-    session.cross.corrected_by(own)
+    cross.corrected_by(own)
     session.prepare(campaign.directory, present)
     try:
         result = measure_straightness(session, campaign, config, present, listener, seed=seed)
@@ -453,9 +451,7 @@ class Across:
     @classmethod
     def of(cls, axis: AxisConfig, store: SealedStore | None) -> Across:
         """As the axis file names it. Raises InputError for an axis file without [straightness]."""
-        if axis.straightness is None:
-            raise InputError("has no [straightness], which names the axis that straightness moves", path=axis.path)
-        return cls(load_drive_axis(axis.straightness.axis_file), store)
+        return cls(load_drive_axis(axis.across().axis_file), store)
 
     @contextmanager
     def machine(self, axis: AxisConfig, place: Workplace) -> Iterator[Machine]:

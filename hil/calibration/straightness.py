@@ -157,9 +157,7 @@ def measure_straightness(
     Raises UnprovenError where the correction leaves no less by more than the uncertainty of the difference: nothing is to be stored;
     InputError, CorrectionBoundError and LimitError for a table that cannot be used, and what moving and reading raise.
     """
-    how, cross = session.how, session.cross
-    if cross is None:
-        raise InputError("straightness is corrected by another axis, and none is connected")
+    how, cross = session.how, session.require_cross()
     base = without_straightness(present, np.array(sorted(how.targets_mm)))
     session.compensation = base
     rows = measure(session, campaign, "measure", bidirectional_steps(how.targets_mm, how.runs), listener)

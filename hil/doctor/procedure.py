@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.clock import NS_PER_S
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState
+from drivers.drive import FAULTS, Capability, DriveLimits, DriveSample, DriveState
 from drivers.errors import (
     BridgeError,
     LimitError,
@@ -115,7 +115,7 @@ def reach_mm(limits: DriveLimits) -> float:
 
 def _drive(session: AxisSession) -> Check:
     sample = session.drive.sample()
-    if sample.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+    if sample.state in FAULTS:
         code = "without an error code" if sample.fault_code is None else f"with error code {sample.fault_code:04X}h"
         return Check("drive", False, f"is in {sample.state.value} {code}; find the cause, then reset it")
     missing = {Capability.PROFILE_POSITION} - session.drive.capabilities

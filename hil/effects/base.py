@@ -124,6 +124,8 @@ class Effect(ABC):
     rivals: ClassVar[tuple[Rival, ...]] = ()
     static: ClassVar[bool] = False
     """A function of position and direction alone: a table measured after the cause appeared contains it already."""
+    is_table: ClassVar[bool] = False
+    """A smooth shape over the whole travel, as a correction table is one: a fit cannot tell its share from the table's own."""
     several: ClassVar[bool] = False
     """Whether a machine may have it more than once (two periods, two worn zones, two jumps). Two terms of any other effect are one
     course, of which only the sum is determined.

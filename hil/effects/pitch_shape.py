@@ -27,6 +27,7 @@ class PitchShape(Effect):
     title: ClassVar[str] = "smooth shape the table missed"
     action: ClassVar[Action] = Action.COMPENSATE
     static: ClassVar[bool] = True
+    is_table: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("cosine", "realign the beam and repeat, or measure a reference artefact: data alone cannot tell"),
         Rival("cyclic", "a dense sweep over two periods"),

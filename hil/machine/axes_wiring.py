@@ -92,9 +92,7 @@ def connected_across(
     conditions, waiting: as for `connected`. Raises InputError for an axis file without [straightness], one that names itself, or an
     axis on another kind of backend, and as `connected`.
     """
-    config = axis.straightness
-    if config is None:
-        raise InputError("has no [straightness], which names the axis that straightness moves", path=axis.path)
+    config = axis.across()
     other = load_drive_axis(config.axis_file)
     if other.name == axis.name or other.path.resolve() == axis.path.resolve():
         raise InputError("[straightness] axis_file names this axis itself, expected another", path=axis.path)

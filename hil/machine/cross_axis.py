@@ -143,12 +143,11 @@ class CrossAxis:
         self.drive.disable()
 
     # -- moving ------------------------------------------------------------------------------------------------------------
-    def command(self, tables: TableSet | None, moving_mm: float, time_s: float) -> Command:
-        """The command while the moving axis's target is `moving_mm`. tables: of the moving axis, None for none in force.
+    def command(self, across_um: float, time_s: float) -> Command:
+        """The command at a time (s) at which the moving axis's straightness adds `across_um` to this axis.
 
         Raises StateError before `get_ready` and after a stop, CorrectionBoundError beyond this axis's bound.
         """
-        across_um = 0.0 if tables is None else float(tables.cross_correction_um(moving_mm, self.name))
         return self.state.command(self.at_mm, {"time_s": time_s, "velocity_mm_s": 0.0}, across_um=across_um)
 
     def unchanged(self, command: Command) -> bool:

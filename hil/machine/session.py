@@ -17,14 +17,13 @@ from types import TracebackType
 from typing import Self
 
 from drivers.drive import Capability, DriveSample, ServoDrive
-from drivers.errors import StateError
+from drivers.errors import InputError, StateError
 from drivers.instrument import DistanceInstrument, Reading
 from drivers.set_points import FirstOfGroup, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command, Compensation, MotionHistory
-from hil.correction.tables import TableSet
 from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
 from hil.machine.cross_axis import CrossAxis
@@ -200,6 +199,12 @@ class AxisSession:
         if ready and not self.cross.ready:
             raise StateError(f"axis {name}, which straightness moves, is not ready: prepare() first")
 
+    def require_cross(self) -> CrossAxis:
+        """The axis that straightness moves. Raises InputError where none is connected."""
+        if self.cross is None:
+            raise InputError("straightness is corrected by another axis, and none is connected")
+        return self.cross
+
     @property
     def _cross_in_use(self) -> CrossAxis | None:
         """The axis that straightness moves, while it stands ready or has to: then commands for it raise until it does."""
@@ -207,10 +212,6 @@ class AxisSession:
         if cross is None or cross.ready:
             return cross
         return cross if self.compensation is not None and self.compensation.moves_axis == cross.name else None
-
-    @property
-    def _cross_tables(self) -> TableSet | None:
-        return None if self.compensation is None else self.compensation.tables
 
     def _check_made_with(self, compensation: Compensation) -> None:
         if self.made_with is not None:
@@ -403,7 +404,7 @@ class AxisSession:
             yield
 
     def _across(self, cross: CrossAxis, command: Command) -> Command:
-        return cross.command(self._cross_tables, command.target_mm, self.elapsed_s())
+        return cross.command(self.across_um(command.target_mm, cross.name), self.elapsed_s())
 
     def stream_along(
         self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]
@@ -460,8 +461,9 @@ class AxisSession:
 
     def across_um(self, target_mm: float, other: str) -> float:
         """What this axis's straightness adds to the set-points of another while its own target is `target_mm`, µm."""
-        tables = self._cross_tables
-        return 0.0 if tables is None else float(tables.cross_correction_um(target_mm, other))
+        if self.compensation is None:
+            return 0.0
+        return float(self.compensation.tables.cross_correction_um(target_mm, other))
 
     def set_point(
         self, target_mm: float, velocity_mm_s: float, known: dict[str, float], *, across_um: float = 0.0

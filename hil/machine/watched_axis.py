@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 
 from drivers.clock import NS_PER_S
-from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.drive import FAULTS, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     DriveFaultError,
     LimitError,
@@ -39,7 +39,6 @@ STANDS_WITHIN_MM = 0.001
 TO_AND_FRO = 5.0
 """Ratio of path length to range of positions from which an axis counts as oscillating. A homing reverses twice, at a switch or a
 pulse, and reaches three; an axis that hunts, or that another master moves, goes beyond."""
-_FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 class WatchedAxis:
@@ -207,7 +206,7 @@ class WatchedAxis:
         self.looked_ns = self.drive.clock.now_ns()
         self.drive.looked_at(sample)
         readings = self._poll()
-        if sample.state in _FAULTS:
+        if sample.state in FAULTS:
             self.saw_fault = True
             code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
             during = "" if self.motion is None else f" during {self.motion.what}"

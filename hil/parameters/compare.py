@@ -127,7 +127,9 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
         meant = drive.decode(parameter, each.data)
         if access.data is None:
             why = "" if access.error is None else ended_in(access.error)
-            comparison.rows.append(Compared(each.address, info.name, info.unit, None, meant, Side.UNKNOWN, why))
+            comparison.rows.append(
+                Compared(each.address, info.name, drive.unit_of(parameter), None, meant, Side.UNKNOWN, why)
+            )
             continue
         shown[each.address] = access.data
         same = drive.same(parameter, access.data, each.data)
@@ -135,7 +137,9 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
             differing.append((each.address, each.data))
         held = drive.decode(parameter, access.data)
         side = Side.SAME if same else Side.DIFFERS
-        comparison.rows.append(Compared(each.address, info.name, info.unit, held, meant, side, "", access.seconds))
+        comparison.rows.append(
+            Compared(each.address, info.name, drive.unit_of(parameter), held, meant, side, "", access.seconds)
+        )
     comparison.cost = drive.cost([*shown.items(), *differing], differing)
     comparison.answer_s = _answer_s(comparison, shown)
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import EdsFile, Key, load_eds
 from drivers.canopen.objects import DataType
-from drivers.canopen.pdo import EXISTS_NOT
-from drivers.canopen.whole_pdo import Block, pdo_at, pdo_of, wholes
+from drivers.canopen.pdo import EXISTS_NOT, pdo_of
+from drivers.canopen.whole_pdo import Block, pdo_at, wholes
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity, RawParameters
 from hil.parameters.preflight import match_set

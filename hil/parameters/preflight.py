@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.drive import DriveState
+from drivers.drive import WITHOUT_POWER, DriveState
 from drivers.errors import InputError, ProtocolError
 from drivers.parameters import ParameterKind
 from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters
@@ -13,8 +13,6 @@ from hil.correction.store import BoundTables
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.records.made_with import same
 
-WITHOUT_POWER = (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT)
-"""States in which parameters are written."""
 _NAMED = 4
 """Number of addresses named of each kind that is left out."""
 _AGREES = 1e-6

@@ -89,4 +89,6 @@ def entry_of(drive: RawParameters, parameter: RawParameter, data: bytes) -> SetE
     info = parameter.info
     value = None if info.kind is ParameterKind.BYTES else drive.decode(parameter, data)
     name = "" if info.name == parameter.address else info.name
-    return SetEntry(parameter.address, value, drive.to_raw(parameter, data), parameter.type, info.unit, name)
+    return SetEntry(
+        parameter.address, value, drive.to_raw(parameter, data), parameter.type, drive.unit_of(parameter), name
+    )

@@ -254,7 +254,7 @@ def _row(work: DriveTask, address: str, ending: Ending) -> Row:
     return Row(
         address,
         parameter.info.name,
-        parameter.info.unit,
+        work.drive.unit_of(parameter),
         work.drive.decode(parameter, work.old[address]),
         work.drive.decode(parameter, work.new[address]),
         Verdict.SAME if same and ending is not Ending.UNFINISHED else VERDICTS[ending],

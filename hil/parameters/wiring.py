@@ -138,6 +138,9 @@ def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawP
         table=table,
         timeout_s=config.sdo_timeout_s,
         bitrate=config.bitrate,
+        scaling=axis.scaling,
+        velocity_unit=config.velocity_unit,
+        acceleration_unit=config.acceleration_unit,
     )
     stack.callback(drive.close)
     return drive

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from support.catalogue import NAMES, NEVER_COMPENSATED
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
@@ -27,21 +28,6 @@ from hil.records.rows import Records
 
 PARAMETERS = {"cyclic": {"period_mm", "amplitude_um", "phase"}}
 """Names that users of the JSON rely on."""
-NEVER_COMPENSATED = {"datum_step", "dead_path", "air_index", "cosine", "beam_drift"}
-IDS = {
-    "cyclic",
-    "thermal_expansion",
-    "thermal_drift",
-    "backlash",
-    "backlash_position",
-    "lost_motion",
-    "velocity_lag",
-    "load_deflection",
-    "abbe",
-    "cross_axis",
-    "local_wear",
-    "pitch_shape",
-} | NEVER_COMPENSATED
 
 
 def rich_columns(more: Mapping[str, float], rows: int = 96) -> dict[str, np.ndarray]:
@@ -98,7 +84,7 @@ def subjects(paths: Sequence[str]) -> list[Subject]:
     """The catalogue, the shipped example and the effects of the files, or of the files alone."""
     if not paths:
         files = [coolant_level.__file__]
-        whole = [Subject(effect, frozenset(IDS) - {effect.id}, CATALOGUE_COLUMNS, CATALOGUE_SURVEY) for effect in ALL]
+        whole = [Subject(effect, NAMES - {effect.id}, CATALOGUE_COLUMNS, CATALOGUE_SURVEY) for effect in ALL]
     else:
         files, whole = list(paths), []
     known = frozenset(effect.id for effect in catalogue_with(files))  # as the command line does, with its checks
@@ -134,7 +120,7 @@ def term_of(subject: Subject, form: Form) -> Term:
 
 def test_the_catalogue_is_the_agreed_one() -> None:
     assert [effect.id for effect in ALL] == list(dict.fromkeys(effect.id for effect in ALL))
-    assert {effect.id for effect in ALL} == IDS
+    assert {effect.id for effect in ALL} == NAMES
     assert {effect.id for effect in ALL if effect.action is not Action.COMPENSATE} == NEVER_COMPENSATED
 
 

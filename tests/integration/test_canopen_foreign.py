@@ -187,7 +187,7 @@ def test_we_write_a_pdo_configuration_that_they_understand(ours: Ours) -> None:
     sdo = SdoClient(link, NODE, "theirs")
     spec = PdoSpec(1, True, 0x180 + NODE, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
     configure(sdo, spec)
-    assert same(read_image(sdo, spec), wanted_image(spec))
+    assert same(read_image(sdo, spec.pdo), wanted_image(spec))
     assert node.sdo[0x1A00][1].raw == 0x60410010
     assert node.sdo[0x1A00][2].raw == 0x60640020
     assert node.sdo[0x1800][2].raw == 1

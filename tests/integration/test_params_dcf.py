@@ -14,7 +14,8 @@ from support.parameter_rigs import ParameterRig
 
 from drivers.canopen.dcf import pack_concise, unpack_concise
 from drivers.canopen.eds import load_eds
-from drivers.canopen.whole_pdo import Block, pdo_of
+from drivers.canopen.pdo import pdo_of
+from drivers.canopen.whole_pdo import Block
 from drivers.clock import WallClock
 from drivers.errors import InputError
 from hil.app.terminal.main import main

@@ -282,7 +282,7 @@ def test_we_configure_a_pdo_of_theirs(peer: NodePeer, sdo: SdoClient) -> None:
     )
     spec = PdoSpec(1, True, 0x185, SYNC_EVERY, (STATUS, PLACE))
     configure(sdo, spec)
-    assert same(read_image(sdo, spec), wanted_image(spec))
+    assert same(read_image(sdo, spec.pdo), wanted_image(spec))
 
 
 def test_we_get_their_pdo_with_our_sync_and_they_get_ours(peer: NodePeer, link: CanLink) -> None:

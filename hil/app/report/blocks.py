@@ -1,6 +1,6 @@
 """Blocks of a report: headings, paragraphs, tables, drawings. The HTML page and the PDF are made of the same blocks.
 
-Texts are plain; HTML and PDF decide on the layout. A drawing is made on request, on the ground and in the colours of the output.
+Texts are plain, without markup; the layout is that of the output. A drawing is made on request, in the colours of the output.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def said(text: str, style: str = "") -> Paragraph:
 
 @dataclass(frozen=True)
 class Bullets:
-    """Sentences, one below the other."""
+    """A list of sentences. style: a class of style.css, "" for none."""
 
     items: tuple[str, ...]
     style: str = ""
@@ -59,9 +59,10 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Tile:
-    """One large figure.
+    """One number in large type.
 
-    below: text under it; verdict: text after that; good: colour of the verdict (of the value, without one), None: neutral
+    below: text under it; verdict: text after that; good: whether the verdict, or the value without one, is coloured as good or as bad;
+    None: neutral
     """
 
     name: str
@@ -74,21 +75,21 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiles:
-    """Large figures side by side."""
+    """Large numbers side by side."""
 
     tiles: tuple[Tile, ...]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and values."""
+    """A list of names, each with its value."""
 
     facts: Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text; the first column names its row. style: "words" among numbers, "meaning" (its last column is text), "hash"."""
+    """Cells of text; the first column names the row. style: "words" among numbers, "meaning" (the last column is text), "hash"."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -98,7 +99,7 @@ class Table:
 
 @dataclass(frozen=True)
 class DataTable:
-    """Columns of numbers of one length. heads: headings instead of column names; unfolded: shown without a click."""
+    """Columns of numbers of one length. heads: headings in place of column names; unfolded: whether its rows are shown at once."""
 
     identifier: str
     title: str
@@ -121,13 +122,13 @@ class Drawing:
     caption: str = ""
 
     def figure(self, theme: Theme) -> FigureBase:
-        """The drawing as a figure of its own."""
+        """The drawing as a separate figure."""
         return self.draw(theme, fresh)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Blocks in one frame."""
+    """Blocks within one frame."""
 
     blocks: tuple[Block, ...]
 
@@ -136,7 +137,7 @@ Block = Heading | Paragraph | Bullets | Tiles | Facts | Table | DataTable | Draw
 
 
 def walk(blocks: Iterable[Block]) -> Iterator[Block]:
-    """All blocks in order, those in frames included."""
+    """All blocks in order, also those within frames, without the frames."""
     for block in blocks:
         if isinstance(block, Finding):
             yield from walk(block.blocks)

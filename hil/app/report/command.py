@@ -1,4 +1,4 @@
-"""`hil report`: one HTML file from records, for people and for the archive."""
+"""`hil report`: one self-contained HTML file from records."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOT_GOOD = "NOT GOOD: "
 
 
 def signatures(paths: Sequence[str], public: Ed25519PublicKey) -> dict[str, str]:
-    """File name -> result of checking its signature, its own or the FILE.sig beside it."""
+    """File name -> result of checking its signature: the one in a sealed file, else that in FILE.sig beside it."""
     return {Path(path).name: _signature(Path(path), public) for path in paths}
 
 

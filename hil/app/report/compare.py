@@ -1,7 +1,7 @@
 """Comparison of two campaigns of one axis: the change of its error, and whether it exceeds the scatter.
 
-The mean error of each target and direction of B minus that of A. Where they have not the same targets, A's means are taken on the
-straight line between its targets, and only where both were measured.
+The difference is the mean error of B minus that of A, per target of B and direction. Between the targets of A its means are
+interpolated linearly; targets of B outside the range of A are left out.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ SAME_MM = 1e-4
 
 @dataclass(frozen=True)
 class Difference:
-    """B − A. Arrays of one shape (n,), by direction and then position.
+    """B − A. Arrays of one shape (n,), sorted by direction, then by position.
 
-    limit_um: within so much of nothing a difference lies in 95 of 100 by the scatter of the runs alone (Student's t), NaN where a mean
-    is of one run; between: how many of A's means lie between its targets
+    limit_um: half width of the 95 % interval of a difference by the scatter of the runs alone (Student's t), NaN where a mean is of
+    one run; between: number of rows whose mean of A is interpolated
     """
 
     direction: Floats
@@ -40,18 +40,18 @@ class Difference:
 
     @property
     def clear(self) -> int:
-        """How many differ by more than their limit."""
+        """Number of differences larger than their limit."""
         return int(np.sum(np.abs(self.difference_um) > self.limit_um))
 
     @property
     def judged(self) -> int:
-        """How many have a limit to be judged by."""
+        """Number of differences that have a limit."""
         return int(np.sum(np.isfinite(self.limit_um)))
 
 
 @dataclass(frozen=True)
 class _Means:
-    """Of one direction: targets ascending, mean error, variance of the mean (NaN of one run), runs; all of one shape."""
+    """Of one direction, shape (n,) each: targets, ascending; mean error; its variance, NaN of a single run; number of runs."""
 
     target_mm: Floats
     mean_um: Floats
@@ -72,7 +72,7 @@ class _Means:
         return cls(*np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
     def at(self, target_mm: float) -> tuple[float, float, float]:
-        """Mean, variance and runs there, on the straight line between the targets."""
+        """Mean, variance of the mean and number of runs at a position, linear between the targets."""
         mean, var, runs = (
             float(np.interp(target_mm, self.target_mm, values)) for values in (self.mean_um, self.var_um2, self.runs)
         )
@@ -80,7 +80,7 @@ class _Means:
 
 
 def difference(a: Records, b: Records) -> Difference:
-    """Empty where they have no stretch in common."""
+    """The difference b − a; empty where their targets have no range in common."""
     rows: list[tuple[float, float, float, float]] = []
     between = 0
     for sign in (1.0, -1.0):
@@ -99,7 +99,7 @@ def difference(a: Records, b: Records) -> Difference:
 
 
 def difference_figure(found: Difference, theme: Theme, ground: Ground = fresh) -> FigureBase:
-    """Difference against position, bars up to its limit."""
+    """Difference against position, with error bars of `limit_um`."""
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 3.0)
         ax = figure.subplots()
@@ -124,7 +124,7 @@ def difference_figure(found: Difference, theme: Theme, ground: Ground = fresh) -
 
 
 def section(a: NamedCampaign, b: NamedCampaign) -> list[Block]:
-    """The part of a report."""
+    """The blocks of the comparison in a report."""
     found = difference(a.records, b.records)
     head = Heading(f"{b.label} against {a.label}")
     if not len(found.target_mm):

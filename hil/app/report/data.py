@@ -1,6 +1,6 @@
-"""Contents of a report as plain data.
+"""Contents of a report as plain data: campaigns, identity of the axis, tables in force, diagnosis, signatures.
 
-Nothing here measures, fits or draws. A report says what was measured, on what, with which tables, and what came of it.
+Nothing here measures, fits or draws.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
 
 def plain(value: object) -> str:
-    """Any value as text that can be drawn and written: what is no character becomes the replacement mark."""
+    """Any value as text. Control characters and code points that are no characters become U+FFFD."""
     return _UNPRINTABLE.sub("\ufffd", str(value))
 
 
 @dataclass(frozen=True)
 class NamedCampaign:
-    """One campaign of measurement under the name it has in the report ('before', 'after calibration', …).
+    """One campaign of measurement under its name in the report ('before', 'after calibration', …).
 
-    source: where the rows come from (a file name), sha256 its hash; both optional.
+    source: file name of the rows; sha256: hash of that file; "" where there is none
     """
 
     label: str
@@ -40,7 +40,7 @@ class NamedCampaign:
     sha256: str = ""
 
     def figures(self) -> Iso230 | str:
-        """The campaign's ISO 230-2 figures, or the sentence that says why it has none."""
+        """The campaign's ISO 230-2 figures; the reason, as text, where it has none."""
         try:
             return iso230(self.records)
         except InputError as error:
@@ -49,7 +49,7 @@ class NamedCampaign:
 
 @dataclass(frozen=True)
 class TableInForce:
-    """A correction table that was in force: its name, the hash of its contents, and a word on what it is."""
+    """A correction table that was in force: its name, the hash of its file, and its kind."""
 
     name: str
     sha256: str
@@ -58,21 +58,21 @@ class TableInForce:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a report shows, in the order of its parts.
+    """The contents of a report. Raises InputError without a campaign, and for two campaigns with one label.
 
     campaigns        in the order of time; the first and the last are compared
-    identity         what a reader must know to repeat it: axis, drive, instrument, environment, operator, …
-    band             the specified accuracy that was asked for, with the signs of its sections; None without
-    band_targets_mm  targets that the tables were made at: between two of different sign the band judges nothing
+    identity         name -> value of what a reader needs to repeat it: axis, drive, instrument, environment, operator, …
+    band             the specified accuracy band, with the signs of its sections; None without one
+    band_targets_mm  targets of the tables: between two of them whose signs differ, means are not held against the band
     tables           correction tables in force in the last campaign
-    diagnosis        the JSON form of `hil diagnose`, None where none was made. A finding may carry
+    diagnosis        the JSON form of `hil diagnose`, None without one. A finding may have
                      "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
-    diagnosed        the campaign that the diagnosis was made on; its column residual_um is shown where it has one, else its error
-    all_plots        what the extended model leaves is drawn even where the diagnosis leaves nothing unexplained
-    compare          the first two campaigns are set against each other, target by target
-    uncertainty      what is known of instrument and room; figures then stand with their expanded uncertainty
-    signatures       what of the above is signed: file name -> by whom, or why its signature is not good
-    created          date and time to print, as text; nothing is looked up, so the same data give the same bytes
+    diagnosed        the campaign of the diagnosis; its column residual_um is drawn where it has one, else its error
+    all_plots        whether the residual of the extended model is drawn also where the diagnosis leaves nothing unexplained
+    compare          whether the two campaigns are compared target by target; InputError unless there are two
+    uncertainty      inputs on instrument and room; figures are then given with their expanded uncertainty
+    signatures       file name -> who signed it, or why its signature is not good
+    created          date and time to print, as text: the clock is not read, so the same data give the same bytes
     """
 
     title: str
@@ -102,7 +102,11 @@ class ReportData:
 
 @dataclass(frozen=True)
 class History:
-    """A campaign along time. x, shape (n,), in `unit`; deviation_um is error minus the mean error of the same target and direction."""
+    """A campaign along time, shape (n,) each.
+
+    x: in `unit`; timed: whether x is a time, else the row number; deviation_um: error minus the mean error of the same target and
+    direction
+    """
 
     x: Floats
     unit: str
@@ -111,9 +115,9 @@ class History:
 
 
 def history(records: Records) -> History:
-    """The error over time less the mean of each target: drift, steps, repeatability.
+    """The error less the mean of its target and direction, along time: it shows drift, steps and scatter.
 
-    Without a complete `time_s` the row order stands in, and `timed` says so.
+    Along the row number where `time_s` is missing or incomplete.
     """
     deviation_um = np.empty(len(records))
     key = np.stack([records.direction, np.round(records.target_mm * 1e6)])

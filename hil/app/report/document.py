@@ -1,7 +1,7 @@
 """The report document: its blocks (`content`), one HTML page (`render_html`), its drawings as files (`render_files`).
 
-The page refers to nothing outside itself and says so in its own policy. The same data give the same bytes. (Importing this module
-loads matplotlib, which takes a moment: a command imports it when it needs it.)
+The page loads nothing from elsewhere, which its content security policy enforces. The same data give the same bytes. Importing this
+module loads matplotlib, which takes time: commands import it where they need it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def inline(drawing: Drawing) -> str:
 
 
 def html(blocks: Iterable[Block], drawn: Callable[[Drawing], str] = inline) -> str:
-    """All of them, a line each. drawn: the markup of a drawing"""
+    """The markup of blocks, one line per block. drawn(): the markup of a drawing."""
     return "\n".join(part for part in (_block(block, drawn) for block in blocks) if part)
 
 
@@ -103,17 +103,17 @@ def _tile_markup(tile: Tile) -> str:
 
 
 MAX_UNFOLDED_TARGETS = 60
-"""The table per target stands open up to this length."""
+"""Largest number of targets at which the table per target is shown unfolded."""
 
 SIGNS = (
     "Error = measured − target, in µm, with the correction that was in force; ↑ is direction +, ↓ direction −; s is the"
     " standard deviation over the runs (n − 1). A, E, M, R and B as defined in ISO 230-2:2014, clause 3."
 )
-"""The definitions behind every figure of a report."""
+"""Definitions of signs, symbols and figures, in the footer of a report."""
 
 
 def content(data: ReportData) -> list[Block]:
-    """All blocks of a report in order, without its title."""
+    """All blocks of a report in order, without the title."""
     parts: list[Block] = [_tiles(data), *_identity(data)]
     if len(data.campaigns) > 1:
         parts += _comparison(data)
@@ -130,30 +130,30 @@ def content(data: ReportData) -> list[Block]:
 
 
 def under_title(data: ReportData) -> str:
-    """The line below the title: which axis, and when."""
+    """The line below the title: axis, date and time."""
     axis = data.identity.get("Axis", "")
     return " · ".join(part for part in (f"Axis: {axis}" if axis else "", data.created) if part)
 
 
 def render_html(data: ReportData) -> str:
-    """The whole page. Same data, same text."""
+    """The report as an HTML page. The same data give the same text."""
     footer = f"<footer>{SIGNS} The data behind every drawing are inside this file as JSON; nothing is loaded from elsewhere.</footer>"
     return page(data.title, [header(data.title, under_title(data)), html(content(data)), footer])
 
 
 def budgets(data: ReportData) -> list[Budget | str | None]:
-    """The uncertainty of each campaign's figures."""
+    """The uncertainty budget of each campaign's figures, see `uncertainty.budget_of`."""
     return [uncertainty_part.budget_of(campaign, data.uncertainty) for campaign in data.campaigns]
 
 
 def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
-    """Every drawing of the report as a file of its own on a white ground, by file name; `kind` is "png" or "svg"."""
+    """File name -> contents of each drawing of the report, on a white ground. kind: "png" or "svg"."""
     drawings = [block for block in walk(content(data)) if isinstance(block, Drawing)]
     return {f"{drawing.file}.{kind}": file_bytes(drawing.figure(LIGHT), kind) for drawing in drawings}
 
 
 def before_after_image(campaigns: Sequence[NamedCampaign], kind: str = "png", band: Band | None = None) -> bytes:
-    """The campaigns side by side on one scale, as a PNG or SVG file."""
+    """The campaigns side by side on one scale, as the contents of a file. kind: "png" or "svg"."""
     return file_bytes(plots.before_after_plot(campaigns, LIGHT, band), kind)
 
 
@@ -190,7 +190,7 @@ def _tile(title: str, first: float | None, last: float | None, *, compare: bool)
 
 
 def _band_tile(figures: Iso230, band: Band, targets_mm: Sequence[float]) -> Tile:
-    """How many of the means that the band judges are inside it, each section and direction with its sign."""
+    """Number of target means within the band, which has the sign of their section and direction; those not judged are left out."""
     none = np.full(figures.m, np.nan)
     up, down = (none if mean is None else mean for mean in (figures.mean_up, figures.mean_down))
     means = SectionMeans(figures.target_mm, up, down, np.nan)
@@ -316,5 +316,5 @@ def _signatures(data: ReportData) -> list[Block]:
 
 
 def symbol(name: str) -> str:
-    """A figure's name as it is printed."""
+    """The symbol of a figure, such as "R↑" for "R_up"."""
     return "B̄" if name == "B_mean" else name.replace("_up", "↑").replace("_down", "↓")

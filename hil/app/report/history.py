@@ -1,4 +1,4 @@
-"""History report of an axis: its figures against the date, a trend line for each, and the source of every point."""
+"""History report of an axis: its figures against the date, a trend line for each, and a table with the campaign of each point."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MARKERS = ("o", "s", "D", "^", "v", "P")
 
 
 def render_history(title: str, moments: Sequence[Moment], names: Sequence[str]) -> str:
-    """The whole page. Same data, same text."""
+    """The report as an HTML page. names: of the figures, such as "A". The same data give the same text."""
     svg = inline_svg(history_figure(moments, names, PAGE), "history", "Figures of ISO 230-2 against the date")
     body = [
         header(title, f"{len(moments)} campaigns, {_day(moments[0])} to {_day(moments[-1])}"),
@@ -34,12 +34,12 @@ def render_history(title: str, moments: Sequence[Moment], names: Sequence[str]) 
 
 
 def history_image(moments: Sequence[Moment], names: Sequence[str]) -> bytes:
-    """The drawing alone, PNG."""
+    """The drawing as the contents of a PNG file."""
     return file_bytes(history_figure(moments, names, LIGHT), "png")
 
 
 def history_figure(moments: Sequence[Moment], names: Sequence[str], theme: Theme) -> Figure:
-    """Each figure with a marker of its own; the trend as a dashed line."""
+    """The figures, µm, against the date, each with its own marker; its trend, where it has one, as a dashed line."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 4.0)
         ax = figure.subplots()

@@ -20,21 +20,21 @@ from hil.records.files import read_bytes, read_text, replace_file
 from hil.records.rows import concatenate, parse_csv
 
 FOLDER = "reports"
-"""Of an axis's reports, in the folder of its campaigns."""
+"""Name of the folder with an axis's reports, within that of its campaigns."""
 HISTORY_FIGURES = ("A", "R", "B")
 NAME = re.compile(r"(report|comparison|history)-\d+\.(html|pdf)")
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """One campaign of a report: its label, and the passes its rows are in."""
+    """One campaign of a report. paths: files of its passes, at least one."""
 
     label: str
     paths: tuple[Path, ...]
 
 
 def named_campaign(wanted: Wanted) -> NamedCampaign:
-    """Read it. Raises InputError naming the file."""
+    """Read a campaign. Raises InputError naming the file."""
     records = concatenate([parse_csv(read_text(path), path) for path in wanted.paths])
     if len(wanted.paths) > 1:
         return NamedCampaign(
@@ -45,7 +45,7 @@ def named_campaign(wanted: Wanted) -> NamedCampaign:
 
 
 def report_data(axis: AxisConfig, campaigns: Sequence[Wanted], diagnosis: Path | None, *, compare: bool) -> ReportData:
-    """The whole of a report on an axis. diagnosis: the stored one of the last campaign, where there is one."""
+    """The contents of a report on an axis. diagnosis: file of the last campaign's diagnosis, None without one. Raises InputError."""
     named = tuple(map(named_campaign, campaigns))
     found = None if diagnosis is None else read_stored(diagnosis)
     return ReportData(
@@ -63,14 +63,14 @@ def report_data(axis: AxisConfig, campaigns: Sequence[Wanted], diagnosis: Path |
 
 
 def now() -> str:
-    """The date and time that a report bears."""
+    """Present date and local time, as a report shows it."""
     return datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
 
 
 def write_report(data: ReportData, html: Path, pdf: Path | None) -> str:
-    """Write it, as a page and where it is wanted on paper; the page's SHA-256, which the paper names.
+    """Write a report as an HTML page, and as a PDF unless `pdf` is None; returns the page's SHA-256, which is printed on the PDF.
 
-    Raises InputError, with nothing written, where paper is wanted and its renderer is missing.
+    Raises InputError, with nothing written, where a PDF is asked for and its renderer is missing.
     """
     from hil.app.report.document import render_html  # noqa: PLC0415  (plots are slow to import)
 
@@ -83,16 +83,16 @@ def write_report(data: ReportData, html: Path, pdf: Path | None) -> str:
 
 
 def write_paper(data: ReportData, page_sha256: str, pdf: Path) -> None:
-    """Write the PDF of a report whose page has this hash. Raises InputError where the renderer is missing."""
+    """Write the PDF of a report. page_sha256: of its HTML page. Raises InputError where the renderer is missing."""
     from hil.app.report.pdf import render_pdf  # noqa: PLC0415  (WeasyPrint is an extra and slow to import)
 
     replace_file(pdf, render_pdf(data, page_sha256))
 
 
 def make_report(axis: AxisConfig, campaigns: Sequence[Wanted], *, compare: bool = False) -> list[str]:
-    """A report, or a comparison of two campaigns, beside the axis's others; the names of its files.
+    """Write a report, or a comparison of two campaigns, as page and PDF into the axis's folder of reports; returns their file names.
 
-    Raises InputError, after the page is written, where the renderer of paper is missing.
+    Raises InputError, after the page is written, where the renderer of PDFs is missing.
     """
     stored = stored_beside(campaigns[-1].paths)
     data = report_data(axis, campaigns, stored if stored.exists() and not compare else None, compare=compare)
@@ -103,7 +103,7 @@ def make_report(axis: AxisConfig, campaigns: Sequence[Wanted], *, compare: bool 
 
 
 def make_history(axis: AxisConfig) -> list[str]:
-    """The axis's figures over time, as a page. Raises InputError where nothing has any."""
+    """Write the axis's figures over time as a page; returns its file name. Raises InputError where no pass has all of them."""
     moments = history([one for one in find_campaigns([axis.store.directory]) if one.axis == axis.name], HISTORY_FIGURES)
     if not moments:
         raise InputError(f"no pass has the figures {', '.join(HISTORY_FIGURES)}", path=axis.store.directory)

@@ -15,9 +15,9 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inli
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """The whole report file. It refers to nothing outside itself, which its content security policy enforces.
+    """A whole HTML page. It loads nothing from elsewhere, which its content security policy enforces.
 
-    parts: trusted markup, empty ones are left out
+    title: text, escaped here; parts: trusted markup, empty ones are left out
     """
     resources = files("hil.app.report")
     style = (resources / "style.css").read_text(encoding="utf-8")
@@ -33,12 +33,12 @@ def page(title: str, parts: Iterable[str]) -> str:
 
 
 def header(title: str, under: str = "") -> str:
-    """The top of a report."""
+    """The title of a page, and a line under it; both are text, escaped here."""
     return f"<header><h1>{text(title)}</h1>" + (f"<p>{text(under)}</p>" if under else "") + "</header>"
 
 
 def tile(name: str, value: str, unit: str = "", note: str = "", *, css: str = "") -> str:
-    """One figure to be seen from afar; all text."""
+    """One number in large type. All arguments are text, escaped here."""
     below = f'<div class="from">{text(note)}</div>' if note else ""
     return (
         f'<div class="tile"><div class="name">{text(name)}</div>'
@@ -47,28 +47,28 @@ def tile(name: str, value: str, unit: str = "", note: str = "", *, css: str = ""
 
 
 MAX_TABLE_ROWS = 2000
-"""Rows of a data table in the page; the embedded data are always whole."""
+"""Most rows that a data table shows; the data embedded in the page are complete."""
 
 
 def text(value: object) -> str:
-    """Any text, safe inside an element or a quoted attribute."""
+    """A value as text, escaped for use within an element or a quoted attribute."""
     return escape(plain(value), quote=True)
 
 
 def number(value: float | None, decimals: int = 2) -> str:
-    """A figure; a dash where there is none."""
+    """A number with fixed decimals; a dash for None and for one that is not finite."""
     if value is None or not math.isfinite(value):
         return "–"
     return f"{value + 0.0:.{decimals}f}"
 
 
 def significant(value: float | None, digits: int = 4) -> str:
-    """A value of any magnitude to so many significant digits; a dash where there is none."""
+    """A number with significant digits; a dash for None and for one that is not finite."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, css: str = "", caption: str = "") -> str:
-    """A table of cells that are text (escaped here). The first column is a row head, the others are figures."""
+    """A table. All cells are text, escaped here; the first of each row is its heading."""
     title = f"<caption>{text(caption)}</caption>" if caption else ""
     columns = "".join(f'<th scope="col">{text(name)}</th>' for name in head)
     body = "\n".join(
@@ -82,7 +82,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, css: str = "", 
 
 
 def definitions(facts: Mapping[str, str]) -> str:
-    """Name and value pairs."""
+    """A list of names with their values."""
     return (
         '<dl class="facts">'
         + "".join(f"<div><dt>{text(k)}</dt><dd>{text(v)}</dd></div>" for k, v in facts.items())
@@ -91,20 +91,20 @@ def definitions(facts: Mapping[str, str]) -> str:
 
 
 def paragraph_list(items: Iterable[str], css: str = "") -> str:
-    """A list of sentences, nothing when there are none."""
+    """A list of sentences, "" for none."""
     lines = "".join(f"<li>{text(item)}</li>" for item in items)
     return f'<ul class="{text(css)}">{lines}</ul>' if lines else ""
 
 
 def embedded(identifier: str, form: object) -> str:
-    """Data inside the page as JSON that any program can take out again by its id."""
+    """Data as JSON in a script element, which programs can read from the page by its id."""
     dumped = json.dumps(form, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     safe = dumped.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
     return f'<script type="application/json" id="{text(identifier)}">{safe}</script>'
 
 
 def columns_form(columns: Mapping[str, Floats]) -> dict[str, dict[str, list[float | None]]]:
-    """Columns as plain JSON: {"columns": {name: [...]}}; what is not a number becomes null."""
+    """Columns as plain JSON: {"columns": {name: [...]}}; numbers that are not finite become null."""
     return {
         "columns": {
             name: [
@@ -124,9 +124,9 @@ def data_table(
     heads: Mapping[str, str] | None = None,
     unfolded: bool = False,
 ) -> str:
-    """Columns of one length as an embedded JSON block, a table to fold away, and a button that saves them as CSV.
+    """Columns of one length as embedded JSON, as a table that can be folded, and with a button that saves them as CSV.
 
-    heads: what stands over a column in the table instead of its name.
+    heads: headings in place of column names; unfolded: whether the table is shown at once
     """
     size = len(next(iter(columns.values())))
     shown = min(size, MAX_TABLE_ROWS)
@@ -149,7 +149,7 @@ def figure(svg: str, caption: str) -> str:
 
 
 def cell(name: str, value: float) -> str:
-    """A value of a column as text, with the digits that its name implies."""
+    """A value of a column as text: two decimals for a name in _um, five in _mm; "" for one that is not finite."""
     if not math.isfinite(value):
         return ""
     if name.endswith("_um"):

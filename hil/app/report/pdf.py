@@ -1,8 +1,8 @@
-"""A report on paper: everything that the page says, on numbered A4 sheets, as one PDF. The same data give the same bytes.
+"""A report as one PDF on numbered A4 sheets, with the contents of the page. The same data give the same bytes.
 
-WeasyPrint sets the page's own markup with `paper.css`; why, and what it costs: hil/decisions/0021. Paper differs from the page in
-two things. The data behind the drawings stand at the end, so many rows of each as anyone looks up on paper. A table of data that
-is wider than a sheet goes on below in groups of columns.
+WeasyPrint renders the page's own markup with `paper.css` (reasons and cost: hil/decisions/0021). Two things differ from the page: the
+data of the drawings come at the end, `MAX_PAPER_ROWS` rows of each; and a table that is wider than a sheet is divided into groups of
+columns, one below the other.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from hil.app.report.document import SIGNS, content, html, under_title
 from hil.app.report.svg import LIGHT, file_bytes
 
 MAX_PAPER_ROWS = 240
-"""Rows of a table of data on paper; the page holds all."""
+"""Most rows of a data table on paper; the page has all."""
 SHEET_DIGITS = 165
-"""Digits of a table of data that stand side by side on a sheet, in the size and the boldest letters that paper.css gives them."""
+"""Digits that fit side by side on a sheet, in the size and the bold weight that paper.css gives data tables."""
 COLUMN_GAP = 2
-"""Between two columns of data, in digits."""
+"""Space between two columns of data, digits."""
 FONTS = {
     ("DejaVu Sans", "normal"): "DejaVuSans.ttf",
     ("DejaVu Sans", "bold"): "DejaVuSans-Bold.ttf",
     ("DejaVu Sans Mono", "normal"): "DejaVuSansMono.ttf",
 }
-"""matplotlib's own, so that no report depends on the fonts of a machine."""
+"""Fonts that matplotlib brings, (family, weight) -> file, so that a report does not depend on the computer's fonts."""
 
 
 def renderer() -> Any:
-    """WeasyPrint. Raises InputError that says what to install where it, or the Pango it stands on, is missing."""
+    """The module weasyprint. Raises InputError with the remedy where it, or the library Pango that it needs, is missing."""
     try:
-        with redirect_stdout(io.StringIO()):  # it prints advice there, where a verb's or a worker's answer belongs
+        with redirect_stdout(io.StringIO()):  # it prints advice to stdout, where a verb or a worker writes its answer
             return import_module("weasyprint")
     except ImportError:
         raise InputError("a PDF needs the extra report-pdf: pip install 'hil[report-pdf]'") from None
@@ -52,13 +52,13 @@ def renderer() -> Any:
 
 
 def render_pdf(data: ReportData, page_sha256: str = "") -> bytes:
-    """The whole file. page_sha256: the hash of the same report as a page, named on every sheet. Raises InputError as `renderer`."""
+    """A report as the contents of a PDF. page_sha256: of its HTML page, printed on each sheet. Raises InputError as `renderer`."""
     foot = f"the same report as a page: SHA-256 {page_sha256}" if page_sha256 else ""
     return write([*on_paper(content(data)), said(SIGNS, "muted")], data.title, under_title(data), foot)
 
 
 def write(blocks: Iterable[Block], title: str, under: str = "", foot: str = "") -> bytes:
-    """Blocks as a PDF with a title and what stands under it; both, and `foot`, are on every sheet."""
+    """Blocks as the contents of a PDF with a title and a line under it. foot: text at the foot of each sheet. Raises as `renderer`."""
     weasyprint = renderer()
     fetcher = weasyprint.urls.URLFetcher(allowed_protocols=("data", "file"))  # nothing is loaded from elsewhere
     page = (
@@ -72,7 +72,7 @@ def write(blocks: Iterable[Block], title: str, under: str = "", foot: str = "") 
 
 
 def on_paper(blocks: Sequence[Block]) -> list[Block]:
-    """The blocks in their order, then the data that are not part of the report itself."""
+    """The blocks in their order, data tables that the page shows folded last, each under its own heading."""
     folded: list[tuple[str, DataTable]] = []
     kept = list(_kept(blocks, [""], folded))
     if folded:
@@ -84,7 +84,7 @@ def on_paper(blocks: Sequence[Block]) -> list[Block]:
 
 
 def _kept(blocks: Sequence[Block], under: list[str], folded: list[tuple[str, DataTable]]) -> Iterator[Block]:
-    """What stays in its place. under: the heading last met; folded: gets the rest, each with its heading"""
+    """The blocks that stay in place. folded: filled with the other data tables and their headings; under: text of the last heading."""
     for block in blocks:
         match block:
             case Heading():
@@ -101,7 +101,7 @@ def _kept(blocks: Sequence[Block], under: list[str], folded: list[tuple[str, Dat
 
 
 def _pieces(table: DataTable) -> Iterator[Table]:
-    """Its first rows, in as many tables as its columns need; each begins with the number of the row."""
+    """The first `MAX_PAPER_ROWS` rows, as one table per group of columns; the first column is the row number."""
     shown = min(len(table), MAX_PAPER_ROWS)
     cut = f": the first {shown}, the page holds all" if shown < len(table) else ""
     caption = f"{table.title}, {len(table)} rows{cut}"
@@ -116,7 +116,7 @@ def _pieces(table: DataTable) -> Iterator[Table]:
 
 
 def groups(first: Sequence[str], columns: Sequence[Sequence[str]]) -> list[list[Sequence[str]]]:
-    """Columns of cells, as many side by side as fit on a sheet, in their order; each group begins with `first` and has one more."""
+    """Columns of cells in groups that fit on a sheet, in their order; each group is `first` and at least one more column."""
     widths = [max(map(len, column)) + COLUMN_GAP for column in (first, *columns)]
     found: list[list[Sequence[str]]] = []
     left = 0
@@ -130,7 +130,7 @@ def groups(first: Sequence[str], columns: Sequence[Sequence[str]]) -> list[list[
 
 
 def _image(drawing: Drawing) -> str:
-    """The drawing in the colours of paper, in the size it was drawn for."""
+    """An img element with the drawing, in the colours for paper and its own size."""
     svg = base64.b64encode(file_bytes(drawing.figure(LIGHT), "svg")).decode()
     return f'<img alt="{markup.text(drawing.description)}" src="data:image/svg+xml;base64,{svg}">'
 

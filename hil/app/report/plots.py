@@ -1,7 +1,7 @@
-"""The drawings of a report, one function each: data in, matplotlib figure out. No files, no HTML.
+"""The drawings of a report, one function each, as matplotlib figures. No files, no HTML.
 
-Direction + is always a solid line with upright triangles, direction - a dashed one with inverted triangles, so that no drawing
-depends on colour alone. Errors are in µm, positions in mm.
+Direction + is always a solid line with upright triangles, direction - a dashed one with inverted triangles, so that they differ not
+only in colour. Errors are in µm, positions in mm.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from hil.figures.iso230 import Iso230
 from hil.records.rows import Floats, Records
 
 MANY_POINTS = 4000
-"""Above this many points a cloud is embedded as a picture, so that the page stays light."""
+"""Number of points above which they are embedded as a bitmap, as vectors would make the page large."""
 MANY_TARGETS = 100
-"""Above this many targets a mean has no room for its markers."""
+"""Number of targets above which the mean is drawn without markers, for lack of room."""
 
 MANY_WIGGLES = 12
-"""An overlay that turns more often than this over its range is drawn as rings: no curve could be followed by eye."""
+"""Total variation of a curve, over its range, above which it is drawn as rings: the eye cannot follow such a curve."""
 
 _STYLE: dict[int, dict[str, Any]] = {
     1: {"linestyle": "-", "marker": "^"},
@@ -37,7 +37,7 @@ _SIGN = {1: "+", -1: "−"}
 
 
 def error_plot(campaign: NamedCampaign, theme: Theme, band: Band | None = None, ground: Ground = fresh) -> FigureBase:
-    """Error against position: every run thin, mean bold, mean ± 2s shaded, the accuracy A as a bracket."""
+    """Error against position: each run as a thin line, the mean as a bold one, mean ± 2s shaded, the accuracy A as a bracket."""
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 4.0, right_in=0.95)
         ax = figure.subplots()
@@ -56,7 +56,7 @@ def before_after_plot(
     band: Band | None = None,
     ground: Ground = fresh,
 ) -> FigureBase:
-    """The campaigns side by side on one scale."""
+    """Error against position of the campaigns, side by side on one scale."""
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 3.9, top_in=0.6)
         axes = figure.subplots(1, len(campaigns), sharey=True, sharex=True, squeeze=False)[0]
@@ -72,7 +72,7 @@ def before_after_plot(
 
 
 def history_plot(campaign: NamedCampaign, theme: Theme, ground: Ground = fresh) -> FigureBase:
-    """Deviation over time from the mean of the same target and direction, run means, and temperatures if recorded."""
+    """Deviation from the mean of the same target and direction along time, the means of the runs, and temperatures if recorded."""
     records = campaign.records
     along = history(records)
     temperatures = [n for n in records.columns if (n.startswith("temp_") and n.endswith("_c")) or n == "air_temp_c"]
@@ -125,10 +125,10 @@ def residual_plot(
     over: str,
     ground: Ground = fresh,
 ) -> FigureBase:
-    """Residual against one column, with a curve laid over it.
+    """Residual against one column, with a curve over it.
 
-    x, residual_um, over_um, direction: shape (n,). over_um is drawn against x in ascending order, for each direction where it
-    differs between them.
+    x, residual_um, over_um, direction: shape (n,); over_um: the curve, drawn per direction where the directions differ; x_label: of
+    the x axis, with its unit; over: name of the curve
     """
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 3.0)
@@ -200,7 +200,7 @@ def _errors(ax: Axes, theme: Theme, records: Records, figures: Iso230 | str, ban
 
 
 def _band(ax: Axes, theme: Theme, records: Records, band: Band) -> None:
-    """The band behind the errors; where the signs of the two directions differ, each in its direction's colour and line."""
+    """The specified band behind the errors; where its sign differs by direction, in the colour and line of each direction."""
     if not band.signs:
         ax.axhspan(band.low_um, band.high_um, color=theme.band, alpha=0.16, lw=0)
         for edge in (band.low_um, band.high_um):
@@ -254,7 +254,7 @@ def _accuracy_bracket(ax: Axes, theme: Theme, figures: Iso230) -> None:
 
 
 def _overlay(ax: Axes, x: Floats, over_um: Floats, direction: Floats, theme: Theme, *, label: str) -> None:
-    """A line (or one for each direction) where the overlay is a curve over x; rings where it depends on more than x."""
+    """A line, or one per direction, where over_um is a function of x; rings where it is not."""
     whole = np.lexsort((over_um, x))
     if _is_curve(x[whole], over_um[whole]):
         ax.plot(x[whole], over_um[whole], color=theme.accent, lw=2, label=label, zorder=4)
@@ -271,7 +271,7 @@ def _overlay(ax: Axes, x: Floats, over_um: Floats, direction: Floats, theme: The
 
 
 def _is_curve(x: Floats, y: Floats) -> bool:
-    """Whether y, sorted by x, can be drawn as one line: one value at each x, and few turns."""
+    """Whether y, sorted by x, is drawn as one line: one value at each x, and a total variation within `MANY_WIGGLES`."""
     span = float(np.ptp(y))
     step = np.abs(np.diff(y))
     return bool(np.all(step[np.diff(x) < 1e-9] <= 0.02 * span) and float(np.sum(step)) <= MANY_WIGGLES * span)

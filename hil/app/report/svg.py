@@ -1,7 +1,7 @@
 """A matplotlib figure as bytes: SVG for a page, SVG or PNG as a file. The same figure gives the same bytes.
 
-Inside a page the colours are CSS variables, so that one drawing serves a light and a dark page: figures are drawn with the marker
-colours of `PAGE`, which `inline_svg` replaces. Nothing in the result refers to anything outside it.
+Within a page the colours are CSS variables, so that one drawing is used on a light and on a dark page: figures are drawn with the
+placeholder colours of `PAGE`, which `inline_svg` replaces. The result loads nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hil.app.report.markup import text as text_of
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours by their job. `up` and `down` are the directions, `accent` what is laid over, `band` a specified band."""
+    """Colours by their use. up, down: directions + and -; accent: curves over the data; band: a specified band."""
 
     ink: str
     muted: str
@@ -47,7 +47,7 @@ LIGHT = Theme(
     band="#009e73",
     surface="#ffffff",
 )
-"""Theme of separate files. Directions and band have colours of Okabe and Ito, distinguishable with every kind of colour vision."""
+"""Theme of separate files. Directions and band have colours by Okabe and Ito, which differ for people with any colour vision."""
 
 PAGE = Theme(
     ink="#0a0001",
@@ -59,7 +59,7 @@ PAGE = Theme(
     band="#0a0007",
     surface="#0a0008",
 )
-"""Marker colours that `inline_svg` turns into the page's variables --plot-ink, --plot-muted, …"""
+"""Placeholder colours that `inline_svg` replaces by the page's variables --plot-ink, --plot-muted, …"""
 
 RC: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -85,23 +85,23 @@ RC: dict[Any, Any] = {
     "path.simplify": True,
     "text.parse_math": False,
 }
-"""Drawing settings, in force only while a figure is made or written."""
+"""matplotlib settings, in force only while a figure is made or written."""
 
 
 AnyFigure = TypeVar("AnyFigure", bound=FigureBase)
 Ground = Callable[[float, float], FigureBase]
-"""Gives the empty figure to draw on, for a width and a height in inches."""
+"""Makes the empty figure to draw on; width and height in inches."""
 
 
 def fresh(width_in: float, height_in: float) -> Figure:
-    """A transparent figure of its own."""
+    """A new, transparent figure; width and height in inches."""
     return Figure(figsize=(width_in, height_in), facecolor="none")
 
 
 def new_figure(
     width_in: float, height_in: float, *, right_in: float = 0.12, top_in: float = 0.4, left_in: float = 0.68
 ) -> Figure:
-    """An empty figure on a transparent ground with room for labels on the left and below, and for a legend above."""
+    """A new, transparent figure with margins for labels on the left and below, and for a legend above; lengths in inches."""
     return figure_on(fresh, width_in, height_in, right_in=right_in, top_in=top_in, left_in=left_in)
 
 
@@ -114,9 +114,9 @@ def figure_on(
     top_in: float = 0.4,
     left_in: float = 0.68,
 ) -> AnyFigure:
-    """The same on a ground of the caller's, such as a part of a sheet.
+    """As `new_figure`, on the figure that `ground` makes, such as a part of a sheet.
 
-    The margins are fixed: a layout engine would draw everything twice to find what is known beforehand.
+    The margins are fixed: a layout engine would draw everything twice to find them.
     """
     figure = ground(width_in, height_in)
     figure.subplots_adjust(
@@ -131,7 +131,7 @@ def figure_on(
 
 
 def label_axes(ax: Axes, theme: Theme, x: str, y: str) -> None:
-    """Names of both axes, grid and frame in the colours of the theme."""
+    """Set the names of both axes, and draw grid and frame in the colours of the theme."""
     ax.set_xlabel(x, color=theme.ink)
     ax.set_ylabel(y, color=theme.ink)
     ax.grid(True, color=theme.grid)
@@ -143,7 +143,7 @@ def label_axes(ax: Axes, theme: Theme, x: str, y: str) -> None:
 
 
 def inline_svg(figure: FigureBase, name: str, description: str) -> str:
-    """The figure as an <svg> element for an HTML page. `name` keeps its ids apart from other figures'."""
+    """The figure as an <svg> element for an HTML page. name: prefix of its ids, unique on the page; description: alternative text."""
     text = _svg(figure, name)
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -163,7 +163,7 @@ def inline_svg(figure: FigureBase, name: str, description: str) -> str:
 
 
 def file_bytes(figure: FigureBase, kind: str, dpi: int = 160) -> bytes:
-    """The figure as a file of its own on a white ground; `kind` is "png" or "svg"."""
+    """The figure as the contents of a file, on a white ground. kind: "png" or "svg"; dpi: of a PNG, dots per inch."""
     figure.set_facecolor(LIGHT.surface)
     if kind == "svg":
         return _svg(figure, "hil").encode("utf-8")
@@ -184,7 +184,7 @@ def _svg(figure: FigureBase, salt: str) -> str:
 
 
 def _whole(figure: FigureBase) -> Figure:
-    """The figure, which must not be a part of another: only a whole one can be written."""
+    """The figure as one that can be written. Raises TypeError for a part of another figure."""
     if not isinstance(figure, Figure):
         raise TypeError("a part of a figure cannot be written by itself")
     return figure
@@ -192,7 +192,10 @@ def _whole(figure: FigureBase) -> Figure:
 
 @contextmanager
 def drawing_settings(extra: Mapping[Any, Any] | None = None) -> Iterator[None]:
-    """Our settings for a while, without warnings about letters that the font lacks: a browser has them, a picture shows a box."""
+    """Inside, the settings of `RC` and `extra` are in force, and no warning is given for letters that the font lacks.
+
+    Browsers have these letters; a PNG shows a box.
+    """
     with mpl.rc_context({**RC, **(extra or {})}), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
         yield

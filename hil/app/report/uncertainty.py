@@ -13,7 +13,7 @@ from hil.figures.uncertainty import Budget, UncertaintyInputs, budget
 
 
 def budget_of(campaign: NamedCampaign, inputs: UncertaintyInputs | None) -> Budget | str | None:
-    """A campaign's uncertainty budget; a sentence with the reason where it has none; None without inputs on the instrument."""
+    """A campaign's uncertainty budget; the reason, as text, where it cannot be made; None without inputs or ISO 230-2 figures."""
     figures = campaign.figures()
     if inputs is None or not isinstance(figures, Iso230):
         return None
@@ -24,7 +24,7 @@ def budget_of(campaign: NamedCampaign, inputs: UncertaintyInputs | None) -> Budg
 
 
 def stated(value: float | None, name: str, known: Budget | str | None) -> str:
-    """A figure with its expanded uncertainty where there is one."""
+    """A figure, µm, as text, with its expanded uncertainty where the budget has one. name: as in `Iso230.figures`."""
     text = markup.number(value)
     if value is None or not isinstance(known, Budget) or name not in known.figures_um:
         return text
@@ -32,7 +32,7 @@ def stated(value: float | None, name: str, known: Budget | str | None) -> str:
 
 
 def section(budgets: Sequence[Budget | str | None], labels: Sequence[str]) -> list[Block]:
-    """The whole part, empty where nothing was known."""
+    """The blocks of this section, one table per campaign; none where no campaign has a budget or a reason."""
     parts: list[Block] = []
     for label, known in zip(labels, budgets, strict=True):
         if isinstance(known, str):

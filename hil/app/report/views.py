@@ -1,8 +1,8 @@
-"""The plot of a finding: its column, its residual, and the curves over it.
+"""Data of a finding's drawing: the column, the residual along it, and the curve over the residual. No drawing and no HTML here.
 
-Both come from the finding's own `plot` where it has one, else from columns of the diagnosed records (`residual_um`, and
-`effect_<id>_um`, or `effect_um` for a single finding); where the effect is known from neither, the residual's own mean along the
-column is laid over. No drawing and no HTML in here.
+Residual and effect come from the finding's own `plot` where it has one, else from columns of the diagnosed records (`residual_um`;
+`effect_<id>_um`, or `effect_um` for a single finding). Where neither holds the effect, the curve is the residual's mean along the
+column.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "dead_path": ("air_temp_c", "air_pressure_hpa"),
     "air_index": ("air_temp_c", "air_pressure_hpa"),
 }
-"""Columns (or the beginnings of their names) that show an effect best, the first present is taken; others show along the position."""
+"""Effect -> columns, or beginnings of their names: it is drawn along the first that varies. Others: along the position."""
 
 LARGEST = 1e12
-"""No figure of a machine is larger; what is, is not a number to draw."""
+"""Largest number that is drawn; a larger one in a diagnosis counts as missing."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A residual along one column, and what is laid over it; arrays of one shape (n,)."""
+    """A residual along one column, and the curve over it; arrays of one shape (n,). label: of the x axis; over: name of the curve."""
 
     x: Floats
     label: str
@@ -48,7 +48,7 @@ class View:
 
 
 def diagnosed(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCampaign:
-    """The campaign with the `residual_um` of its diagnosis, where that holds one for each row."""
+    """The campaign with the `residual_um` of its diagnosis as a column; unchanged where that has not one number per row."""
     residual = _floats(diagnosis.get("residual_um"))
     if residual is None or len(residual) != len(campaign.records):
         return campaign
@@ -56,6 +56,7 @@ def diagnosed(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCam
 
 
 def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
+    """The residual along the position, with the sum of the findings' effects, or its mean where an effect is not known per row."""
     residual = _residual(records)
     effects = [
         over for finding in findings if (over := _effect(records, finding, alone=len(findings) == 1)) is not None
@@ -68,7 +69,7 @@ def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
 
 
 def finding_view(finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> View | None:
-    """Where and how a finding is drawn; None where the position already shows it, or nothing is known to draw."""
+    """The drawing of a finding; None where `position_view` shows it, or without data to draw. alone: whether it is the only one."""
     records = None if diagnosed is None else diagnosed.records
     own = _own_plot(finding, records)
     if own is not None or records is None:
@@ -104,7 +105,7 @@ def _own_plot(finding: Mapping[str, Any], records: Records | None) -> View | Non
 
 
 def _floats(values: object) -> Floats | None:
-    """A JSON list of finite numbers as an array, None for anything else."""
+    """A JSON list of finite numbers as an array, shape (n,); None for anything else, and for an empty list."""
     numbers = [value_of(value, "value") for value in list_of(values)]
     known = [value for value in numbers if value is not None]
     return np.asarray(known, dtype=np.float64) if known and len(known) == len(numbers) else None
@@ -115,7 +116,7 @@ def _residual(records: Records) -> Floats:
 
 
 def _effect(records: Records, finding: Mapping[str, Any], *, alone: bool) -> Floats | None:
-    """The effect on each row of the records, by column or by the finding's own plot of the same rows; None if unknown."""
+    """The effect on each row, µm, shape (n,), by a column, or by the finding's own plot where that is of the same rows; else None."""
     for name in (f"effect_{finding.get('effect')}_um", *(["effect_um"] if alone else [])):
         if name in records and np.all(np.isfinite(records[name])):
             return records[name]
@@ -134,7 +135,7 @@ def _mean_along(x: Floats, residual: Floats, direction: Floats) -> Floats:
 
 
 def _along(finding: Mapping[str, Any], records: Records) -> tuple[Floats, str] | None:
-    """The column to show an effect along, with its label; None where the position already shows it."""
+    """The values, shape (n,), and the label of the x axis for an effect; None for one that is drawn along the position."""
     effect = plain(finding.get("effect"))
     if effect == "cyclic":
         return _folded(records.target_mm, finding)
@@ -152,7 +153,7 @@ def _along(finding: Mapping[str, Any], records: Records) -> tuple[Floats, str] |
 
 
 def _folded(x_mm: Floats, finding: Mapping[str, Any]) -> tuple[Floats, str] | None:
-    """Positions within one period of a cyclic effect, None for any other."""
+    """Positions within one period of a cyclic effect, mm, and the label; None for another effect."""
     period = value_of(object_of(finding.get("parameters")).get("period_mm"), "value")
     if finding.get("effect") != "cyclic" or not period or period <= 0:
         return None
@@ -160,7 +161,7 @@ def _folded(x_mm: Floats, finding: Mapping[str, Any]) -> tuple[Floats, str] | No
 
 
 def binned_mean(x: Floats, y: Floats, bins: int = 24) -> Floats:
-    """The mean of y among its neighbours along x, as steps: shape (n,), one value per bin of equal count (ties kept together)."""
+    """For each row the mean of y over the rows of its bin, shape (n,). Bins have equal numbers of rows; equal x are in one bin."""
     edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(0, len(edges) - 2))
     total = np.bincount(index, weights=y)
@@ -172,7 +173,7 @@ def _varies(values: Floats) -> bool:
 
 
 def label_of(column: str, unit: object = None) -> str:
-    """A column's name as an axis label: `temp_screw_c` is 'Temp screw, °C'. `unit` overrides what the name's ending says."""
+    """A column's name as an axis label: `temp_screw_c` is 'Temp screw, °C'. unit: in place of the one that the name ends in."""
     units: dict[str, str] = {"_mm_s": "mm/s", "_mm": "mm", "_c": "°C", "_hpa": "hPa", "_percent": "%", "_kg": "kg"}
     units |= {"_urad": "µrad", "_um": "µm", "_s": "s"}
     ending = next((ending for ending in units if column.endswith(ending)), "")
@@ -182,7 +183,7 @@ def label_of(column: str, unit: object = None) -> str:
 
 
 def value_of(holder: object, key: str) -> float | None:
-    """A finite number by its key in a JSON object, or a plain number asked for as "value"; None for anything else."""
+    """A finite number by its key in a JSON object; with the key "value" also a plain number. None for anything else."""
     value = holder.get(key) if isinstance(holder, Mapping) else holder if key == "value" else None
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from drivers.errors import InputError
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
@@ -56,14 +55,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Returns 0: measured, proven and stored. Raises what connecting and `measure_straightness` raise."""
     axis = load_axis(args.axis)
-    if axis.straightness is None:
-        raise InputError("has no [straightness], which names the axis to be moved", path=axis.path)
+    config = axis.across()
     if args.dry_run:
         print_plan(straightness_plan(axis, args.seed))
-        print(
-            f"would enable the axis of {axis.straightness.axis_file.name}, home it where its file says so, and move it"
-        )
-        print(f"to {axis.straightness.at_mm:g} mm and, with the correction, by micrometres from there")
+        print(f"would enable the axis of {config.axis_file.name}, home it where its file says so, and move it")
+        print(f"to {config.at_mm:g} mm and, with the correction, by micrometres from there")
         return 0
     store, own = open_store(args, axis, writing=True), load_cross(args, axis)
     present = load_stored(store, read_effects(args.effects)) if store.states() is not None else None

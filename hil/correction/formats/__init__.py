@@ -1,8 +1,8 @@
 """Foreign file formats: compensation tables of CNC controllers, and measurements of other programs.
 
-One file per format, pure: text in, tables or records out, and back. A controller's format is a module with a frozen settings class,
-`export` and `dump` (tables to text) and `load` (text to tables); a measurement's has `load` (text to records). No I/O here: reading,
-writing and naming files is the command line's.
+One module per format, without I/O: the command line names, reads and writes the files. The module of a controller's format has a
+frozen settings class, `export` and `dump` (tables to text) and `load` (text to tables); that of a measurement has `load` (text to
+records).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hil.records.rows import Records
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller's format: its settings class, and the two directions."""
+    """A controller's format: its settings class, the conversion of tables to a file (`export`) and of a file to tables (`load`)."""
 
     name: str
     settings: type[Any]
@@ -29,7 +29,7 @@ class Controller:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A format of measurements: its settings class, and how it becomes records."""
+    """A format of measurements: its settings class, and the conversion of a file to records (`load`)."""
 
     name: str
     settings: type[Any]

@@ -1,7 +1,7 @@
 """Shared by the controller formats: tables as the two curves that a controller applies, and their interpolation onto its points.
 
-A controller knows one correction per direction over its points, straight between them and constant beyond the ends. Everything here
-is pure: tables in, tables and figures out. Nothing about any one format belongs here.
+A controller has one correction per direction, given at its points: linear between them and constant beyond the ends. The functions
+here convert tables and numbers, do no I/O, and hold nothing that is true of one format only.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ NM_IN_UM = 1e-3
 
 @dataclass(frozen=True)
 class Export:
-    """A controller's file, and what is known about it.
+    """A controller's file, with its deviation from the tables.
 
     text: the file's contents
     points: interpolation points per direction
-    deviation_um: largest difference, anywhere and in either direction, between what the file makes the controller add and the
-        tables (after the shift): resampling and rounding together, found by reading the file back
-    shift_um: the constant taken out of the correction because the format needs zero at the reference point
+    deviation_um: largest difference, at any position and in either direction, between the correction in the file and that of the
+        tables less `shift_um`, µm: resampling and rounding together, found by reading the file back
+    shift_um: constant subtracted from the correction, as the format needs zero at the reference point, µm
     notes: what has to be set on the controller besides loading the file
     """
 
@@ -42,9 +42,9 @@ class Export:
 
 
 def tables_only(compensation: Compensation, *, leave_out_effects: bool) -> TableSet:
-    """The tables of what is in force, with the fitted effects that tables can hold: those of position and direction alone.
+    """The tables of a correction, with those fitted effects added to them that depend on position and direction alone.
 
-    Raises InputError when there are others too and they are not to be left out.
+    leave_out_effects: whether effects that no table can hold are left out; otherwise InputError is raised for them.
     """
     whole = folded(compensation)
     held_by_none = [*dict.fromkeys(_name(term) for term in whole.terms)]
@@ -63,9 +63,10 @@ def _name(term: ErrorTerm) -> str:
 
 
 def both_directions(tables: TableSet, *, cross_axis: bool = False) -> DirectionalTable:
-    """The whole correction at rest on a position in each direction, as one table on the nodes of all parts.
+    """The whole correction at rest, per direction, as one table on the nodes of all parts.
 
-    Raises InputError for a straightness table that corrects another axis, unless `cross_axis` says that the caller takes care of it.
+    cross_axis: whether the caller exports a straightness table that corrects another axis by itself; otherwise InputError is raised
+    for such a table.
     """
     if tables.straightness is not None and tables.straightness_axis and not cross_axis:
         raise InputError(
@@ -77,23 +78,23 @@ def both_directions(tables: TableSet, *, cross_axis: bool = False) -> Directiona
 
 
 def largest_difference_um(first: DirectionalTable, second: DirectionalTable) -> float:
-    """The largest difference of two tables anywhere, µm: both are straight between nodes, so it lies on a node of one of them."""
+    """The largest difference of two tables at any position, µm. Both are linear between nodes, so it lies on a node of one of them."""
     nodes = np.union1d(first.position_mm, second.position_mm)
     return max(float(np.max(np.abs(first.at(nodes, sign) - second.at(nodes, sign)))) for sign in (1, -1))
 
 
 def shifted(table: DirectionalTable, by_um: float) -> DirectionalTable:
-    """The table with a constant added."""
+    """The table with a constant, µm, added in both directions."""
     return DirectionalTable(table.position_mm, table.plus_um + by_um, table.minus_um + by_um)
 
 
 def anchored(
     table: DirectionalTable, reference_mm: float, direction: int, *, allow_shift: bool, tolerance_um: float
 ) -> tuple[DirectionalTable, float]:
-    """The table with zero at the reference point, arrived at in `direction`, and the constant that was taken out, µm.
+    """The table less its value at the reference point `reference_mm`, arrived at in `direction` (+1, -1), and that value, µm.
 
-    Raises InputError when there is more than `tolerance_um` to take out and a shift was not allowed: it moves the whole axis, and a
-    specified accuracy that is a constant would vanish in it.
+    allow_shift: whether that value may be more than `tolerance_um`; otherwise InputError is raised. The shift moves the whole axis,
+    and it cancels a specified accuracy that is a constant.
     """
     value = float(table.at(reference_mm, direction))
     if abs(value) > tolerance_um and not allow_shift:
@@ -106,10 +107,10 @@ def anchored(
 
 
 def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[SingleTable, float]:
-    """One curve (of the + direction) and one backlash, where the two directions allow it.
+    """A two-directional table as one curve, of the + direction, and one backlash, µm.
 
-    The backlash is the middle of the difference plus - minus, and half of what is left goes into each direction.
-    Raises InputError when a direction would be off by more than `tolerance_um`.
+    The backlash is the middle between the largest and the smallest difference plus - minus; the rest of the difference is divided
+    equally between the directions. Raises InputError when a direction would deviate by more than `tolerance_um`.
     """
     difference = table.plus_um - table.minus_um
     low, high = float(difference.min()), float(difference.max())
@@ -123,18 +124,18 @@ def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[Singl
 
 
 def two_directional(single: SingleTable, backlash_um: float) -> DirectionalTable:
-    """Correction of a controller with one table and a backlash: the - direction is plus - backlash, µm."""
+    """The correction, per direction, of a controller with one table and a backlash, µm: the - direction is table less backlash."""
     return DirectionalTable(single.position_mm, single.value_um, single.value_um - backlash_um)
 
 
 def rounded_nodes(table: DirectionalTable, resolution_mm: float) -> DirectionalTable:
-    """The table on its own nodes rounded to a format's resolution; nodes that fall together become one."""
+    """The table on its own nodes, rounded to a format's resolution, mm. Nodes that are equal after rounding become one."""
     nodes = np.unique(np.round(table.position_mm / resolution_mm)) * resolution_mm
     return on_nodes(table, nodes)
 
 
 def on_nodes(table: DirectionalTable, nodes: Floats) -> DirectionalTable:
-    """The same curves on other nodes."""
+    """The curves sampled at other nodes, mm, shape (n,)."""
     return DirectionalTable(nodes, table.at(nodes, 1), table.at(nodes, -1))
 
 
@@ -149,10 +150,11 @@ def equidistant(
 ) -> tuple[DirectionalTable, float]:
     """The table on a grid of equal steps that covers it, and the step, mm.
 
-    step_mm: the step, or None for the widest one that keeps the tolerance
-    resolution_mm: the step is a multiple of this
-    origin_mm: a position that must lie on the grid and inside it; None starts the grid at the first node
-    Raises InputError when the step is bad, or needs more than `max_points`, or deviates from the table by more than `tolerance_um`.
+    step_mm: the step; None: the widest one with which the grid deviates from the table by no more than `tolerance_um`
+    resolution_mm: the step is a whole multiple of it
+    origin_mm: a position that lies on the grid; None: the grid begins at the first node
+    Raises InputError for a step that is no such multiple, needs more than `max_points`, or deviates by more than `tolerance_um`; and
+    for a table with a single position.
     """
     first, last = float(table.position_mm[0]), float(table.position_mm[-1])
     if origin_mm is not None:
@@ -212,10 +214,10 @@ def _check_resampling(deviation_um: float, step_mm: float, tolerance_um: float) 
 
 
 def thinned(table: DirectionalTable, max_points: int, tolerance_um: float) -> DirectionalTable:
-    """The table on fewer of its nodes, no more than `max_points`, nowhere off by more than `tolerance_um`.
+    """The table on at most `max_points` of its nodes, deviating from it by no more than `tolerance_um` at any position.
 
-    Keeps the ends and, again and again, the node that is furthest off (Ramer, Douglas and Peucker), until all are inside.
-    Raises InputError when that takes more points.
+    Begins with the two ends and adds the node with the largest deviation until the tolerance is kept (method of Ramer, Douglas and
+    Peucker). Raises InputError when that needs more points.
     """
     if len(table.position_mm) <= max_points:
         return table
@@ -238,7 +240,7 @@ def thinned(table: DirectionalTable, max_points: int, tolerance_um: float) -> Di
 
 
 def check_written(written: TableSet, wanted: DirectionalTable, *, limit_um: float) -> float:
-    """How far a file that was read back is from what was wanted, µm. Raises InputError beyond the limit."""
+    """Deviation of a file that was read back from the wanted table, µm. Raises InputError above `limit_um`."""
     deviation = largest_difference_um(both_directions(written), wanted)
     if deviation > limit_um:
         raise InputError(
@@ -249,17 +251,17 @@ def check_written(written: TableSet, wanted: DirectionalTable, *, limit_um: floa
 
 
 def evenly(first: float, step: float, count: int) -> Floats:
-    """`count` positions from `first` on."""
+    """`count` positions with equal steps, the first at `first`, shape (count,)."""
     return np.asarray(first + step * np.arange(count), dtype=np.float64)
 
 
 def table_set(positions: Floats, plus_um: Floats, minus_um: Floats) -> TableSet:
-    """A bidirectional set from two curves as a file held them."""
+    """A bidirectional set from the curves of both directions: positions, mm, and corrections, µm, shape (n,) each."""
     return TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(positions, plus_um, minus_um))
 
 
 def one_directional_set(positions: Floats, plus_um: Floats, backlash_um: float) -> TableSet:
-    """A one-directional set from a curve and a constant backlash as a file held them."""
+    """A one-directional set from the curve of the + direction (positions, mm, and corrections, µm, shape (n,)) and a backlash, µm."""
     backlash = SingleTable(positions, np.full(len(positions), backlash_um))
     return TableSet(
         TableMode.UNIDIRECTIONAL_BACKLASH, DirectionalTable(positions, plus_um, plus_um - backlash_um), backlash
@@ -267,14 +269,14 @@ def one_directional_set(positions: Floats, plus_um: Floats, backlash_um: float) 
 
 
 def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers from 1, stripped, any line end; the empty ones too."""
+    """The lines, stripped, with their numbers, which count from 1; empty lines too. Line ends are LF, CR or both."""
     yield from ((number, line.strip()) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1))
 
 
 def number(text: str, what: str, line: int, decimal: str = ".") -> float:
-    """A finite number from a file, with this decimal mark; a printed minus is one too. Raises InputError with the line.
+    """A finite number from a file, with this decimal mark; U+2212 is a minus sign too. Raises InputError with the line.
 
-    The other mark is no part of a number: between thousands it would make another one of it.
+    The other mark is refused in a number, also between thousands: "1,234" is 1.234 or 1234.
     """
     value = _number(text, decimal)
     if value is None or not np.isfinite(value):

@@ -4,14 +4,15 @@ Sources: FANUC Series 0i-B Parameter Manual B-63980EN (parameters 3620 to 3624 w
 technical report A-77810E (bidirectional compensation, 3605#0, 3626, 3627), operator's manual (programmable parameter input: G10 L50,
 N parameter P axis R value, N 10000 + point R value, G11).
 
-Point n belongs to one section: with the reference at number 3620 and interval L it is the section from (n - 3620 - 1)·L to
-(n - 3620)·L from the reference. Its value, -7 to 7 times the magnification 3623 in detection units, is output when the axis crosses
-the section upwards and taken back downwards. So the correction at a grid position is the *sum* of the values between it and the
-reference, zero at the reference. Values are chosen from the rounded sums: the accumulated error stays within half a step.
-Bidirectional: the values above serve the + direction, those from number 3626 on the - direction, as increments upwards too, and 3627
-(in detection units) is the correction at the reference when it is reached against the direction of reference return.
+Point n belongs to one section: with the reference's point number r (parameter 3620) and the interval L (3624) it is the section from
+(n - r - 1)·L to (n - r)·L from the reference. Its value, -7 to 7 times the magnification 3623 in detection units, is
+added when the axis crosses the section upwards, and subtracted when it crosses it downwards. So the correction at a grid position is
+the *sum* of the values between it and the reference, and zero at the reference. The values are differences of the rounded sums, so
+that rounding errors do not add up: each sum is within half a step.
+Bidirectional: the values above are for the + direction, those from number 3626 on for the - direction, as increments upwards too, and
+3627 (in detection units) is the correction at the reference when it is reached against the direction of reference return.
 One-directional: one set of points, and the backlash 1851.
-The coordinates are the machine's, the reference position is at `reference_mm`.
+Coordinates are the machine's; the reference position is at `reference_mm`.
 """
 
 from __future__ import annotations
@@ -41,26 +42,34 @@ from hil.correction.tables import DirectionalTable, TableSet
 from hil.records.rows import Floats
 
 LARGEST = 7
+"""Largest value of a point, steps of `FanucSettings.step_um`."""
 LAST_NUMBER = 1023
-LARGEST_NUMBER = 99_999  # that any control could mean
+"""Highest point number that is written."""
+LARGEST_NUMBER = 99_999
+"""Highest point number that is read: a file may come from a control with more points."""
 LARGEST_ABSOLUTE = 32767
+"""Largest value of parameter 3627, detection units."""
 LARGEST_BACKLASH = 9999
+"""Largest value of parameter 1851, detection units."""
 POINT_BASE = 10000
+"""Added to a point's number in its N address."""
 
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class FanucSettings:
-    """axis: the controlled axis's number (P)
+    """axis: number of the controlled axis (P)
 
-    detection_unit_um: what one unit of the axis is; magnification: 3623
-    first_number: the first point number that is free for this axis
-    reference_mm: machine coordinate of the reference position; reference_direction: direction of reference return
-    step_mm: 3624, None for the widest that keeps tolerance_um; setting_unit_mm: what 3624 counts (IS-B 0.001 mm)
-    rapid_mm_min: largest feed of the axis, where given the interval is checked against rapid/7500
-    bidirectional: 3605#0, or one set of points and 1851; bits_3605: the other bits of 3605, which the program writes too
-    program: O number
+    detection_unit_um: detection unit of the axis, µm; magnification: 3623
+    first_number: lowest point number that is free for this axis
+    reference_mm: machine coordinate of the reference position; reference_direction: direction of reference return, +1 or -1
+    allow_shift: whether the correction at the reference position may be subtracted from the whole table
+    step_mm: interval 3624; None: the widest that keeps tolerance_um; setting_unit_mm: unit of 3624 (0.001 mm with IS-B)
+    rapid_mm_min: highest feed of the axis; None: the interval is not checked against feed/7500
+    tolerance_um: largest deviation from the tables by resampling
+    bidirectional: 3605#0; False: one set of points and 1851; bits_3605: the other bits of 3605, which the program writes too
+    program: O number of the program
     """
 
     axis: int = 1
@@ -95,12 +104,12 @@ class FanucSettings:
 
     @property
     def step_um(self) -> float:
-        """Length of a point value of 1."""
+        """Correction that a point value of 1 adds, µm."""
         return self.detection_unit_um * self.magnification
 
 
 def export(tables: TableSet, settings: FanucSettings = FanucSettings()) -> Export:
-    """The program of these tables. Raises InputError for what it cannot hold, saying what to change."""
+    """The program of these tables. Raises InputError, with the remedy, for tables that it cannot hold."""
     wanted, shift = anchored(
         both_directions(tables),
         settings.reference_mm,
@@ -151,11 +160,11 @@ def _check_interval(step_mm: float, settings: FanucSettings) -> None:
 
 
 def _program(grid: DirectionalTable, interval: float, backlash_um: float, settings: FanucSettings) -> tuple[str, int]:
-    """The text and how many points a direction has."""
+    """The program's text, and the number of points of one direction."""
     steps = np.round((grid.position_mm - settings.reference_mm) / interval).astype(np.int64)
     zero = int(np.flatnonzero(steps == 0)[0])
     sections = len(steps) - 1
-    reference = settings.first_number + zero - 1  # the section below the reference carries its number
+    reference = settings.first_number + zero - 1  # the section below the reference has the reference's number
     reference = max(reference, 0)
     low, high = reference - zero + 1, reference - zero + sections
     toward, against = ("plus", "minus") if settings.reference_direction > 0 else ("minus", "plus")
@@ -199,7 +208,7 @@ def _program(grid: DirectionalTable, interval: float, backlash_um: float, settin
 
 
 def _increments(correction_um: Floats, zero: int, at_zero_units: int, settings: FanucSettings) -> Ints:
-    """Point values whose sums from the reference follow the curve; `at_zero_units` is what the control adds there already."""
+    """Point values whose sums from the reference, at index `zero`, follow the curve, steps. at_zero_units: 3627, detection units."""
     step = settings.step_um
     base = at_zero_units * settings.detection_unit_um
     sums = np.round((correction_um - base) / step).astype(np.int64)
@@ -228,8 +237,9 @@ _PARAMETERS = (1851, 3605, 3620, 3621, 3622, 3623, 3624, 3626, 3627)
 def load(text: str, settings: FanucSettings = FanucSettings()) -> TableSet:
     """The tables of one axis from a G10 L50 program.
 
-    The settings say what the file does not: axis, detection unit, setting unit, the reference's coordinate and direction of return.
-    Raises InputError with the line for blocks that are not understood, and for parameters or points that are lacking.
+    Taken from the settings, as the file does not hold them: axis, detection unit, setting unit, the reference's coordinate and the
+    direction of reference return. Raises InputError with the line for a block that is not understood, and for a missing parameter or
+    point.
     """
     parameters: dict[int, int] = {}
     points: dict[int, int] = {}

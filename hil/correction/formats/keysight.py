@@ -1,12 +1,13 @@
 """Measurements of the Keysight (Agilent) E1733A laser software: a `.Lin` file of linear positioning.
 
 The file is text, one field per line: `Identify=<name>,<type>=<value>`, the value with or without quotation marks, after a comma, a
-blank, or on the next line. Two are read: `Positions` with `TextUnit=`, the targets and
-their unit, and `LinearErr` with `TextUnit=`, the errors and theirs, cycle after cycle: the targets forward, then the same targets
-backward. Numbers are separated by blanks, commas, semicolons or tabs; the unit stands at the end. Several lines of one name follow
-each other. Everything else (set-up, environment, the software's own figures) is left alone.
+blank, or on the next line. Two fields are read, both of the type `TextUnit`: `Positions`, the targets and their unit, and
+`LinearErr`, the errors and their unit, cycle by cycle: first those of the targets forward, then of the same targets backward.
+Numbers are separated by blanks, commas, semicolons or tabs; the unit comes last. The values of several lines with one name are
+joined. All other fields (set-up, environment, the software's own results) are ignored.
 
-A comma between numbers or within them is not told apart by the file: what could be both is refused, until the decimal mark is given.
+The file does not say whether a comma separates numbers or is a decimal mark: where it can be either, the file is refused unless the
+settings state a decimal comma.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ LENGTH_MM = {
     "in": 25.4,
     "inch": 25.4,
 }
+"""Unit of a length -> mm."""
 
 _COMMA_WITHIN = re.compile(r"\d+,\d+")
 _FIELD = re.compile(r'Identify\s*=\s*"?(\w+)"?[\s,;]*"?\s*(?:(\w+)\s*=\s*(.*))?$', re.IGNORECASE)
@@ -40,7 +42,7 @@ _VALUE = re.compile(r'"?(\w+)\s*=\s*(.*)$')
 
 @dataclass(frozen=True)
 class KeysightSettings:
-    """decimal: the decimal mark, "." or ","; the file says its units"""
+    """decimal: the decimal mark, "." or ",". The units are in the file."""
 
     decimal: str = "."
 
@@ -49,7 +51,7 @@ class KeysightSettings:
 
 
 def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
-    """Rows in the order they were measured: run by run, forward ascending, then backward. Raises InputError with the line."""
+    """The rows in the order of measuring, one run per cycle: targets forward, then backward. Raises InputError with the line."""
     targets: list[float] = []
     errors: list[float] = []
     last_line = {"positions": 0, "linearerr": 0}

@@ -1,10 +1,11 @@
 """LinuxCNC screw error compensation: the COMP_FILE of a joint.
 
 Source: LinuxCNC's Integrator Manual, INI configuration, [JOINT_n] COMP_FILE and COMP_FILE_TYPE, and the behaviour of the program
-itself, which the tests ask (tests/interop). Each line is a triplet `nominal forward reverse` in the machine's length unit. With type 0
-the two are the positions really reached, so nominal + error = nominal - correction; with type 1 they are trims that are added to the
-command: the correction with its sign. The reader stops without a word at the first line that is no triplet, so there is no header, no
-comment and no empty line, and it takes at most 256 points. Ends hold beyond the table. With a compensation file, BACKLASH is not used.
+itself (tests/interop run it). Each line is a triplet `nominal forward reverse` in the machine's length unit. With type 0 forward and
+reverse are the positions that are reached, nominal + error = nominal - correction; with type 1 they are trims that LinuxCNC adds to
+the command: the correction with its sign. LinuxCNC stops reading, without an error, at the first line that is no triplet: a file has
+no header, no comment and no empty line. It takes at most 256 points, and the outer values hold beyond the ends. With a compensation
+file, BACKLASH is not used.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from hil.records.rows import UM_PER_MM
 
 MAX_POINTS = 256
 RESOLUTION_MM = 1e-9
+"""Last decimal that is written, in the machine's unit."""
 UNITS_MM = {"mm": 1.0, "inch": 25.4}
 
 
@@ -37,7 +39,7 @@ UNITS_MM = {"mm": 1.0, "inch": 25.4}
 class LinuxCncSettings:
     """comp_type: COMP_FILE_TYPE, 0 (positions reached) or 1 (trims); unit: the machine's LINEAR_UNITS, "mm" or "inch".
 
-    tolerance_um: how far the file may be from the tables, where they have more points than fit
+    tolerance_um: largest deviation from tables that have more points than fit
     """
 
     comp_type: int = 1
@@ -51,7 +53,7 @@ class LinuxCncSettings:
 
 
 def export(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) -> Export:
-    """The COMP_FILE of these tables. Raises InputError for what it cannot hold."""
+    """The COMP_FILE of these tables. Raises InputError for tables that it cannot hold."""
     wanted = both_directions(tables)
     unit_mm = UNITS_MM[settings.unit]
     table = rounded_nodes(thinned(wanted, MAX_POINTS, settings.tolerance_um), RESOLUTION_MM * unit_mm)
@@ -76,9 +78,9 @@ def dump(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) -> s
 
 
 def load(text: str, settings: LinuxCncSettings = LinuxCncSettings()) -> TableSet:
-    """The tables of a COMP_FILE; its type and unit come from the settings, the file does not say them.
+    """The tables of a COMP_FILE. Its type and unit are taken from the settings, as the file does not hold them.
 
-    Raises InputError with the line for anything LinuxCNC would not read as meant.
+    Raises InputError with the line for one that LinuxCNC would not read, or that it would stop at.
     """
     rows: list[list[float]] = []
     ended = 0

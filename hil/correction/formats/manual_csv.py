@@ -1,4 +1,4 @@
-"""Writes tables as a file of manual mode, which `hil.correction.manual` reads, to inspect, edit and store a controller's table."""
+"""Tables as the CSV file that `hil.correction.manual` reads: to look at a controller's table, edit it and store it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from hil.records.rows import Floats
 
 
 def dump(tables: TableSet, comment: str = "") -> str:
-    """The text of a manual table file with these tables, on the nodes of all their parts.
+    """The text of a manual table file: a row per node of any of the tables. comment: put before the header, each line after "# ".
 
-    Raises InputError for a straightness table of another axis, which such a file does not hold.
+    Raises InputError for a straightness table that corrects another axis: such a file holds one axis.
     """
     if tables.straightness is not None and tables.straightness_axis:
         raise InputError(

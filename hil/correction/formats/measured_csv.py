@@ -1,8 +1,9 @@
 """Measurements as a CSV table of free form: any column names and delimiter, decimal point or comma, lengths in any unit.
 
-Which column is what is told, never guessed: `target_mm`, `measured_mm` (or `error_um` = measured - target), `direction`, `run`, and
-any other column of ours. Columns that are not named are left out. Where the file has no run and direction, `infer` reads them off the
-order of the targets: up is +, down is -, and a new run begins where the direction is the first one again.
+The settings state which column holds what; it is never guessed: `target_mm`, `measured_mm` (or `error_um` = measured - target),
+`direction`, `run`, and any other record column. Columns that they do not name are left out. Where the file has no run and direction,
+`infer` takes them from the order of the targets: rising is +, falling is -, and a run begins where the direction of the first row
+comes again after the other one.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ DIRECTIONS = {
     **dict.fromkeys(("+1", "1", "+", "↑", "up", "fwd", "forward", "pos", "positive", "f"), 1.0),
     **dict.fromkeys(("-1", "-", "−", "↓", "down", "rev", "reverse", "backward", "neg", "negative", "b", "r"), -1.0),
 }
+"""Text of a direction, in lower case -> +1 or -1."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """Where a quantity stands: the header's text, and for a length its unit."""
+    """The column of a quantity. header: its text in the header line; unit: of a length, "" for the one in the quantity's name."""
 
     header: str
     unit: str = ""
@@ -35,9 +37,10 @@ class Column:
 
 @dataclass(frozen=True)
 class MeasuredCsvSettings:
-    """columns: our name -> where it stands; delimiter "" finds it among tab, semicolon and comma; decimal: "." or ","
+    """columns: record column -> column of the file
 
-    infer: read run and direction off the order of the targets
+    delimiter: "" for the first of tab, semicolon and comma that is in the header; decimal: the decimal mark, "." or ","
+    infer: whether run and direction are taken from the order of the targets where the file has none
     """
 
     columns: Mapping[str, Column] = field(default_factory=dict)
@@ -61,12 +64,12 @@ class MeasuredCsvSettings:
                 )
 
     def column(self, name: str) -> Column:
-        """Where `name` stands: as told, else under its own name."""
+        """The file's column for the record column `name`: as stated, else the one with that name."""
         return self.columns.get(name, Column(name))
 
 
 def load(text: str, settings: MeasuredCsvSettings = MeasuredCsvSettings()) -> Records:
-    """The rows in the order of the file. Raises InputError with the line for cells that are not what they should be."""
+    """The rows in the order of the file. Lines that begin with # are left out. Raises InputError with the line."""
     rows = [
         (line_number, line)
         for line_number, line in numbered_lines(text.removeprefix("\ufeff"))
@@ -150,10 +153,10 @@ def _records(columns: dict[str, Floats], settings: MeasuredCsvSettings, first_li
 
 
 def inferred(target_mm: Floats, first_line: int) -> tuple[Floats, Floats]:
-    """Run and direction of targets in the order of time, shape (n,) each.
+    """Run, from 1, and direction, +1 or -1, of targets in the order of time; shape (n,) each. first_line: line of the first of them.
 
-    A target equal to the one before it is where the axis turned: it belongs to the new direction. Raises InputError when the first two
-    rows say no direction.
+    A target equal to the one before it belongs to the direction that follows: there the axis has turned. Raises InputError when the
+    first two targets are equal.
     """
     steps = np.sign(np.diff(target_mm))
     if len(steps) == 0 or steps[0] == 0:
@@ -171,7 +174,7 @@ def inferred(target_mm: Floats, first_line: int) -> tuple[Floats, Floats]:
 
 
 def parse_column(text: str) -> tuple[str, Column]:
-    """`name=header` or `name=header:unit`, as it is typed. Raises InputError."""
+    """A column as typed on the command line, `name=header` or `name=header:unit`. Raises InputError."""
     name, separator, place = text.partition("=")
     match = re.fullmatch(r"(.+?)(?::([A-Za-zµμ]+))?", place)
     if not separator or not name.strip() or match is None:

@@ -1,13 +1,15 @@
-"""SINUMERIK compensation tables: EEC (leadscrew/measuring system error, one table and MD32450) and CEC (two, by direction).
+"""SINUMERIK compensation tables: EEC (leadscrew and measuring system error, one table and MD32450) and CEC (one per direction).
 
 Source: SINUMERIK 840D sl/828D Function Manual Extended Functions, K3 Compensations (6FC5397-1BP40): measuring system error
 compensation and its example, sag compensation with $AN_CEC_DIRECTION, direction-dependent leadscrew compensation. **A positive value
-moves the axis in the negative direction**, so a value is -correction, in mm; the table is to be zero at the reference point.
-Between points the control interpolates, beyond the ends the end values hold. EEC knows no direction: its table is that of the
-direction in which the reference point is approached, and MD32450 BACKLASH, positive where the encoder leads the table, is put in at a
-reversal and taken out at the next one, so that - direction = + direction - backlash either way. A comment in our files says backlash
-and direction. A CEC table also serves a straightness correction of another axis: input axis this one, output axis the other, for both
-directions.
+moves the axis in the negative direction**, so a value is -correction, in mm; the table has to be zero at the reference point. Between
+points the control interpolates linearly; beyond the ends the outer values hold.
+EEC has no direction: its table is that of the direction in which the reference point is approached. MD32450 BACKLASH, positive where
+the encoder leads the machine's table, is added at a reversal and removed at the next one, so that in both cases
+- direction = + direction - backlash. An EEC file has no place for the backlash: in files of this program a comment holds it, and the
+direction of approach.
+A CEC table can also hold a straightness correction of another axis: its input axis is this one, its output axis the other, and it is
+for both directions.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
 DOWNWARDS = " ; reference point approached in -"
-"""Ends the comment that says the backlash, where it is so."""
+"""End of the comment with the backlash, where the reference point is approached in the - direction."""
 _FRAME = re.compile(r"%.*|CHANDATA\(\d+\)|M17|M30|M0?2|NEWCONF", re.IGNORECASE)
 _EEC_VALUE = re.compile(r"\$AA_ENC_COMP\[\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
 _EEC_KEY = re.compile(
@@ -57,7 +59,7 @@ _CEC_KEY = re.compile(
 
 @dataclass
 class _Found:
-    """One table while its lines are gathered."""
+    """One table while its lines are read. line: of its first entry; keys: texts of the other entries; values: mm, by point number."""
 
     line: int
     keys: dict[str, str] = field(default_factory=dict)
@@ -69,7 +71,7 @@ class _Found:
         return number(self.keys.get(name, default or ""), name, self.line)
 
     def curve(self) -> SingleTable:
-        """The correction over position."""
+        """The correction, µm, over position, mm. Raises InputError for values that do not fit MIN, MAX and STEP."""
         if self.key("IS_MODULO", "0"):
             raise InputError("the table that begins here is of a modulo axis, expected a linear one", line=self.line)
         low, high, step = self.key("MIN"), self.key("MAX"), self.key("STEP")
@@ -88,7 +90,7 @@ class _Found:
 
 @dataclass
 class _Reader:
-    """What a file holds, gathered line by line."""
+    """The contents of a file. eec: by (encoder, axis); cec: by index; downwards: the reference point is approached in -."""
 
     eec: dict[tuple[int, str], _Found] = field(default_factory=dict)
     cec: dict[int, _Found] = field(default_factory=dict)
@@ -124,9 +126,10 @@ class _Reader:
 
 
 def read(text: str) -> TableSet:
-    """The tables of an EEC or CEC file with one axis in it.
+    """The tables of an EEC or CEC file of one axis.
 
-    Raises InputError with the line for lines that are not understood, tables that do not fit together, more than one axis.
+    Raises InputError, with the line where there is one, for a line that is not understood, tables that do not fit together, and more
+    than one axis.
     """
     reader = _Reader()
     for line_number, raw in numbered_lines(text):
@@ -187,18 +190,21 @@ def _cec_set(found: dict[int, _Found]) -> TableSet:
 
 
 RESOLUTION_MM = 1e-6
-VALUE_QUANTUM_UM = 1e-3  # six decimals of a mm
+"""Positions and steps are written with six decimals of a mm."""
+VALUE_QUANTUM_UM = 1e-3
+"""So are the values."""
 
 
 @dataclass(frozen=True)
 class SinumerikSettings:
-    """table: "cec" (two directions) or "eec" (one, with MD32450)
+    """table: "cec" (one table per direction) or "eec" (one table, and MD32450)
 
-    axis: the machine axis, such as X1 or AX1; index: first CEC table index, or the encoder of an EEC table
-    reference_mm, reference_direction: where, and arrived at from which direction, the value is zero
-    allow_shift: take the correction at the reference point out of the whole table
-    step_mm: distance of the points, None for the widest that keeps tolerance_um; max_points: MD38000 (EEC) or MD18342 (CEC)
-    cross_axis: the machine axis a cross-axis straightness table corrects (CEC), by default its name in the tables
+    axis: name of the machine axis, such as X1 or AX1; index: that of the first CEC table, or the encoder of an EEC table
+    reference_mm, reference_direction: position of the reference point, and direction of its approach (+1, -1): the value there is zero
+    allow_shift: whether the correction at the reference point may be subtracted from the whole table
+    step_mm: distance of the points; None: the widest that keeps tolerance_um; max_points: MD38000 (EEC) or MD18342 (CEC)
+    max_correction_um: MD32720 (CEC); tolerance_um: largest deviation from the tables by resampling
+    cross_axis: machine axis that a straightness table corrects (CEC); "": its name in the tables
     """
 
     table: str = "cec"
@@ -224,7 +230,7 @@ class SinumerikSettings:
 
 
 def export(tables: TableSet, settings: SinumerikSettings = SinumerikSettings()) -> Export:
-    """The INI file of these tables. Raises InputError for what it cannot hold."""
+    """The INI file of these tables. Raises InputError for tables that it cannot hold."""
     whole = both_directions(tables, cross_axis=settings.table == "cec")
     wanted, shift = anchored(
         whole,
@@ -323,10 +329,10 @@ def _cec(tables: TableSet, wanted: DirectionalTable, shift: float, settings: Sin
     return Export(text, points, deviation, shift, (*notes, *extra))
 
 
-def _cec_table(  # noqa: PLR0917  (a table is these six things)
+def _cec_table(  # noqa: PLR0917  (a table has these six parts)
     index: int, axes: tuple[str, str], direction: int, positions: Floats, step: float, correction_um: Floats
 ) -> list[str]:
-    """One table: its index, (input axis, output axis), direction, grid and values."""
+    """The lines of one table. axes: input and output axis; positions, step: mm; direction: 0 for both; correction_um: shape (n,)."""
     return [
         *_values(f"$AN_CEC[{index},{{}}]", correction_um),
         f"$AN_CEC_INPUT_AXIS[{index}]=({axes[0]})",
@@ -346,8 +352,5 @@ def _values(pattern: str, correction_um: Floats) -> list[str]:
 
 
 def load(text: str, settings: SinumerikSettings = SinumerikSettings()) -> TableSet:
-    """The tables of an EEC or CEC file with one axis in it. The settings are not needed: the file says all.
-
-    Raises InputError with the line for lines that are not understood, tables that do not fit together, more than one axis.
-    """
+    """As `read`; the settings are not used, as the file holds everything."""
     return read(text)

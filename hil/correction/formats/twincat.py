@@ -1,10 +1,11 @@
 """TwinCAT CNC (ISG kernel) leadscrew error compensation: the compensation value list achskw*.lis, kw.ssfk.
 
 Source: Beckhoff TF5200 / ISG "Axis compensation" and "Compensation parameters" (P-COMP-00017 to 00025, P-COMP-00059) with their
-example of a bilateral list. A compensation value is the *position error*, actual - setpoint, in 0.1 µm, and the controller takes it
-off the setpoint; so a value is -correction. (The example's measured values, 19866.7 µm commanded and 19856.5 µm reached, give -102.
-Its list shows that point with a minus sign before the position, which its table of measured values does not have.) Points need not
-be equidistant (interval 0); both directions share them (bilateral 1). Ends hold. At most 1500 points unless P-COMP-00059 says more.
+example of a bilateral list. A compensation value is the *position error*, actual - setpoint, in 0.1 µm, which the controller
+subtracts from the setpoint; so a value is -correction. (The example's measured values, 19866.7 µm commanded and 19856.5 µm reached,
+give -102. Its list has that point with a minus sign before the position, which its table of measured values has not.) Points need not
+be equidistant (interval 0); both directions have the same points (bilateral 1). Beyond the ends the outer values hold. At most 1500
+points, unless P-COMP-00059 allows more.
 """
 
 from __future__ import annotations
@@ -31,12 +32,14 @@ from hil.correction.tables import TableSet
 from hil.records.rows import UM_PER_MM, Floats
 
 QUANTUM_UM = 0.1
+"""Unit of positions and values, µm."""
 LARGEST = 2**31 - 1
+"""Largest position or value: both have 32 bits."""
 
 
 @dataclass(frozen=True)
 class TwinCatSettings:
-    """axis, name: the logical axis; tolerance_um: how far the file may be from tables with more points than fit"""
+    """axis, name: number and name of the logical axis; tolerance_um: largest deviation from tables with more than max_points points"""
 
     axis: int = 1
     name: str = "X"
@@ -51,7 +54,7 @@ class TwinCatSettings:
 
 
 def export(tables: TableSet, settings: TwinCatSettings = TwinCatSettings()) -> Export:
-    """The compensation value list of these tables. Raises InputError for what it cannot hold."""
+    """The compensation value list of these tables. Raises InputError for tables that it cannot hold."""
     wanted = both_directions(tables)
     fewer = thinned(wanted, settings.max_points, settings.tolerance_um)
     table = rounded_nodes(fewer, QUANTUM_UM / UM_PER_MM)
@@ -95,7 +98,7 @@ _ENTRY = re.compile(r"(kopf|kw)\.([\w.]+?)(?:\[(\d{1,9})\]\.(\w+))?\s+(\S.*)$")
 
 @dataclass
 class _Reader:
-    """What a list holds, gathered line by line."""
+    """The contents of a list. head: single entries with their lines; table: the columns by point number, in units of 0.1 µm."""
 
     head: dict[str, tuple[str, int]] = field(default_factory=dict)
     table: dict[str, dict[int, float]] = field(default_factory=lambda: {"setpoint": {}, "pos": {}, "neg": {}})
@@ -124,9 +127,10 @@ class _Reader:
 
 
 def load(text: str, settings: TwinCatSettings = TwinCatSettings()) -> TableSet:
-    """The tables of a compensation value list, equidistant or not, unilateral or bilateral. The settings are not needed.
+    """The tables of a compensation value list, equidistant or not, unilateral or bilateral. The settings are not used.
 
-    Lists of other compensations (kw.crosscomp …) and encoder increments are refused. `#` begins a comment. Raises InputError.
+    `#` and `(*` begin a comment. Raises InputError, with the line where there is one, also for lists of other compensations
+    (kw.crosscomp …) and values in encoder increments.
     """
     reader = _Reader()
     for line_number, raw in numbered_lines(text):
@@ -151,7 +155,7 @@ def load(text: str, settings: TwinCatSettings = TwinCatSettings()) -> TableSet:
 
 
 def _column(values: dict[int, float], name: str, count: int) -> Floats:
-    """One column, 0 to count - 1, none missing and none beyond."""
+    """The values of points 0 to count - 1, shape (count,). Raises InputError for one that is missing, and for one beyond."""
     missing = [index for index in range(count) if index not in values]
     if missing:
         raise InputError(f"lacks table[{missing[0]}].{name}, kw_nr_max is {count}")

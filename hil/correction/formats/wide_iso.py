@@ -1,8 +1,8 @@
 """Measurements in the layout of ISO 230-2 reports: a row per target, a column per run and direction.
 
-The first column is the target; the others are headed by run and direction in either order: `1+ 1- 2+ 2-`, `1↑ 1↓`,
-`run 1 forward`, `up 3`. Cells are deviations (measured - target) or positions. The rows of the result come run by run in the order in
-which they were measured: + upwards through the targets, then - downwards.
+The first column is the target; the headers of the others name run and direction in either order: `1+ 1- 2+ 2-`, `1↑ 1↓`,
+`run 1 forward`, `up 3`. Cells are deviations (measured - target) or positions. Such a table does not hold the order of measuring; the
+records have the usual one: run by run, rising targets in +, then falling ones in -.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from hil.correction.formats.measured_csv import DIRECTIONS
 from hil.records.rows import Records
 
 CELLS = {"deviation_um": 1e-3, "deviation_mm": 1.0, "position_mm": 1.0}
+"""Contents of the cells -> mm per unit of a cell."""
 
 _SIGN = "|".join(sorted((re.escape(name) for name in DIRECTIONS if not name[-1].isdigit()), key=len, reverse=True))
 _RUN_FIRST = re.compile(rf"(?:run|cycle|j)?\s*=?\s*(\d{{1,9}})\s*[,_ ]?\s*({_SIGN})", re.IGNORECASE)
@@ -26,7 +27,7 @@ _SIGN_FIRST = re.compile(rf"({_SIGN})\s*[,_ ]?\s*(?:run|cycle|j)?\s*=?\s*(\d{{1,
 
 @dataclass(frozen=True)
 class WideIsoSettings:
-    """cells: deviation_um, deviation_mm or position_mm; delimiter "" finds it; decimal: "." or "," """
+    """cells: one of `CELLS`; delimiter: "" for the first of tab, semicolon and comma in a line; decimal: the mark, "." or "," """
 
     cells: str = "deviation_um"
     delimiter: str = ""
@@ -39,7 +40,7 @@ class WideIsoSettings:
 
 
 def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
-    """The rows of all runs. Raises InputError with the line; a cell left empty is refused like any that is no number."""
+    """The rows of all runs. Raises InputError with the line, also for an empty cell."""
     rows = [
         (line_number, _cells(line, settings.delimiter))
         for line_number, line in numbered_lines(text.removeprefix("\ufeff"))
@@ -74,9 +75,9 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
 
 
 def dump(records: Records, settings: WideIsoSettings = WideIsoSettings()) -> str:
-    """The same table from records, which reads back as it was to 1 nm.
+    """The table of these records; reading it back gives their positions to 1 nm.
 
-    Raises InputError where a run lacks a target that another has, or has one twice: such a table has no cell for it.
+    Raises InputError where a run lacks a target that another one has, or has a target twice: the table has one cell for each.
     """
     cells: dict[tuple[int, float], dict[float, float]] = {}
     scale = CELLS[settings.cells]

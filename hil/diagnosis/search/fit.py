@@ -297,17 +297,14 @@ def _terms(
     return terms
 
 
-PITCH_SHAPE = "pitch_shape"
-
-
 def static_part(linear: LinearCampaign, choices: Sequence[Choice]) -> StaticPart | None:
     """What a declared table may have absorbed of some choices, as orthogonal columns; None without choices.
 
     Of one that varies besides position and direction: its parts in a table of these rows, however smooth that was fitted and with
-    run offsets or without. Of a static one only its part in a rough table: the rest of it is in any table of its kind. Of a pitch
-    shape nothing: it is a table itself, and it and its share would grow without bound against each other.
+    run offsets or without. Of a static one only its part in a rough table: the rest of it is in any table of its kind. Of one that
+    is a table itself nothing: it and its share would grow without bound against each other.
     """
-    free = [choice for choice in choices if not choice.form.shrunk and choice.effect.id != PITCH_SHAPE]
+    free = [choice for choice in choices if not choice.form.shrunk and not choice.effect.is_table]
     if not free or not isinstance(linear.shape, SplineShape):
         return None
     w = linear.table.table_width

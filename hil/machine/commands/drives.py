@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.eds_text import summary
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.units import read_motion_units, read_units, readings
+from drivers.canopen.units import motion_units, read_units, readings
 from drivers.clock import WallClock
 from drivers.drive_notes import DriveNotes, Wire, shipped_notes
-from drivers.errors import AbortError, BridgeError, InputError, NoAnswerError, TransportError
+from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError
 from drivers.modbus.drive_map import DriveMap, all_hold
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
@@ -177,7 +178,8 @@ def _described(
         f"axis = {value}" if key == "axis" else f'{key} = "{value}"    # as you gave it' for key, value in given.items()
     ]
     for key in notes.axis_file if notes is not None else ():
-        if key.key in given or (key.unless is not None and _read(sdo, Entry(key.unless, 0, DataType.U32, ""))):
+        unless = None if key.unless is None else Entry(key.unless, 0, DataType.U32, "")
+        if key.key in given or (unless is not None and sdo.read_if_shown(unless, 0)):
             continue
         value = key.value or ask.choose(key)
         given[key.key] = value
@@ -185,8 +187,8 @@ def _described(
     several = readings(read_units(sdo))
     scaling = ask.scaling(several[0])
     told += _units_told(several, args.drive)
-    motion = read_motion_units(
-        sdo,
+    motion = motion_units(
+        partial(sdo.read_if_shown, absent=None),
         scaling,
         velocity=given.get("velocity_unit"),
         acceleration=given.get("acceleration_unit"),
@@ -196,9 +198,9 @@ def _described(
         remedy = "give it by --velocity-unit, as the drive's manual has it under 6081h"
         return FirstContact(None, several[0], [*told, f"{motion.ambiguous}; {remedy}"])
     told.append(f"velocities in {motion.velocity.text} ({motion.velocity.source}), 1 unit is {motion.mm_s(1):.4g} mm/s")
-    modes = _read(sdo, objects.SUPPORTED_MODES)
+    modes = sdo.read_if_shown(objects.SUPPORTED_MODES, None)
     homes = not modes or bool(modes & Mode.HOMING.supported_bit)
-    method, offset = _read(sdo, objects.HOMING_METHOD), _read(sdo, objects.HOME_OFFSET)
+    method, offset = sdo.read_if_shown(objects.HOMING_METHOD, None), sdo.read_if_shown(objects.HOME_OFFSET, None)
     if homes and method is None:
         told.append("homing: the drive does not say how it homes (6098h); see its manual, and [drive.homing] method")
     elif homes and not method:
@@ -250,14 +252,6 @@ def _units_told(several: tuple[Any, ...], name: str) -> list[str]:
         f"{float(counts):g} units per turn of the screw" if counts is not None else f"a lead of {float(feed or 0):g} mm"
     )
     return [f"its feed constant (6092h) may also mean {text}: hil doctor tells which, before the axis moves far"]
-
-
-def _read(sdo: SdoClient, entry: Entry) -> int | None:
-    """None for an object that is missing, or that the drive does not show."""
-    try:
-        return sdo.read(entry)
-    except AbortError:
-        return None
 
 
 def _whole(option: str, text: str, highest: int) -> int:

@@ -1,9 +1,8 @@
 """Which names of the catalogue are right for which cause of this study, with the reason.
 
-The catalogue's names and meanings are those of the documented output of `hil diagnose`. `RIGHT`: naming it is naming
-the cause. `WITHOUT_COLUMN`: right as well where the column that tells the two apart was not logged. `POINTS_AT`: not
-right, since the form is outside the catalogue, but no wrong name either: it points at the quantity that carries the
-cause.
+The catalogue's names (`support.catalogue`) and meanings are those of the documented output of `hil diagnose`. `RIGHT`: naming it is
+naming the cause. `WITHOUT_COLUMN`: right as well where the column that tells the two apart was not logged. `POINTS_AT`: not right,
+since the form is outside the catalogue, but no wrong name either: it points at the quantity that carries the cause.
 """
 
 from __future__ import annotations
@@ -11,26 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from study.grammar.physics import Cause
-
-CATALOGUE = (
-    "cyclic",
-    "thermal_expansion",
-    "thermal_drift",
-    "backlash",
-    "backlash_position",
-    "lost_motion",
-    "velocity_lag",
-    "load_deflection",
-    "abbe",
-    "cross_axis",
-    "local_wear",
-    "pitch_shape",
-    "datum_step",
-    "dead_path",
-    "air_index",
-    "cosine",
-    "beam_drift",
-)
 
 RIGHT: Mapping[str, Mapping[str, str]] = {
     "expansion": {"thermal_expansion": "grows with position and temperature, about whatever point is fixed"},

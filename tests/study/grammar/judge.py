@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 from study.grammar.environment import Floats
-from study.grammar.equivalence import CATALOGUE, always_there, not_wrong, right_names, true_parameters
+from study.grammar.equivalence import always_there, not_wrong, right_names, true_parameters
 from study.grammar.machine import Campaign, Drawn, draw
 from study.grammar.reference import Reference, left_beside
 from study.grammar.twins import carriers
+from support.catalogue import NAMES
 from threadpoolctl import threadpool_limits
 
 from hil.app.terminal.main import main as hil
@@ -228,4 +229,4 @@ def _moves_with(records: Mapping[str, Floats], name: str, columns: list[str]) ->
 
 def detected(one: Outcome, false_rate: float = FALSE_RATE) -> bool:
     """Whether the reference test detects every cause at this false rate over the catalogue."""
-    return bool(one["reference_p"]) and max(one["reference_p"]) < false_rate / len(CATALOGUE)
+    return bool(one["reference_p"]) and max(one["reference_p"]) < false_rate / len(NAMES)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import pytest
+from support.catalogue import NAMES
 
 from drivers.errors import InputError
 from sim_backends import laser_effects
@@ -17,25 +18,6 @@ from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import geometric_axis, ideal_axis
 
 SIZE_UM = 4.0
-CATALOGUE = [
-    "cyclic",
-    "thermal_expansion",
-    "thermal_drift",
-    "backlash",
-    "backlash_position",
-    "lost_motion",
-    "velocity_lag",
-    "load_deflection",
-    "abbe",
-    "cross_axis",
-    "local_wear",
-    "pitch_shape",
-    "datum_step",
-    "dead_path",
-    "air_index",
-    "cosine",
-    "beam_drift",
-]
 
 
 def go(axis: FeedAxis, *places_mm: float, speed_mm_s: float = 50.0) -> float:
@@ -64,9 +46,9 @@ def machine() -> Callable[..., float]:
 
 
 def test_the_whole_catalogue_can_be_switched_on() -> None:
-    assert sorted([*switches.SWITCHES, *laser_effects.SWITCHES]) == sorted(CATALOGUE)
+    assert sorted([*switches.SWITCHES, *laser_effects.SWITCHES]) == sorted(NAMES)
     with Bench() as bench:
-        for effect in CATALOGUE:
+        for effect in sorted(NAMES):
             bench.switch_on(effect, 1.0)
         bench.clock.sleep_s(1.0)
         with pytest.raises(InputError, match="'wear' cannot be switched on"):

@@ -12,6 +12,7 @@ from study.grammar import campaign, environment, equivalence, noise, outside, ph
 from study.grammar.machine import LOTS, SEEDS, STRONG, WEAK, draw
 from study.grammar.reference import Reference, outside_um
 from study.grammar.twins import DISTANCE, twin
+from support.catalogue import NAMES
 
 TESTS = Path(__file__).resolve().parents[2]
 GENERATOR = ("campaign", "environment", "noise", "physics", "outside", "reference", "twins", "machine")
@@ -219,7 +220,7 @@ def test_a_cause_with_the_same_columns_is_a_twin_and_one_with_others_is_not(stat
 def test_every_cause_has_a_name_of_the_catalogue():
     assert set(equivalence.RIGHT) == {*physics.RECIPES, "settling"}  # a form of drift
     named = {name for names in equivalence.RIGHT.values() for name in names} | set(equivalence.ALWAYS_THERE)
-    assert named == set(equivalence.CATALOGUE)
+    assert named == NAMES
 
 
 def test_wilson_interval_as_published():

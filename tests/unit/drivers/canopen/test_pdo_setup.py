@@ -131,5 +131,5 @@ def test_mapping_values_get_their_names_back() -> None:
 def test_an_event_driven_pdo_reads_back(sdo: SdoClient) -> None:
     spec = PdoSpec(3, True, 0x385, EVENT, (objects.ERROR_CODE,))
     configure(sdo, spec)
-    image = read_image(sdo, spec)
+    image = read_image(sdo, spec.pdo)
     assert (image.kind, image.mapped) == (255, (0x603F0010,))

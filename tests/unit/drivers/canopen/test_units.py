@@ -1,14 +1,19 @@
 """What a drive says of its units, read from the simulated one."""
 
 from fractions import Fraction
+from functools import partial
 
 import pytest
 
 from drivers.canopen.bus import CanLink
+from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.objects import Entry
+from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.units import read_motion_units, read_units
-from drivers.errors import AbortError
+from drivers.canopen.side_by_side import CanLine
+from drivers.canopen.units import motion_units, read_units
+from drivers.drive import DriveLimits
+from drivers.errors import AbortError, BridgeError
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from sim_backends.canopen_bench import CanBench
 
@@ -87,7 +92,7 @@ class _Drive(SdoClient):
 
 
 def _units(objects: Objects, vendor: int = 0, **stated: str) -> MotionScaling:
-    return read_motion_units(_Drive(objects), AXIS, vendor=vendor, **stated)  # type: ignore[arg-type]
+    return motion_units(partial(_Drive(objects).read_if_shown, absent=None), AXIS, vendor=vendor, **stated)  # type: ignore[arg-type]
 
 
 def _asked(units: MotionScaling) -> tuple[int, int]:
@@ -159,3 +164,47 @@ def test_ambiguous_units_are_told_with_the_remedy(
     units = _units(objects, vendor, **stated)
     assert words in units.ambiguous
     assert "_unit in [drive]" in units.ambiguous
+
+
+# -- the same units beside the drive's parameters ------------------------------------------------------------------------------
+LIMITS = DriveLimits(-200.0, 200.0, 200.0, 2000.0)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "stated", "speed", "ramp"),
+    [
+        (0, {}, "counts/s", "counts/s2"),
+        (0xFB, {}, "rpm", "rpm/s"),  # maxon, by its manual
+        (0xFB, {"acceleration_unit": "rev/s2"}, "rpm", "rev/s2"),
+        (0, {"velocity_unit": "0.1 rpm"}, "0.1 rpm", "0.1 rpm/s"),
+        (0x286, {}, "", ""),  # Trinamic: by model, so that nothing is known
+    ],
+)
+def test_speeds_and_ramps_among_the_parameters_are_in_the_drives_own_units(
+    vendor: int, stated: dict[str, str], speed: str, ramp: str
+) -> None:
+    bench = CanBench((NODE,), parameters={(0x1018, 1): vendor})
+    with CanLink(bench.port(), bench.clock) as link:
+        line = CanLine(link)
+        raw = CanOpenRawParameters("X", line, NODE, None, scaling=AXIS, **stated)  # type: ignore[arg-type]
+        (identity,) = line.run([raw.identify()])
+        assert not isinstance(identity, BridgeError)
+        found = {
+            address: raw.unit_of(raw.entries[address]) for address in ("6099h:01", "6085h:00", "607Ch:00", "6098h:00")
+        }
+        assert found == {"6099h:01": speed, "6085h:00": ramp, "607Ch:00": "counts", "6098h:00": ""}
+        raw.close()
+        settings = CanOpenSettings(**stated)  # type: ignore[arg-type]
+        with CanOpenDrive("X", AXIS, LIMITS, bench.clock, link=link, node_id=NODE, settings=settings) as drive:
+            names = ("homing_speed_during_search_for_switch", "quick_stop_deceleration", "home_offset")
+            assert [drive.parameters.describe(name).unit for name in names] == [speed, ramp, "counts"]
+
+
+def test_without_the_axis_files_scaling_no_unit_of_speed_is_claimed() -> None:
+    bench = CanBench((NODE,))
+    with CanLink(bench.port(), bench.clock) as link:
+        line = CanLine(link)
+        raw = CanOpenRawParameters("X", line, NODE, None)
+        line.run([raw.identify()])
+        assert [raw.unit_of(raw.entries[address]) for address in ("6099h:01", "6085h:00")] == ["", ""]
+        raw.close()

@@ -8,12 +8,14 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.noise.evidence import Noise
-from hil.diagnosis.search.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit
+from hil.diagnosis.search.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit, static_part
 from hil.effects import Action, Form, Term
 from hil.effects.air_index import AirIndex
+from hil.effects.backlash import Backlash
 from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep
 from hil.effects.model import Model, PitchTable
+from hil.effects.pitch_shape import PitchShape
 from hil.effects.velocity_lag import VelocityLag
 
 Array = np.ndarray
@@ -102,3 +104,17 @@ def test_a_prior_on_a_choice_is_that_of_its_parameters() -> None:
     assert AirIndex().forms(prepared.survey) == ()
     form = Form("cyclic", "fundamental", ("target_mm",))
     assert Choice(Cyclic(), form, ()).log_prior == 0.0
+
+
+def test_a_table_has_absorbed_a_static_effect_but_never_one_that_is_a_table() -> None:
+    prepared = prepare(campaign())
+    linear = Setting.free(prepared).linear
+    backlash, shape = (
+        grid_choices(effect, effect.forms(prepared.survey)[0])[0] for effect in (Backlash(), PitchShape())
+    )
+    assert static_part(linear, [shape]) is None
+    beside, alone = static_part(linear, [backlash, shape]), static_part(linear, [backlash])
+    assert beside is not None
+    assert alone is not None
+    x, d = prepared.x, prepared.d
+    np.testing.assert_array_equal(beside.at(x, d), alone.at(x, d))

@@ -307,6 +307,7 @@ def test_what_an_effect_is_called_in_the_model_file_and_what_follows_from_it() -
         "local_wear",
         "pitch_shape",
     }
+    assert {e.id for e in ALL if e.is_table} == {"pitch_shape"}
     assert {e.id for e in ALL if e.action is Action.FIX_SETUP} == {"air_index", "beam_drift", "cosine", "dead_path"}
     assert {e.id for e in ALL if e.action is Action.RE_MEASURE} == {"datum_step"}
     assert {e.id: e.log_odds for e in ALL if e.log_odds} == {"cosine": 0.5}
