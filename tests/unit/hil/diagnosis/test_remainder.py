@@ -154,12 +154,12 @@ def test_rows_hit_at_random_are_noticed_with_their_size() -> None:
 
 @pytest.mark.parametrize("draws", ["signs", "cauchy"])
 def test_large_rows_of_random_sign_are_noise(draws: str) -> None:
-    """Heavy tails alone: of one hundred campaigns about one may be taken for more."""
+    """Heavy tails alone: of fifty campaigns hardly one may be taken for more."""
     campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
     searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
     noise = start_noise(campaign)
     taken = 0
-    for seed in range(100):
+    for seed in range(50):
         rng = np.random.default_rng([seed, 9])
         large = rng.random(len(campaign)) < 0.1
         tails = (
@@ -168,7 +168,7 @@ def test_large_rows_of_random_sign_are_noise(draws: str) -> None:
         y = NOISE_UM * np.where(large, np.clip(tails, -15.0, 15.0), rng.normal(size=len(campaign)))
         null = Null.of(searcher.linear, y, searcher.always, noise)
         taken += hit_rows(null, variables(campaign), campaign.d) is not None
-    assert taken <= 4
+    assert taken <= 2
 
 
 def test_a_function_of_another_column_takes_the_place_of_the_effect_it_resembles() -> None:
