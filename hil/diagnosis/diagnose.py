@@ -11,14 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
-from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.noise.evidence import Noise, Projection
 from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import LeftOver, left_over
+from hil.diagnosis.remainder.contest import beaten
 from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
 from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of
 from hil.diagnosis.search.fit import grid_choices, joint_fit
@@ -68,6 +70,9 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     few = on_few_rows(chosen)
     if few:
         chosen = refitted_without(chosen, few)
+    lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
+    if lost:
+        chosen = refitted_without(chosen, lost)
     left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.hits)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
@@ -91,6 +96,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     known_um = np.sum([term.error_um(rows.columns) for term in extended.found], axis=0)
     floor = pure_error(rows.columns, rows.error_um - known_um)
+    unexplained = unexplained or exceeds_repeats(floor, parts)
     found_out = Diagnosis(
         pure_error=floor,
         noise=parts,
@@ -158,6 +164,14 @@ def beyond_noise(
         )
 
 
+def exceeds_repeats(floor: PureError | None, parts: NoiseParts) -> bool:
+    """Whether what is left from row to row is far more than repeats of one target differ by, even at the upper end of their 95 %."""
+    if floor is None:
+        return False
+    upper_um = floor.std_um.value * math.sqrt(floor.dof / float(chi2.ppf(0.025, floor.dof)))
+    return parts.white_um > policy().beyond_repeats * upper_um
+
+
 def _notes(
     records: Records, campaign: CampaignRows, dropped: Sequence[str], after: Figures, alone: Figures
 ) -> Iterator[str]:
@@ -213,11 +227,18 @@ def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
 def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
     """Whether what is left is small and of an effect's own columns: its form is not quite the machine's."""
     shared = {"target_mm", "direction", campaign.survey.time_column}
+    projection = chosen.last.searcher.projection(chosen.last.noise.calm())
     return any(
         set(left.columns) <= shared | set(term.needs)
-        and left.rms.value < policy().shape * float(np.std(term.error_um(campaign.columns)))
+        and left.rms.value < policy().shape * _beside_table_um(projection, term, campaign)
         for term in chosen.fit.found
     )
+
+
+def _beside_table_um(projection: Projection, term: Term, campaign: CampaignRows) -> float:
+    """RMS over the rows of what the table cannot hold of a term, µm."""
+    normal, _ = projection.normal(term.error_um(campaign.columns)[:, None])
+    return math.sqrt(max(float(normal[0, 0]), 0.0) / len(campaign))
 
 
 def _misfit_note(left: LeftOver) -> str:
@@ -267,6 +288,8 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, .
             continue
         named.add(effect.id)
         weights = _doubted(_weights(chosen, effect.id), chosen, term)
+        if effect.id in ONCE and is_between_runs(term.error_um(columns), chosen.last.searcher.linear.campaign):
+            weights = _set_between_runs(weights, effect.id)
         rivals = [
             RivalFound(name, weight, _separate_by(effect, name))
             for name, weight in weights.items()
@@ -323,6 +346,21 @@ def _doubted(weights: dict[str, float], chosen: Chosen, term: Term) -> dict[str,
     share = other / max(mine + other, 1e-300)
     doubted = {name: weight * (1.0 - share) for name, weight in weights.items()}
     return doubted | {OUTSIDE: doubted.get(OUTSIDE, 0.0) + share}
+
+
+def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
+    """Whether a course of the rows (n,) is a jump from one run to the next: everything that was set there may have caused it."""
+    jumps = np.flatnonzero(np.diff(course_um))
+    return len(jumps) == 1 and bool(campaign.run[jumps[0]] != campaign.run[jumps[0] + 1])
+
+
+def _set_between_runs(weights: dict[str, float], effect: str) -> dict[str, float]:
+    """The weights beside a cause that nobody recorded and that was set between two runs."""
+    mine = weights.get(effect, 1.0)
+    other = mine * math.exp(-policy().unseen / policy().temperature)
+    total = sum({effect: mine, **weights}.values()) + other
+    more = {effect: mine, **weights, OUTSIDE: weights.get(OUTSIDE, 0.0) + other}
+    return {name: weight / total for name, weight in more.items()}
 
 
 def _separate_by(effect: Effect, rival: str) -> str:

@@ -118,6 +118,24 @@ class Policy:
         3.0, "-log10 probability", "with the number of groups, of a wave left", "an earlier trial; 1 in 1000"
     )
     block_fires_at: float = _number(8.0, LOG, "of a smooth function left", "66 pairs reach 16 of 2·log odds in 0.2 %")
+    hit: float = _number(
+        2.5, NOISE, "of a residual, robust, that may be a row hit by a cause", "1 row in 80 of normal noise"
+    )
+    beyond_repeats: float = _number(
+        1.5,
+        "1",
+        "rows that vary so many times more than repeats do hold a cause",
+        "noise that grows with speed may reach it",
+    )
+    false_hits: float = _number(
+        0.005,
+        RATE,
+        "of a wave along the large rows of noise",
+        "half of the 1 % asked for: few campaigns have enough such rows",
+    )
+    beaten: float = _number(
+        3.0, LOG, "by which a smooth function of other columns must exceed an effect to take its place", "20 to 1"
+    )
     simpler: float = _number(1.0, LOG, "that a pair of columns must have beyond one alone", "set by hand")
     as_good: float = _number(3.0, LOG, "below the best within which a noise model is kept", "an earlier trial; 20 to 1")
     pseudo_rows: float = _number(

@@ -212,6 +212,13 @@ class Diagnosis:
         """Figures of the held-out residual with the extended model."""
         return Figures.of(self.after_um)
 
+    @property
+    def unexplained_sentence(self) -> str:
+        """What is left that nothing explains, and what carries it."""
+        carried = "; ".join(map(str, self.carriers))
+        known = f"carried by {carried}" if carried else "and no column that was recorded carries it"
+        return f"structure is left that nothing in the catalogue explains, {known}"
+
     def to_json(self) -> dict[str, Any]:
         """The JSON object of `hil diagnose`, plain values."""
         floor = self.pure_error

@@ -19,8 +19,7 @@ def print_findings(diagnosis: Diagnosis) -> None:
     if not diagnosis.findings:
         print("found: nothing that the data support")
     if diagnosis.unexplained:
-        carried = "; ".join(map(str, diagnosis.carriers))
-        print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
+        print(f"unexplained: {diagnosis.unexplained_sentence}")
 
 
 def print_stages(stages: Mapping[str, Mapping[str, Any]]) -> None:

@@ -125,7 +125,6 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         for rival in finding.rivals:
             print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
     if diagnosis.unexplained:
-        carried = "; ".join(map(str, diagnosis.carriers))
-        print(f"unexplained: structure is left that nothing in the catalogue explains, carried by {carried}")
+        print(f"unexplained: {diagnosis.unexplained_sentence}")
     for note in diagnosis.notes:
         print(f"note: {note}")

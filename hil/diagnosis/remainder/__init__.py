@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,9 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import block as blocks
 from hil.diagnosis.remainder import scan as waves
 from hil.diagnosis.remainder.block import Block
+from hil.diagnosis.remainder.hits import hit_rows
 from hil.diagnosis.remainder.null import Null
+from hil.diagnosis.remainder.one_run import in_one_run
 from hil.diagnosis.remainder.scan import Group, Scan, Variable
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.judge import Hit
@@ -66,14 +68,19 @@ def left_over(
     linear = LinearCampaign(campaign)
     null = Null.of(linear, searcher.y, beside, noise)
     d = campaign.d if campaign.survey.has("direction") else None
+    x = next((v for v in columns if v.name == "target_mm" and not v.levels), None)
     found: dict[tuple[str, ...], list[Floats]] = {}
     sure: dict[tuple[str, ...], float] = {}
     for _ in range(MOST_ROUNDS):
         scanned = waves.scan(null, columns)
-        best = _clearest_block(null, columns) if scanned.score < policy().scan_fires_at else None
-        if scanned.score < policy().scan_fires_at and best is None:
+        best = _clearest_block(null, columns, d) if scanned.score < policy().scan_fires_at else None
+        carried: Block | None = None
+        if scanned.score >= policy().scan_fires_at or best is not None:
+            carried = _carried(null, columns, scanned, best, d)
+        elif x is not None and not found:
+            carried = in_one_run(null, searcher.raw, x, d)
+        if carried is None:
             break
-        carried = _carried(null, columns, scanned, best, d)
         probability = min(10.0**-scanned.score, math.exp(-max(carried.evidence, 0.0)))
         own = blocks.outside_table(null, carried)
         if not own.shape[1]:
@@ -81,6 +88,8 @@ def left_over(
         found.setdefault(carried.columns, []).append(own)
         sure.setdefault(carried.columns, probability)
         null = null.plus(own)
+    if not found:
+        return _of_hit_rows(null, columns, d, searcher.raw)
     parts = {name: np.hstack(own) for name, own in found.items()}
     fitted = blocks.fitted(linear, searcher.raw, beside, noise, list(parts.values()))
     out = [
@@ -100,6 +109,25 @@ def left_over(
     )
 
 
+def _of_hit_rows(null: Null, columns: Sequence[Variable], d: Floats | None, raw: Floats) -> tuple[LeftOver, ...]:
+    """What a part of the rows has and the others have not, with the rows as its columns; none where chance does as much."""
+    hit = hit_rows(null, columns, d)
+    if hit is None:
+        return ()
+    names, rows = hit.columns, hit.rows
+    white = null.linear.projection(null.noise, raw / null.scale, null.beside).rest * null.scale
+    usual_um = 1.4826 * float(np.median(np.abs(np.delete(white, rows))))
+    values = np.zeros(len(raw))
+    values[rows] = white[rows]
+    rms = math.sqrt(max(float(np.sum(white[rows] ** 2)) - len(rows) * usual_um**2, 0.0) / len(raw))
+    size = float(np.max(np.abs(white[rows]))) / usual_um
+    alone = np.zeros((len(raw), len(rows)))
+    alone[rows, np.arange(len(rows))] = size
+    std = rms / math.sqrt(2.0 * len(rows))
+    alike = {one: found for one in names if (found := _equivalent(one, columns))}
+    return (LeftOver(names, alike, Estimate(rms, std), values, Extra(alone[:, :0], alone), hit.probability),)
+
+
 def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without: Sequence[Hit]) -> Extra:
     """The columns of every fit and of the choices, with the slopes to their parameters: the effects are linearised there."""
     campaign = searcher.linear.campaign
@@ -117,19 +145,41 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
     return extra
 
 
-def _clearest_block(null: Null, columns: Sequence[Variable]) -> Block | None:
-    """The block of highest evidence, of one column or of two, if that is beyond noise under every noise model."""
+def _clearest_block(null: Null, columns: Sequence[Variable], d: Floats | None) -> Block | None:
+    """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model."""
     best: Block | None = None
-    alone = [(v, None) for v in columns if v.name != "target_mm"]
-    for first, second in [*alone, *itertools.combinations(columns, 2)]:
-        names = (first.name,) if second is None else (first.name, second.name)
-        trial = blocks.block(null, names, blocks.design_of(first, second, None))
+    for names, design in itertools.chain(_smooth(columns), _processes(columns, d)):
+        trial = blocks.block(null, names, design)
         if trial.evidence > policy().block_fires_at and (best is None or trial.evidence > best.evidence):
             best = trial
     if best is None:
         return None
     sure = blocks.block(null, best.columns, best.design, surely=True)
     return best if sure.evidence > policy().block_fires_at else None
+
+
+def _smooth(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Floats]]:
+    """Names and design of each column and of each pair of columns."""
+    for v in columns:
+        if v.name != "target_mm":
+            yield (v.name,), blocks.design_of(v, None, None)
+    for first, second in itertools.combinations(columns, 2):
+        yield (first.name, second.name), blocks.design_of(first, second, None)
+
+
+def _processes(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
+    """The same of a process in time that multiplies the direction, or a wave along the position, with the direction or without."""
+    named = {v.name: v for v in columns}
+    time, x = named.get("time_s", named.get("row_order")), named.get("target_mm")
+    if time is None or time.levels:
+        return
+    yield (time.name,), blocks.process_of(np.ones((len(time.u), 1)), time)
+    if d is not None:
+        yield (time.name, "direction"), blocks.process_of(d[:, None], time)
+    for wave in () if x is None or x.levels else x.waves(x.periods(waves.FINE_POSITION)):
+        yield ("target_mm", time.name), blocks.process_of(wave.T, time)
+        if d is not None:
+            yield ("target_mm", time.name, "direction"), blocks.process_of(wave.T * d[:, None], time)
 
 
 def _carried(null: Null, columns: Sequence[Variable], found: Scan, best: Block | None, d: Floats | None) -> Block:

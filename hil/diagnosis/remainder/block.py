@@ -27,6 +27,10 @@ RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Variances of the block tried, over that of the white noise."""
 SMALL = 0.3
 """Squared norm, over the white noise's variance, below which a direction of a block is below a row's noise and is left out."""
+PROCESS_PERIODS = 12
+"""Periods over the campaign up to which a process in time is resolved."""
+HALF_POWER = 3.0
+"""Periods at which the power of such a process has fallen to half: a state that switches every tenth of the campaign has 3.2."""
 FALLING = 3.0
 """Log evidence below the best at which larger variances are not tried."""
 
@@ -79,6 +83,14 @@ def design_of(
         scaled = scaled * direction[:, None]
     extra = [group.design(np.ones(len(values)) if direction is None else direction) for group in waves]
     return np.hstack([scaled, *extra])
+
+
+def process_of(waves: Floats, time: Variable) -> Floats:
+    """Columns of a process in time that multiplies some waves (n, w), (n, r): a state that nobody logs, which switches or wanders."""
+    periods = np.arange(1.0, PROCESS_PERIODS + 1.0)
+    course = time.waves(periods).reshape(-1, len(time.u)).T / np.repeat(np.hypot(1.0, periods / HALF_POWER), 2)
+    course = np.column_stack([np.ones(len(course)), course])
+    return np.asarray((waves[:, :, None] * course[:, None, :]).reshape(len(course), -1)[:, 1:], dtype=np.float64)
 
 
 def evidence_of(projection: Projection, design: Floats) -> tuple[float, float]:

@@ -6,17 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from study.grammar.machine import draw
 from support.workshop import TRAVEL_MM, Cause, Floats, workshop
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import prepare
+from hil.diagnosis.diagnose import exceeds_repeats, is_between_runs
+from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.remainder import LeftOver, left_over
+from hil.diagnosis.remainder.hits import hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import scan, variables
+from hil.diagnosis.result import NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
+from hil.effects import Estimate
 from hil.records.rows import Records
 
 NOISE_UM = 0.5
@@ -43,7 +49,21 @@ def worn_when_warm(c: dict[str, Floats]) -> Floats:
     return np.exp(-c["since_reversal_mm"] / 60.0) * (c["temp_screw_c"] - 20.0)
 
 
+def state_nobody_logs(c: dict[str, Floats]) -> Floats:
+    """Switches at random about every tenth of the campaign, and shows along a wave of the position."""
+    rng = np.random.default_rng(3)
+    edges = np.cumsum(rng.exponential(0.1 * np.ptp(c["time_s"]), 100))
+    state = np.where(np.searchsorted(edges, c["time_s"] - c["time_s"][0]) % 2 == 0, 1.0, -1.0)
+    return state * np.sin(2 * np.pi * 2.6 * c["target_mm"] / TRAVEL_MM)
+
+
+def in_one_run(c: dict[str, Floats]) -> Floats:
+    return np.sin(2 * np.pi * 4.6 * c["target_mm"] / TRAVEL_MM) * (c["run"] == 2)
+
+
 CAUSES = (
+    (state_nobody_logs, {"time_s", "target_mm"}),
+    (in_one_run, {"run", "target_mm"}),
     (wave_by_load, {"load_kg", "target_mm"}),
     (moving_only, {"velocity_mm_s", "target_mm"}),
     (beat, {"time_s", "target_mm"}),
@@ -119,6 +139,61 @@ def test_the_scale_of_the_rows_is_that_of_their_noise() -> None:
     even = row_scale(rng.normal(size=len(campaign)), campaign)
     assert np.std(even) < 0.2
     assert np.sqrt(np.mean(even**2)) == pytest.approx(1.0)
+
+
+def one_row_in_ten(c: dict[str, Floats]) -> Floats:
+    hit = np.random.default_rng(8).random(len(c["target_mm"])) < 0.1
+    return hit * np.sin(2 * np.pi * 2.2 * c["target_mm"] / TRAVEL_MM + 0.3)
+
+
+def test_rows_hit_at_random_are_noticed_with_their_size() -> None:
+    found = rest_of(workshop(31, one_row_in_ten, ratio=2.0, noise_um=NOISE_UM)[0])
+    assert [set(one.columns) - {"direction"} for one in found] == [{"target_mm"}]
+    assert found[0].rms.value == pytest.approx(2.0 * NOISE_UM, rel=0.25)
+
+
+@pytest.mark.parametrize("draws", ["signs", "cauchy"])
+def test_large_rows_of_random_sign_are_noise(draws: str) -> None:
+    """Heavy tails alone: of fifty campaigns hardly one may be taken for more."""
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
+    noise = start_noise(campaign)
+    taken = 0
+    for seed in range(50):
+        rng = np.random.default_rng([seed, 9])
+        large = rng.random(len(campaign)) < 0.1
+        tails = (
+            rng.standard_cauchy(len(campaign)) if draws == "cauchy" else 6.0 * np.sign(rng.normal(size=len(campaign)))
+        )
+        y = NOISE_UM * np.where(large, np.clip(tails, -15.0, 15.0), rng.normal(size=len(campaign)))
+        null = Null.of(searcher.linear, y, searcher.always, noise)
+        taken += hit_rows(null, variables(campaign), campaign.d) is not None
+    assert taken <= 2
+
+
+def test_a_function_of_another_column_takes_the_place_of_the_effect_it_resembles() -> None:
+    """A bump along the air's pressure, which passes it once: a jump of the reading fits well, and the bump far better."""
+    drawn = draw("outside strong", 100_002)
+    said = diagnose(Records.of(drawn.fit.records))
+    assert said.unexplained
+    assert not said.findings
+    assert "air_pressure_hpa" in said.carriers[0].columns
+
+
+def test_rows_that_vary_far_more_than_their_repeats_are_unexplained() -> None:
+    noise = NoiseParts(1.0, 0.0, 0.0, 0.0)
+    close, far = (PureError(Estimate(um, 0.1 * um), 8, True) for um in (0.6, 0.2))
+    assert not exceeds_repeats(None, noise)
+    assert not exceeds_repeats(close, noise), "eight degrees of freedom do not tell 0.6 from 1"
+    assert exceeds_repeats(far, noise)
+
+
+def test_a_jump_from_one_run_to_the_next_may_be_anything_that_was_set_there() -> None:
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    assert is_between_runs((campaign.run >= 2) * 3.0, campaign)
+    within = np.arange(len(campaign)) > np.flatnonzero(campaign.run == 2)[3]
+    assert not is_between_runs(within * 3.0, campaign)
+    assert not is_between_runs(np.arange(len(campaign)) * 0.1, campaign)
 
 
 def test_a_cause_outside_the_catalogue_is_never_silent() -> None:
