@@ -16,7 +16,7 @@ from typing import Any
 
 from drivers.clock import NS_PER_S
 from drivers.correction_table import CorrectionTable, RawTable
-from drivers.drive import DriveState, ServoDrive
+from drivers.drive import WITHOUT_POWER, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from hil.machine.one_correction import switch_table
 from hil.records.files import read_text, replace_file
@@ -24,7 +24,6 @@ from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 
 Tell = Callable[[str], None]
-_POWERED = (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.SWITCHED_ON, DriveState.FAULT_REACTION)
 _TRIES = 3  # attempts to restore
 _WRITES = 2  # of a change: the new table, and the old one where the new cannot stay
 
@@ -114,14 +113,14 @@ class TableChange:
 
     def undo(self) -> None:
         """Restores contents and switch, and reads them back. Raises what access raises."""
-        if self.drive.sample().state in _POWERED:
+        if self.drive.sample().state not in WITHOUT_POWER:
             self.drive.disable()
         put_back(self.drive, self.table, self.found)
         self.undone = True
 
     def _require_unpowered(self) -> None:
         state = self.drive.sample().state
-        if state in _POWERED:
+        if state not in WITHOUT_POWER:
             raise StateError(f"drive {self.drive.name}: its table is not changed under power, it is {state.value}")
 
 
@@ -135,7 +134,7 @@ def changing(drive: ServoDrive, note: Path, tell: Tell) -> Iterator[TableChange]
     """
     table = held_table(drive)
     state = drive.sample().state
-    if state in _POWERED:
+    if state not in WITHOUT_POWER:
         raise StateError(f"drive {drive.name}: its table is changed while the axis is disabled, it is {state.value}")
     if recover(drive, note):
         tell("an earlier change of the drive's table was broken off; what was there before it has been put back")

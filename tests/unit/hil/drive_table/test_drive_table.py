@@ -14,7 +14,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.table_map import load_table_map
 from drivers.correction_table import RawTable
-from drivers.drive import DriveLimits
+from drivers.drive import DriveLimits, DriveState
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -198,6 +198,16 @@ def test_nothing_is_touched_under_power(note: Path) -> None:
                 change.write(rig.raw(3))
             with pytest.raises(StateError, match="not changed under power"):
                 change.switch(False)
+    assert rig.holds() == (rig.raw(1), True)
+
+
+def test_a_drive_whose_state_is_not_known_may_be_under_power(note: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = prepared("simulated_array", note)
+    with rig.drive() as drive:
+        sample = drive.sample()
+        monkeypatch.setattr(drive, "sample", lambda: replace(sample, state=DriveState.UNKNOWN))
+        with pytest.raises(StateError, match="while the axis is disabled"), changing(drive, note, pytest.fail):
+            pytest.fail("entered")
     assert rig.holds() == (rig.raw(1), True)
 
 
