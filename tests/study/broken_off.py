@@ -18,6 +18,9 @@ if __name__ == "__main__":  # the folder of a script is first in the path, and h
 
 from hostile.kills import BROKEN_OFF, HOMING, WAYS, breaks, run
 
+TASKS = 40
+"""Chunks of cases of one process: what a killed program leaves open stays open in it, and there are 1024 descriptors."""
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -28,7 +31,7 @@ def main() -> int:
     args = parser.parse_args()
     chosen = breaks(args.moments, tuple(args.verb or BROKEN_OFF), tuple(args.homing or HOMING))
     began_s, found = time.monotonic(), []
-    with ProcessPoolExecutor(args.processes) as pool:
+    with ProcessPoolExecutor(args.processes, max_tasks_per_child=TASKS) as pool:
         for one in pool.map(run, chosen, chunksize=4):
             found.append(one)
             if one.complaints:
