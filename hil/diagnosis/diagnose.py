@@ -74,6 +74,15 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     if lost:
         chosen = refitted_without(chosen, lost)
     left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.hits)
+    required: frozenset[str] = frozenset()
+    if left and dropped:
+        again = required_all_the_same(chosen, dropped)
+        beside = (
+            left_over(again.last.searcher, again.kept, again.last.noise, again.hits) if again is not chosen else left
+        )
+        if sum(one.rms.value for one in beside) < sum(one.rms.value for one in left):
+            chosen, left, required = again, beside, frozenset(dropped) & {one.effect.id for one in again.kept}
+            dropped = tuple(name for name in dropped if name not in required)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
@@ -82,7 +91,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     unexplained = unexplained or bool(left)
     noise = chosen.last.noise
     parts = _noise_parts(chosen.fit.white_um, noise)
-    found = _findings(chosen, campaign.columns)
+    found = _findings(chosen, campaign.columns, required)
     below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
     findings = tuple(finding for finding in found if finding.effect not in below_noise)
     if below_noise:
@@ -211,6 +220,19 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
 
 
+def required_all_the_same(chosen: Chosen, dropped: Collection[str]) -> Chosen:
+    """The fit with effects that did not help on runs left out, where something is left without them: it is theirs as long as no
+    function of other columns explains it better. Run offsets and few runs hide from such runs what all rows together show.
+    """
+    last = chosen.last
+    lost = beaten(last.searcher, last.choices, last.noise)
+    kept = {one.effect.id for one in chosen.kept} | (set(dropped) - set(lost))
+    again = [choice for choice in last.choices if choice.effect.id in kept]
+    if len(again) == len(chosen.kept):
+        return chosen
+    return replace(chosen, fit=last.searcher.fit(again, last.noise))
+
+
 def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
     """The fit again beside what is left, without the terms that the records do not require beside that."""
     last = chosen.last
@@ -278,7 +300,8 @@ def refitted_without(chosen: Chosen, effects: Collection[str]) -> Chosen:
     return replace(chosen, fit=chosen.last.searcher.fit(kept, chosen.last.noise))
 
 
-def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, ...]:
+def _findings(chosen: Chosen, columns: Mapping[str, Floats], doubted: Collection[str]) -> tuple[Finding, ...]:
+    """The findings, largest first. doubted: effects that a cause nobody recorded may have caused as well."""
     findings: list[Finding] = []
     named: set[str] = set()
     free = {choice.effect.id for choice in chosen.selections[0].choices}
@@ -288,8 +311,9 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats]) -> tuple[Finding, .
             continue
         named.add(effect.id)
         weights = _doubted(_weights(chosen, effect.id), chosen, term)
-        if effect.id in ONCE and is_between_runs(term.error_um(columns), chosen.last.searcher.linear.campaign):
-            weights = _set_between_runs(weights, effect.id)
+        between = effect.id in ONCE and is_between_runs(term.error_um(columns), chosen.last.searcher.linear.campaign)
+        if between or effect.id in doubted:
+            weights = _beside_an_unseen_cause(weights, effect.id)
         rivals = [
             RivalFound(name, weight, _separate_by(effect, name))
             for name, weight in weights.items()
@@ -354,8 +378,8 @@ def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
     return len(jumps) == 1 and bool(campaign.run[jumps[0]] != campaign.run[jumps[0] + 1])
 
 
-def _set_between_runs(weights: dict[str, float], effect: str) -> dict[str, float]:
-    """The weights beside a cause that nobody recorded and that was set between two runs."""
+def _beside_an_unseen_cause(weights: dict[str, float], effect: str) -> dict[str, float]:
+    """The weights beside a cause that nobody recorded."""
     mine = weights.get(effect, 1.0)
     other = mine * math.exp(-policy().unseen / policy().temperature)
     total = sum({effect: mine, **weights}.values()) + other

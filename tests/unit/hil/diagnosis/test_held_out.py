@@ -93,3 +93,16 @@ def test_a_gain_counts_when_it_is_above_its_standard_error_whatever_the_unit(gai
 def test_one_fold_that_likes_it_does_not_speak_for_all() -> None:
     assert not improves_held_out(np.array([50.0, -0.1, -0.1, -0.1, -0.1]))
     assert improves_held_out(np.array([3.0, 2.0, 2.5, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize(
+    ("gain", "helps"),
+    [
+        ([-0.9, 0.0, 0.6, -0.7, 173.2, -17.0, 178.1], True),  # a load that two runs had
+        ([4.0, 5.0, -60.0, 6.0, 5.0, 4.5], True),  # the first run is missing
+        ([1.0, -1.0, 40.0, -1.5, 0.5, -38.0], False),
+        ([98.5, -501.9, -70.7, 34.6, -208.4, -277.7, 39.3, -526.8], False),
+    ],
+)
+def test_an_effect_helps_with_all_runs_or_without_the_best_and_the_worst(gain: list[float], helps: bool) -> None:
+    assert improves_held_out(np.array(gain)) is helps

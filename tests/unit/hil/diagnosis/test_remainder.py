@@ -203,3 +203,13 @@ def test_a_cause_outside_the_catalogue_is_never_silent() -> None:
     assert {"load_kg", "target_mm"} <= {name for carrier in said.carriers for name in carrier.columns}
     assert not [finding for finding in said.findings if finding.confidence > 0.9]
     assert said.to_json()["carried_by"][0]["rms_std_um"] > 0.0
+
+
+def test_an_effect_that_runs_left_out_do_not_prove_is_named_with_doubt_where_its_rest_would_be_unexplained() -> None:
+    """An offset that follows a temperature by far later: from run to run it cannot be told from the offsets of the runs."""
+    said = diagnose(Records.of(draw("weak", 100_034).fit.records))
+    (finding,) = said.findings
+    assert finding.effect == "thermal_drift"
+    assert 0.5 < finding.confidence < 0.7
+    assert "unexplained" in {rival.effect for rival in finding.rivals}
+    assert not said.unexplained
