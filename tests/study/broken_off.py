@@ -11,15 +11,13 @@ import sys
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from itertools import groupby
 from pathlib import Path
 
 if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
 from hostile.kills import BROKEN_OFF, HOMING, WAYS, breaks, run
-
-TASKS = 40
-"""Chunks of cases of one process: what a killed program leaves open stays open in it, and there are 1024 descriptors."""
 
 
 def main() -> int:
@@ -31,11 +29,13 @@ def main() -> int:
     args = parser.parse_args()
     chosen = breaks(args.moments, tuple(args.verb or BROKEN_OFF), tuple(args.homing or HOMING))
     began_s, found = time.monotonic(), []
-    with ProcessPoolExecutor(args.processes, max_tasks_per_child=TASKS) as pool:
-        for one in pool.map(run, chosen, chunksize=4):
-            found.append(one)
-            if one.complaints:
-                print(f"{one.case}: {one.ended}; {'; '.join(one.complaints)}", flush=True)
+    for _, cases in groupby(chosen, key=lambda case: (case.verb, case.method)):
+        # processes of their own: what a killed program leaves open stays open in them, and there are 1024 descriptors
+        with ProcessPoolExecutor(args.processes) as pool:
+            for one in pool.map(run, cases, chunksize=4):
+                found.append(one)
+                if one.complaints:
+                    print(f"{one.case}: {one.ended}; {'; '.join(one.complaints)}", flush=True)
     print(f"{'homing':8} {'broken off by':14} {'runs':>5} {'bad':>5}  second life")
     for method in args.homing or HOMING:
         for way in WAYS:
