@@ -107,10 +107,12 @@ class ThermalExpansion(Effect):
         if is_since_start(term.form):
             return None
         low, high = STEEL_TO_ALUMINIUM_PPM_K
-        size = abs(term.coefficients[0])
-        if low <= size <= high:
+        growth = term.coefficients[0]
+        if growth < 0.0:
+            return f"{growth:.3g} ppm/K: neither screw nor scale moves the axis back as it warms"
+        if low <= growth <= high:
             return None
-        return f"{size:.3g} ppm/K lies outside the {low:g} to {high:g} ppm/K of machine materials"
+        return f"{growth:.3g} ppm/K lies outside the {low:g} to {high:g} ppm/K of machine materials"
 
 
 def _offset_index(term: Term) -> int:
