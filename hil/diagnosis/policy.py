@@ -121,6 +121,12 @@ class Policy:
     hit: float = _number(
         2.5, NOISE, "of a residual, robust, that may be a row hit by a cause", "1 row in 80 of normal noise"
     )
+    nearly_all: float = _number(
+        0.98,
+        SHARE,
+        "of the variance beside the others from which an effect is not contested: what fits better mends its form",
+        "a form that is off by a seventh",
+    )
     beyond_repeats: float = _number(
         1.5,
         "1",

@@ -18,6 +18,9 @@ from hil.diagnosis.remainder.scan import Variable, variables
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.searcher import Searcher
 
+COURSES = {"time_s", "row_order"}
+"""Columns of which a smooth function is any slow course, and so no other cause by itself."""
+
 
 def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> dict[str, tuple[str, ...]]:
     """Effects that a smooth function of other columns beats, by id, with those columns."""
@@ -32,17 +35,20 @@ def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> dict[
         others = searcher.extra([choice for choice in choices if choice.effect.id != name])
         s = whole.scale[:, None]
         null = replace(whole, beside=Extra(others.free / s, others.random / s)).best
+        if float(whole.best.rss) < (1.0 - policy().nearly_all) * float(null.rss):
+            continue
         own = {"target_mm", "direction"}.union(*(choice.form.inputs for choice in mine))
-        least = _evidence(null, mine, whole) + policy().beaten
-        best = max(
-            (
-                (blocks.evidence_of(null, blocks.design_of(a, b, None) / s)[0], names)
-                for names, a, b in _pairs(columns, own)
-            ),
-            default=(0.0, ()),
-        )
-        if best[0] > least:
-            out[name] = best[1]
+        worth = {
+            names: blocks.evidence_of(null, blocks.design_of(a, b, None) / s)[0] for names, a, b in _blocks(columns)
+        }
+        theirs = {names: value for names, value in worth.items() if not set(names) <= own | COURSES}
+        if not theirs:
+            continue
+        best = max(theirs, key=lambda names: theirs[names])
+        # a form that is not quite the machine's loses to functions of its own columns, and is no other cause
+        mine_best = max([value for names, value in worth.items() if names not in theirs], default=0.0)
+        if theirs[best] > max(_evidence(null, mine, whole), mine_best) + policy().beaten:
+            out[name] = best
     return out
 
 
@@ -56,10 +62,10 @@ def _evidence(null: Projection, mine: Sequence[Choice], whole: Null) -> float:
     return shrunk + null.gain(extra.free / s) + sum(choice.log_prior for choice in mine)
 
 
-def _pairs(columns: Sequence[Variable], own: set[str]) -> Iterator[tuple[tuple[str, ...], Variable, Variable | None]]:
-    """Names and columns of each block that reads a column which the effect does not: alone, with the position, with the time."""
-    beside = [v for v in columns if v.name in ("target_mm", "time_s", "row_order")]
+def _blocks(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Variable, Variable | None]]:
+    """Names and columns of each block: every column but the position alone, with the position, with the time."""
+    beside = [v for v in columns if v.name in ("target_mm", *COURSES)]
     for one in columns:
-        if one.name not in own:
+        if one.name != "target_mm":
             yield (one.name,), one, None
             yield from (((one.name, other.name), one, other) for other in beside if other is not one)
