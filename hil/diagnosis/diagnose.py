@@ -408,8 +408,10 @@ def _carriers(
     last = chosen.last
     for one in left:
         yield Carrier(one.columns, one.rms, one.probability, one.equivalent)
-    sizes_um = () if left else sizes(last.searcher, chosen.hits, chosen.kept, last.noise)
-    for structure, size_um in zip(() if left else structures, sizes_um, strict=True):
+    if left:
+        structures = ()
+    sizes_um = sizes(last.searcher, chosen.hits, chosen.kept, last.noise) if structures else ()
+    for structure, size_um in zip(structures, sizes_um, strict=True):
         yield Carrier(structure.columns, size_um, structure.probability)
     for selected in chosen.selections:
         for effect, foreign_structure in selected.foreign.items():
