@@ -127,10 +127,8 @@ class Truth:
         self.way_mm = 0.0  # travel of all axes
         self._last: list[float] = []
         self._was_powered = False
-        self.coasts_to_mm = [
-            0.0,
-            0.0,
-        ]  # lowest and highest place to which an axis that lost its power in motion may coast
+        # lowest and highest place to which an axis that lost its power in motion may coast
+        self._coasts_to_mm = (0.0, 0.0)
         self._lately: deque[tuple[int, float]] = deque()  # of the table, over `READ_S`
         self.clock.attach(self._look, bearable=lambda _now_ns: 60_000_000_000)
 
@@ -158,20 +156,20 @@ class Truth:
         stood_mm = self._lately[0][1] if self._lately else self.bench.plant.position_mm
         return min(measured_mm - self.bench.plant.position_mm, measured_mm - stood_mm, key=abs)
 
-    def let_coast(self) -> None:
+    def _let_coast(self) -> None:
         """The power is gone: no command can stop the axis before friction does. An end stop may come first."""
         if not isinstance(self.bench, Bench):
             return
         slowing_mm_s2 = self.bench.servo.parameters.coast_rev_s2 * self.bench.parameters.plant.screw.lead_mm
         for place_mm, velocity_mm_s in self.places():
             rest_mm = place_mm + velocity_mm_s * abs(velocity_mm_s) / (2.0 * slowing_mm_s2)
-            low_mm, high_mm = self.coasts_to_mm
-            self.coasts_to_mm = [min(low_mm, rest_mm - COASTING_MM), max(high_mm, rest_mm + COASTING_MM)]
+            low_mm, high_mm = self._coasts_to_mm
+            self._coasts_to_mm = min(low_mm, rest_mm - COASTING_MM), max(high_mm, rest_mm + COASTING_MM)
 
     def outside_mm(self, low_mm: float, high_mm: float, *, coasted: bool) -> float:
         """Distance that the axis was beyond two places, mm, 0 within. coasted: as far as it coasted without power does not count."""
         if coasted:
-            low_mm, high_mm = min(low_mm, self.coasts_to_mm[0]), max(high_mm, self.coasts_to_mm[1])
+            low_mm, high_mm = min(low_mm, self._coasts_to_mm[0]), max(high_mm, self._coasts_to_mm[1])
         return max(low_mm - self.low_mm, self.high_mm - high_mm, 0.0)
 
     def speed_mm_s(self) -> float:
@@ -189,7 +187,7 @@ class Truth:
             self.low_mm, self.high_mm, self._fresh = min(places), max(places), False
         self.low_mm, self.high_mm = min(self.low_mm, *places), max(self.high_mm, *places)
         if self._was_powered and not self.powered:
-            self.let_coast()
+            self._let_coast()
         self._was_powered = self.powered
         end_ns = self.ends()
         if end_ns is not None and now_ns > end_ns:
