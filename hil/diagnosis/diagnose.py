@@ -74,15 +74,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     if lost:
         chosen = refitted_without(chosen, lost)
     left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.hits)
-    required: frozenset[str] = frozenset()
+    required: set[str] = set()
     if left and dropped:
-        again = required_all_the_same(chosen, dropped)
-        beside = (
-            left_over(again.last.searcher, again.kept, again.last.noise, again.hits) if again is not chosen else left
-        )
-        if sum(one.rms.value for one in beside) < sum(one.rms.value for one in left):
-            chosen, left, required = again, beside, frozenset(dropped) & {one.effect.id for one in again.kept}
-            dropped = tuple(name for name in dropped if name not in required)
+        chosen, left, required = required_all_the_same(chosen, dropped, left)
+        dropped = tuple(name for name in dropped if name not in required)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
@@ -220,17 +215,24 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
 
 
-def required_all_the_same(chosen: Chosen, dropped: Collection[str]) -> Chosen:
-    """The fit with effects that did not help on runs left out, where something is left without them: it is theirs as long as no
-    function of other columns explains it better. Run offsets and few runs hide from such runs what all rows together show.
+def required_all_the_same(
+    chosen: Chosen, dropped: Collection[str], left: tuple[LeftOver, ...]
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str]]:
+    """The fit with effects that did not help on runs left out, what is left beside them, and those effects.
+
+    Something is left without them: it is theirs where less is left with them, as long as no function of other columns explains it
+    better. Run offsets and few runs hide from such runs what all rows together show.
     """
     last = chosen.last
-    lost = beaten(last.searcher, last.choices, last.noise)
-    kept = {one.effect.id for one in chosen.kept} | (set(dropped) - set(lost))
+    back = set(dropped) - beaten(last.searcher, last.choices, last.noise)
+    if not back:
+        return chosen, left, back
+    kept = {one.effect.id for one in chosen.kept} | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
-    if len(again) == len(chosen.kept):
-        return chosen
-    return replace(chosen, fit=last.searcher.fit(again, last.noise))
+    beside = left_over(last.searcher, again, last.noise, chosen.hits)
+    if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
+        return chosen, left, set()
+    return replace(chosen, fit=last.searcher.fit(again, last.noise)), beside, back
 
 
 def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
@@ -259,8 +261,13 @@ def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
 
 def _beside_table_um(projection: Projection, term: Term, campaign: CampaignRows) -> float:
     """RMS over the rows of what the table cannot hold of a term, µm."""
-    normal, _ = projection.normal(term.error_um(campaign.columns)[:, None])
-    return math.sqrt(max(float(normal[0, 0]), 0.0) / len(campaign))
+    return math.sqrt(_energy_beside(projection, term.error_um(campaign.columns)) / len(campaign))
+
+
+def _energy_beside(projection: Projection, course_um: Floats) -> float:
+    """Sum of squares of what is left of a course of the rows (n,) beside everything projected out, µm², above 0."""
+    normal, _ = projection.normal(course_um[:, None])
+    return max(float(normal[0, 0]), 1e-300)
 
 
 def _misfit_note(left: LeftOver) -> str:
@@ -334,8 +341,7 @@ def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:
     last = chosen.last
     others = [choice for choice in chosen.kept if choice.effect.id != effect]
     projection = last.searcher.projection(last.noise, last.searcher.extra(others))
-    normal, _ = projection.normal(of_rows[:, None])
-    return chosen.fit.white_um / math.sqrt(max(float(normal[0, 0]), 1e-300))
+    return chosen.fit.white_um / math.sqrt(_energy_beside(projection, of_rows))
 
 
 def _weights(chosen: Chosen, effect: str) -> dict[str, float]:

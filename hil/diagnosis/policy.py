@@ -129,7 +129,7 @@ class Policy:
     )
     beyond_repeats: float = _number(
         1.5,
-        "1",
+        SHARE,
         "rows that vary so many times more than repeats do hold a cause",
         "noise that grows with speed may reach it",
     )

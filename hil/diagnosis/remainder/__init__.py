@@ -41,14 +41,13 @@ CONTENDING = 6
 class LeftOver:
     """Something is left: the columns that carry it, columns that move together with one of them, its size and its values.
 
-    equivalent: by column; rms: beside the table, µm; values_um: the same at the rows, (n,)
+    equivalent: by column; rms: beside the table, µm
     extra: its columns for a fit; probability: of as much in noise, with the number of tests
     """
 
     columns: tuple[str, ...]
     equivalent: dict[str, tuple[str, ...]]
     rms: Estimate
-    values_um: Floats
     extra: Extra
     probability: float
 
@@ -73,7 +72,7 @@ def left_over(
     sure: dict[tuple[str, ...], float] = {}
     for _ in range(MOST_ROUNDS):
         scanned = waves.scan(null, columns)
-        best = _clearest_block(null, columns, d) if scanned.score < policy().scan_fires_at else None
+        best = _clearest_block(null, columns, x, d) if scanned.score < policy().scan_fires_at else None
         carried: Block | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
             carried = _carried(null, columns, scanned, best, d)
@@ -89,7 +88,7 @@ def left_over(
         sure.setdefault(carried.columns, probability)
         null = null.plus(own)
     if not found:
-        return _of_hit_rows(null, columns, d, searcher.raw)
+        return () if x is None else _of_hit_rows(null, x, d, searcher.raw)
     parts = {name: np.hstack(own) for name, own in found.items()}
     fitted = blocks.fitted(linear, searcher.raw, beside, noise, list(parts.values()))
     out = [
@@ -97,7 +96,6 @@ def left_over(
             name,
             {one: alike for one in name if (alike := _equivalent(one, columns))},
             part.rms,
-            part.values_um,
             Extra(part.columns[:, :0], part.columns),
             sure[name],
         )
@@ -109,23 +107,20 @@ def left_over(
     )
 
 
-def _of_hit_rows(null: Null, columns: Sequence[Variable], d: Floats | None, raw: Floats) -> tuple[LeftOver, ...]:
+def _of_hit_rows(null: Null, x: Variable, d: Floats | None, raw: Floats) -> tuple[LeftOver, ...]:
     """What a part of the rows has and the others have not, with the rows as its columns; none where chance does as much."""
-    hit = hit_rows(null, columns, d)
+    hit = hit_rows(null, x, d)
     if hit is None:
         return ()
-    names, rows = hit.columns, hit.rows
+    rows = hit.rows
     white = null.linear.projection(null.noise, raw / null.scale, null.beside).rest * null.scale
     usual_um = 1.4826 * float(np.median(np.abs(np.delete(white, rows))))
-    values = np.zeros(len(raw))
-    values[rows] = white[rows]
     rms = math.sqrt(max(float(np.sum(white[rows] ** 2)) - len(rows) * usual_um**2, 0.0) / len(raw))
     size = float(np.max(np.abs(white[rows]))) / usual_um
     alone = np.zeros((len(raw), len(rows)))
     alone[rows, np.arange(len(rows))] = size
     std = rms / math.sqrt(2.0 * len(rows))
-    alike = {one: found for one in names if (found := _equivalent(one, columns))}
-    return (LeftOver(names, alike, Estimate(rms, std), values, Extra(alone[:, :0], alone), hit.probability),)
+    return (LeftOver(hit.columns, {}, Estimate(rms, std), Extra(alone[:, :0], alone), hit.probability),)
 
 
 def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without: Sequence[Hit]) -> Extra:
@@ -145,10 +140,12 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
     return extra
 
 
-def _clearest_block(null: Null, columns: Sequence[Variable], d: Floats | None) -> Block | None:
+def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None) -> Block | None:
     """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model."""
     best: Block | None = None
-    for names, design in itertools.chain(_smooth(columns), _processes(columns, d)):
+    time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
+    processes = () if time is None else _processes(time, x, d)
+    for names, design in itertools.chain(_smooth(columns), processes):
         trial = blocks.block(null, names, design)
         if trial.evidence > policy().block_fires_at and (best is None or trial.evidence > best.evidence):
             best = trial
@@ -167,16 +164,12 @@ def _smooth(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Floa
         yield (first.name, second.name), blocks.design_of(first, second, None)
 
 
-def _processes(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
+def _processes(time: Variable, x: Variable | None, d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
     """The same of a process in time that multiplies the direction, or a wave along the position, with the direction or without."""
-    named = {v.name: v for v in columns}
-    time, x = named.get("time_s", named.get("row_order")), named.get("target_mm")
-    if time is None or time.levels:
-        return
     yield (time.name,), blocks.process_of(np.ones((len(time.u), 1)), time)
     if d is not None:
         yield (time.name, "direction"), blocks.process_of(d[:, None], time)
-    for wave in () if x is None or x.levels else x.waves(x.periods(waves.FINE_POSITION)):
+    for wave in () if x is None else x.waves(x.periods(waves.FINE_POSITION)):
         yield ("target_mm", time.name), blocks.process_of(wave.T, time)
         if d is not None:
             yield ("target_mm", time.name, "direction"), blocks.process_of(wave.T * d[:, None], time)

@@ -52,13 +52,12 @@ class Block:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What some columns carry beside the table: random columns of unit variance ratio, (n, r), RMS over the rows, µm, with its
-    uncertainty, and values, (n,).
+    """What some columns carry beside the table: random columns of unit variance ratio, (n, r), and RMS over the rows, µm, with its
+    uncertainty.
     """
 
     columns: Floats
     rms: Estimate
-    values_um: Floats
 
 
 def harmonics(variable: Variable) -> tuple[Floats, Floats]:
@@ -166,6 +165,6 @@ def fitted(linear: LinearCampaign, y: Floats, beside: Extra, noise: Noise, parts
     for part in parts:
         place = slice(start, start + part.shape[1])
         rms = rms_of(part, solution.table[place], posterior[place, place], ones, shrunk=True)
-        out.append(Fitted(part, rms, np.asarray(part @ solution.table[place])))
+        out.append(Fitted(part, rms))
         start += part.shape[1]
     return out

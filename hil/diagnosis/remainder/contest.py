@@ -7,6 +7,7 @@ and in the same noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -18,37 +19,31 @@ from hil.diagnosis.remainder.scan import Variable, variables
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.searcher import Searcher
 
-COURSES = {"time_s", "row_order"}
-"""Columns of which a smooth function is any slow course, and so no other cause by itself."""
 
-
-def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> dict[str, tuple[str, ...]]:
-    """Effects that a smooth function of other columns beats, by id, with those columns."""
+def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[str]:
+    """Ids of the effects that a smooth function of other columns beats."""
     if not choices:
-        return {}
+        return set()
     campaign = searcher.linear.campaign
-    columns = variables(campaign)
     whole = Null.of(LinearCampaign(campaign), searcher.y, searcher.extra(choices), noise)
-    out = {}
+    s = whole.scale[:, None]
+    time = campaign.survey.time_column
+    designs = {names: blocks.design_of(a, b, None) / s for names, a, b in _blocks(variables(campaign), time)}
+    out = set()
     for name in dict.fromkeys(choice.effect.id for choice in choices):
         mine = [choice for choice in choices if choice.effect.id == name]
         others = searcher.extra([choice for choice in choices if choice.effect.id != name])
-        s = whole.scale[:, None]
         null = replace(whole, beside=Extra(others.free / s, others.random / s)).best
         if float(whole.best.rss) < (1.0 - policy().nearly_all) * float(null.rss):
             continue
-        own = {"target_mm", "direction"}.union(*(choice.form.inputs for choice in mine))
-        worth = {
-            names: blocks.evidence_of(null, blocks.design_of(a, b, None) / s)[0] for names, a, b in _blocks(columns)
-        }
-        theirs = {names: value for names, value in worth.items() if not set(names) <= own | COURSES}
-        if not theirs:
-            continue
-        best = max(theirs, key=lambda names: theirs[names])
+        # a smooth function of the time is any slow course, and so no other cause by itself
+        own = {"target_mm", "direction", time}.union(*(choice.form.inputs for choice in mine))
+        worth = {names: blocks.evidence_of(null, design)[0] for names, design in designs.items()}
+        of_others = max([value for names, value in worth.items() if not set(names) <= own], default=-math.inf)
         # a form that is not quite the machine's loses to functions of its own columns, and is no other cause
-        mine_best = max([value for names, value in worth.items() if names not in theirs], default=0.0)
-        if theirs[best] > max(_evidence(null, mine, whole), mine_best) + policy().beaten:
-            out[name] = best
+        of_its_own = max([value for names, value in worth.items() if set(names) <= own], default=0.0)
+        if of_others > max(_evidence(null, mine, whole), of_its_own) + policy().beaten:
+            out.add(name)
     return out
 
 
@@ -62,9 +57,9 @@ def _evidence(null: Projection, mine: Sequence[Choice], whole: Null) -> float:
     return shrunk + null.gain(extra.free / s) + sum(choice.log_prior for choice in mine)
 
 
-def _blocks(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Variable, Variable | None]]:
+def _blocks(columns: Sequence[Variable], time: str) -> Iterator[tuple[tuple[str, ...], Variable, Variable | None]]:
     """Names and columns of each block: every column but the position alone, with the position, with the time."""
-    beside = [v for v in columns if v.name in ("target_mm", *COURSES)]
+    beside = [v for v in columns if v.name in ("target_mm", time)]
     for one in columns:
         if one.name != "target_mm":
             yield (one.name,), one, None

@@ -8,7 +8,6 @@ rows do not carry a search over all of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,13 +36,12 @@ class Hits:
     probability: float
 
 
-def hit_rows(null: Null, columns: Sequence[Variable], d: Floats | None) -> Hits | None:
-    """The rows hit by a cause along the position; None where chance does as much."""
+def hit_rows(null: Null, x: Variable, d: Floats | None) -> Hits | None:
+    """The rows hit by a cause along the position x; None where chance does as much."""
     rest = null.best.rest
     size = np.abs(rest - np.median(rest))
     rows = np.flatnonzero(size > policy().hit * 1.4826 * float(np.median(size)))
-    x = next((v for v in columns if v.name == "target_mm" and not v.levels), None)
-    if len(rows) < LEAST_HIT or x is None:
+    if len(rows) < LEAST_HIT:
         return None
     plain = x.waves(x.periods(MOST_PERIODS))[..., rows]  # (periods, 2, m)
     waves = (plain if d is None else np.concatenate([plain, plain * d[rows]])) * rest[rows]

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betainc
 
 from hil.diagnosis.noise.evidence import Projection
 from hil.diagnosis.policy import policy
-from hil.diagnosis.remainder.block import Block
+from hil.diagnosis.remainder.block import RATIOS, Block
 from hil.diagnosis.remainder.null import Null
-from hil.diagnosis.remainder.scan import FINE_POSITION, Variable
+from hil.diagnosis.remainder.scan import FINE_POSITION, Variable, log10_tail
 
 Floats = NDArray[np.float64]
 
@@ -35,9 +34,8 @@ def in_one_run(null: Null, raw: Floats, x: Variable, d: Floats | None) -> Block 
         if int(np.sum(rows)) < LEAST_ROWS:
             continue
         designs = signed * rows[:, None]
-        scores = np.min([_scores(model, designs / null.scale[:, None], rows) for model in models], axis=0) - np.log10(
-            tests
-        )
+        scores = np.min([_scores(model, designs / null.scale[:, None], rows) for model in models], axis=0)
+        scores -= np.log10(tests)
         top = int(np.argmax(scores))
         if scores[top] > policy().scan_fires_at and (best is None or scores[top] > best[0]):
             best = float(scores[top]), designs[top], top >= len(waves)
@@ -45,7 +43,7 @@ def in_one_run(null: Null, raw: Floats, x: Variable, d: Floats | None) -> Block 
         return None
     score, design, directed = best
     names = ("run", "target_mm", "direction") if directed else ("run", "target_mm")
-    return Block(names, design, score * np.log(10.0), 100.0)
+    return Block(names, design, score * np.log(10.0), RATIOS[-1])
 
 
 def _scores(model: Projection, designs: Floats, rows: NDArray[np.bool_]) -> Floats:
@@ -60,6 +58,4 @@ def _scores(model: Projection, designs: Floats, rows: NDArray[np.bool_]) -> Floa
     explained = np.einsum(
         "ki,ki->k", b, np.linalg.solve(normal + 1e-9 * size[:, None, None] * np.eye(2), b[:, :, None])[:, :, 0]
     )
-    share = np.clip(explained / float(rest @ rest), 0.0, 1.0 - 1e-12)
-    dof = len(rest) * model.dof / model.rows - 1.0
-    return np.asarray(-np.log10(np.maximum(betainc((dof - 2.0) / 2.0, 1.0, 1.0 - share), 1e-300)))
+    return -log10_tail(explained / float(rest @ rest), 2, len(rest) * model.dof / model.rows - 1.0)

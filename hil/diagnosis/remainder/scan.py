@@ -169,9 +169,13 @@ def _log10_probability(projection: Projection, design: Singles) -> Floats:
     b = np.where(gone, 0.0, b / root)
     normal = scaled.astype(np.float64) + LEFT * np.eye(width)
     explained = np.einsum("gi,gi->g", b, np.linalg.solve(normal, b[:, :, None])[:, :, 0])
-    share = np.clip(explained / float(projection.rss), 0.0, 1.0 - 1e-12)
-    rest = max(projection.dof - width, 2) / 2.0
-    return np.asarray(np.log10(np.maximum(betainc(rest, width / 2.0, 1.0 - share), 1e-300)))
+    return log10_tail(explained / float(projection.rss), width, projection.dof)
+
+
+def log10_tail(share: Floats, width: int, dof: float) -> Floats:
+    """Log10 of the chance that as many columns explain such a share of the squares of white noise, shape of `share`."""
+    rest = max(dof - width, 2.0) / 2.0
+    return np.asarray(np.log10(np.maximum(betainc(rest, width / 2.0, 1.0 - np.clip(share, 0.0, 1.0 - 1e-12)), 1e-300)))
 
 
 def _batches(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[list[Group], Singles]]:
