@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
+if not __package__:
+    sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
-from truth_machines import NOISES, Array, Columns, Machine, Plan
+from study.truth_machines import NOISES, Array, Columns, Machine, Plan
 
 from hil.diagnosis import diagnose
 from hil.records.rows import Records

@@ -21,7 +21,7 @@ if __name__ in ("__main__", "__mp_main__"):  # the folder of a script stands fir
     sys.path[0] = str(Path(__file__).parents[1])
 
 from study.comparison_methods import METHODS, Data, available, judge
-from study.study import INSTRUMENT, Case, cases, run
+from study.own_catalogue import INSTRUMENT, Case, cases, run
 from study.truth_machines import Machine, Plan
 
 from hil.records.rows import Records

@@ -1,7 +1,7 @@
 """Every maker's dictionary with a controlword, against a strict slave made from the file alone: opens, enables, homes, moves, streams.
 
     python tests/study/makers_matrix.py [NAME …]      those whose file name holds NAME; all without one
-    python tests/study/makers_matrix.py --markdown    the table as hil/docs/drives.md shows it
+    python tests/study/makers_matrix.py --markdown    the table as hil/docs/drives_tested.md shows it
     python tests/study/makers_matrix.py --profiles    every verb over every profile of a documented drive (`profiles_matrix`)
 
 The files are looked for in HIL_SHARED_DATA/eds, else ../shared/data/eds. A user's axis file is played: the counts per revolution
@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-sys.path.insert(0, str(Path(__file__).parents[1]))
+if not __package__:
+    sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -371,7 +371,7 @@ class Trial:
 
 def shared_data() -> Path | None:
     """The folder of the makers' files; None where it is absent."""
-    for place in (os.environ.get("HIL_SHARED_DATA"), Path(__file__).parents[2] / "../shared/data", "/work/shared/data"):
+    for place in (os.environ.get("HIL_SHARED_DATA"), Path(__file__).parents[2] / "../shared/data"):
         if place and (Path(place) / "eds").is_dir():
             return Path(place) / "eds"
     return None
@@ -430,8 +430,6 @@ def summary(rows: list[Row]) -> tuple[str, bool]:
 
 def profiles(names: list[str]) -> int:
     """Every verb over the profiles, as markdown."""
-    here = str(Path(__file__).parent)  # as a script's folder it would hide the package `study` behind study.py
-    sys.path[:] = [place for place in sys.path if place != here]
     from study.profiles_matrix import profiles_markdown, profiles_summary, study_profiles  # noqa: PLC0415  it uses this module
 
     found = study_profiles(names)

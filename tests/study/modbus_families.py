@@ -1,6 +1,6 @@
 """The table of Modbus families: every shipped map of a maker's drive against a drive made from notes, under a foreign Modbus stack.
 
-PYTHONPATH=.:tests python -m study.modbus_families        prints the table of hil/docs/drives.md, "Modbus"
+PYTHONPATH=.:tests python -m study.modbus_families        prints the table of hil/docs/drives_tested.md, "Modbus"
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ what survived before (`--all` tries everything again). `--jobs 2` uses two proce
 
 Each mutant is one changed node of the syntax tree: signs, factors, numbers, comparisons (turned over, or at their boundary),
 boolean decisions, calls left out, min against max and the like. Text for people, type annotations and decorators stay. The tests of
-the room run in forked children, first with the changed function put in place of the old one, then, for what survived that and for
-values of a module, with the module imported from the changed tree. No file is written.
+the room that call the changed function run in forked children, first with it in place of the old one; then, for what survived that
+and for values of a module (all tests), with the module imported from the changed tree. No file is written.
 
 Why not a ready tool (tried with versions of August 2026): mutmut 3.8 changes function bodies only and leaves out decorated functions,
 so that no published coefficient (a value of a module) and no property is ever mutated. cosmic-ray 8.7 makes 4864 mutants of
@@ -29,15 +29,18 @@ import pickle
 import signal
 import sys
 import tempfile
+import threading
 import time
 import traceback
 import types
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = "tests/unit/hil"
@@ -51,6 +54,7 @@ class Room:
     tests: tuple[str, ...]
 
 
+RISES = ("rise", "published_rise", "running_lost_motion")
 ROOMS = {
     "effects": Room(
         ("hil/effects/*.py",),
@@ -74,17 +78,29 @@ ROOMS = {
     "lost_motion": Room(
         (
             *(f"hil/lost_motion/{name}.py" for name in ("at_load", "estimate", "fit", "circle/figures")),
-            *(f"hil/correction/{name}.py" for name in ("rise", "published_rise", "running_lost_motion")),
+            *(f"hil/correction/{name}.py" for name in RISES),
         ),
-        (f"{UNIT}/lost_motion", f"{UNIT}/correction"),
+        (
+            *(f"{UNIT}/lost_motion/test_{name}.py" for name in ("by_hand", "at_load", "fit", "circle", "lost_motion")),
+            *(f"{UNIT}/correction/test_{name}.py" for name in (*RISES, "lost_motion_engine")),
+        ),
     ),
     "sealed": Room(("hil/correction/sealed/*.py",), (f"{UNIT}/correction/test_sealed.py",)),
     "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
     "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
-    "parameters": Room(("hil/parameters/*.py",), (f"{UNIT}/parameters", "tests/integration/test_params_download.py")),
+    "parameters": Room(
+        ("hil/parameters/*.py",),
+        (
+            f"{UNIT}/parameters",
+            *(f"tests/integration/test_params_{name}.py" for name in ("download", "dcf", "lines", "verb")),
+        ),
+    ),
     "correction": Room(
         tuple(f"hil/correction/{name}.py" for name in ("tables", "fold", "compensation", "manual", "bound")),
-        (f"{UNIT}/correction",),
+        tuple(
+            f"{UNIT}/correction/test_{name}.py"
+            for name in ("fold", "tables", "manual", "correction_bound", "compensation")
+        ),
     ),
     "drive_table": Room(("hil/drive_table/curve.py", "hil/drive_table/quantise.py"), (f"{UNIT}/drive_table",)),
 }
@@ -286,7 +302,6 @@ class FromTree(importlib.machinery.SourceFileLoader):
 
 def run_tests(tests: tuple[str, ...], plugins: tuple[object, ...] = ()) -> int:
     """pytest over `tests` in this process, first failure ends it, no shrinking of what hypothesis finds."""
-    import pytest  # noqa: PLC0415  (the parent has loaded it before the fork)
     from hypothesis import HealthCheck, Phase, settings  # noqa: PLC0415
 
     quick = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
@@ -379,6 +394,43 @@ def functions_of(code: types.CodeType) -> dict[tuple[str, int], types.CodeType]:
     return found
 
 
+Place = tuple[str, str, int]
+"""File, qualified name and first line of a function."""
+
+
+@dataclass(eq=False)
+class Called:
+    """pytest plugin: which functions of some files each test calls, and each file's tests while they are prepared."""
+
+    files: set[str]
+    by_test: dict[str, set[Place]] = field(default_factory=dict)
+    by_file: dict[str, set[Place]] = field(default_factory=dict)
+    now: set[Place] = field(default_factory=set)
+
+    def _note(self, frame: types.FrameType, event: str, _argument: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename in self.files:
+            self.now.add((code.co_filename, code.co_qualname, code.co_firstlineno))
+
+    def _into(self, places: set[Place]) -> Iterator[None]:
+        self.now = places
+        threading.setprofile(self._note)
+        sys.setprofile(self._note)
+        try:
+            yield
+        finally:
+            sys.setprofile(None)
+            threading.setprofile(None)  # type: ignore[arg-type]
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_setup(self, item: Any) -> Iterator[None]:
+        yield from self._into(self.by_file.setdefault(str(item.path), set()))
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_call(self, item: Any) -> Iterator[None]:
+        yield from self._into(self.by_test.setdefault(item.nodeid, set()))
+
+
 @dataclass(eq=False)  # pytest keeps plugins in sets
 class InPlace:
     """pytest plugin: with all tests collected, each mutant of a function's body gets a fork in which the function has its new code.
@@ -400,14 +452,17 @@ class InPlace:
                 code = one.__code__
                 live.setdefault((code.co_filename, code.co_qualname, code.co_firstlineno), []).append(one)
 
+        touching = self.touching(session)
         killed: list[str] = []
+        tests_of: dict[str, list[str]] = {}
 
         def note(outcomes: Iterator[tuple[str, Mutant, str]]) -> None:
             killed.extend(key for key, _, outcome in outcomes if outcome == "killed")
 
-        def work(swaps: list[tuple[types.FunctionType, types.CodeType]]) -> int:
+        def work(swaps: list[tuple[types.FunctionType, types.CodeType]], tests: set[str]) -> int:
             for function, code in swaps:
                 function.__code__ = code
+            session.items = [item for item in session.items if item.nodeid in tests]
             try:
                 pytest_runtestloop(session)
             except (session.Failed, session.Interrupted):
@@ -431,30 +486,57 @@ class InPlace:
                     if code.co_freevars == function.__code__.co_freevars
                 ]
                 if swaps:
-                    note(self.children.start(key, mutant, lambda swaps=swaps: work(swaps)))  # type: ignore[misc]
+                    places = [place for place, code in changed.items() if code != plain[place]]
+                    tests = set().union(*(touching.get((str(path), *place), set()) for place in places))
+                    tests_of[key] = sorted(tests)
+                    note(self.children.start(key, mutant, lambda swaps=swaps, tests=tests: work(swaps, tests)))  # type: ignore[misc]
         note(self.children.rest())
-        self.kept.write_bytes(pickle.dumps(killed))
+        self.kept.write_bytes(pickle.dumps((killed, tests_of)))
         return True
+
+    def touching(self, session: Any) -> dict[Place, set[str]]:
+        """The tests that call each function of the modules. What the preparation of a test calls is put down to all tests of its file,
+        as they may share what was prepared."""
+        from _pytest.main import pytest_runtestloop  # noqa: PLC0415  (as above)
+
+        called = Called({str(path) for path in self.paths})
+
+        def work() -> int:
+            session.config.pluginmanager.register(called)
+            pytest_runtestloop(session)
+            self.kept.write_bytes(pickle.dumps((called.by_test, called.by_file)))
+            return 0
+
+        os.waitpid(child(work), 0)
+        by_test, by_file = pickle.loads(self.kept.read_bytes())
+        found: dict[Place, set[str]] = {}
+        for item in session.items:
+            for place in by_test.get(item.nodeid, set()) | by_file.get(str(item.path), set()):
+                found.setdefault(place, set()).add(item.nodeid)
+        return found
 
 
 def killed_in_place(
     paths: list[Path], tests: tuple[str, ...], known: dict[str, str], children: Children
-) -> dict[str, str]:
+) -> tuple[dict[str, str], dict[str, list[str]]]:
+    """The outcomes known so far, and the tests that can notice each mutant of a function's body."""
     kept = Path(os.environ["PYTEST_DEBUG_TEMPROOT"]) / "killed.pickle"
     os.waitpid(child(lambda: run_tests(tests, (InPlace(paths, known, children, kept),))), 0)
-    killed = pickle.loads(kept.read_bytes())
+    killed, tests_of = pickle.loads(kept.read_bytes())
     kept.unlink()
-    return known | dict.fromkeys(killed, "killed")
+    return known | dict.fromkeys(killed, "killed"), tests_of
 
 
 def try_all(
-    path: Path, tests: tuple[str, ...], known: dict[str, str], children: Children
+    path: Path, tests: tuple[str, ...], tests_of: dict[str, list[str]], known: dict[str, str], children: Children
 ) -> Iterator[tuple[str, Mutant, str]]:
-    """(key, mutant, outcome) of every mutant of one module, imported anew; outcomes in `known` are not tried again."""
+    """(key, mutant, outcome) of every mutant of one module, imported anew; outcomes in `known` are not tried again.
+
+    tests_of: the tests that can notice a mutant, where that is known; all of them for others."""
     tree, found = mutants_of(path)
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
-    def work() -> int:
+    def work(tests: tuple[str, ...]) -> int:
         sys.meta_path.insert(0, FromTree(name, path, tree))  # type: ignore[arg-type]
         return run_tests(tests)
 
@@ -463,7 +545,8 @@ def try_all(
             yield key, mutant, known[key]
             continue
         mutant.put(True)
-        yield from children.start(key, mutant, work)
+        those = tuple(tests_of.get(key, ())) or tests
+        yield from children.start(key, mutant, lambda those=those: work(those))  # type: ignore[misc]
         mutant.put(False)
     yield from children.rest()
 
@@ -494,11 +577,11 @@ def run(given: argparse.Namespace) -> None:
         room = ROOMS[name]
         children = Children(given.jobs, 10.0 + 4.0 * warm_up(room.tests))
         paths = sorted(p for pattern in room.modules for p in ROOT.glob(pattern) if given.only in str(p))
-        known = killed_in_place(paths, room.tests, known, children)
+        known, tests_of = killed_in_place(paths, room.tests, known, children)
         for path in paths:
             every, left = Counter[str](), Counter[str]()
             outcomes = {k: v for k, v in outcomes.items() if not k.startswith(f"{path.relative_to(ROOT)}: ")}
-            for key, mutant, outcome in try_all(path, room.tests, known, children):
+            for key, mutant, outcome in try_all(path, room.tests, tests_of, known, children):
                 every[mutant.group] += 1
                 outcomes[key] = outcome
                 if outcome == "survived":

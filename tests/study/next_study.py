@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
+if not __package__:
+    sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
-from planned_machine import AGAINST, ALONG, IN_TIME, USUAL_CROSS_MM, USUAL_LOAD_KG, PlannedMachine
+from study.planned_machine import AGAINST, ALONG, IN_TIME, USUAL_CROSS_MM, USUAL_LOAD_KG, PlannedMachine
 
 from hil.diagnosis.next.next_measurement import Outlook, outlook
 from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns

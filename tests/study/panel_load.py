@@ -117,7 +117,7 @@ def _watch(server: int, machines: list[int], seconds: float, person: panel.Perso
 def _shown(person: panel.Person) -> int:
     """Number of plots in the browser that have got points since the last call."""
     script = """
-        const ends = [...hilPlots.values()].flatMap((plot) => [...plot.values()]).map((points) => points.at(-1)[0]);
+        const ends = [...hilLives.values()].map((live) => live.last);
         const before = window.hilEnds ?? [];
         window.hilEnds = ends;
         return ends.filter((end, index) => end !== before[index]).length;
@@ -128,8 +128,7 @@ def _shown(person: panel.Person) -> int:
 def _rates_hz(person: panel.Person) -> list[float]:
     """Rates of the points that each plot in the browser shows, Hz, by their own times."""
     script = """
-        const curves = [...hilPlots.values()].flatMap((plot) => [...plot.values()]);
-        return curves.map((points) => (points.length - 1) / (points.at(-1)[0] - points[0][0]));
+        return [...hilLives.values()].map(({ rows }) => (rows.length - 1) / (rows.at(-1)[0] - rows[0][0]));
     """
     return [float(rate) for rate in person.driver.execute_script(script)]
 

@@ -17,10 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
+if not __package__:
+    sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
-from study import Case, cases, in_turn
-from truth_machines import Machine, Plan
+from study.own_catalogue import Case, cases, in_turn
+from study.truth_machines import Machine, Plan
 
 from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.policy import Policy, in_force

@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ if not __package__:  # run as a folder: its own place would hide the package
 from study.grammar.judge import Outcome, outcome
 from study.grammar.machine import LOTS, SEEDS
 from study.grammar.report import calibration, figures, right, text
+
+from hil.fleet.executor import completed
 
 
 def _numbers(seeds: str, first: int, machines: int) -> list[int]:
@@ -62,6 +64,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", choices=tuple(SEEDS), default="tuning")
     parser.add_argument("--first", type=int, default=0, help="how many of the seeds to pass over")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--scheduler", help="a Dask scheduler, its workers started with PYTHONPATH=.:tests")
     parser.add_argument("--json", type=Path, help="figures and outcomes, with the machines that were missed")
     parser.add_argument(
         "--together", type=Path, nargs="+", metavar="JSON", help="figures of earlier runs together; runs nothing"
@@ -75,10 +78,11 @@ def main(words: Sequence[str] | None = None) -> int:
             _told(args.json, everything)
     else:
         numbers = _numbers(args.seeds, args.first, args.machines)
-        with ProcessPoolExecutor(args.processes) as pool:
-            for lot in args.lot or LOTS:
-                everything += pool.map(outcome, [lot] * len(numbers), numbers, chunksize=2)
-                _told(args.json, everything)
+        for lot in args.lot or LOTS:
+            work = partial(outcome, lot)
+            found = dict(completed(work, numbers, scheduler=args.scheduler, processes=args.processes))
+            everything += [found[number] for number in numbers]
+            _told(args.json, everything)
     print(f"\nconfidence, all lots ({which(everything)})")
     for name, value in calibration(everything).items():
         print(f"  {name}: {text(value)}")

@@ -97,7 +97,7 @@ class Reference:
         fixed = np.hstack([lines, here_um])
         factor = cho_factor(self._total)
         weighted = cho_solve(factor, fixed)
-        beta = np.linalg.solve(fixed.T @ weighted, weighted.T @ self.error_um)
+        beta = np.linalg.lstsq(fixed.T @ weighted, weighted.T @ self.error_um)[0]
         rest = cho_solve(factor, self.error_um - fixed @ beta)
         there_lines, there_mean, there_half = _table_parts(state)
         a, b = self._chosen

@@ -34,7 +34,7 @@ def report(figures: Mapping[str, float], rows: Sequence[Row], how: str, as_html:
     """The text of the report, Markdown or a single HTML page."""
     title = "Diagnosis on machines drawn at random"
     counts = Counter(row[0] for row in rows)
-    about = f"python tests/study/study.py {how}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items())
+    about = f"python tests/study/own_catalogue.py {how}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items())
     tables = [_figures(figures), _effects(rows)]
     return _page(title, about, tables) if as_html else _markdown(title, about, tables)
 

@@ -1,7 +1,7 @@
 """Figures of the diagnosis on random machines: right names, false findings, honesty, held-out worth, coverage.
 
-`python tests/study/study.py --machines 520 --report FILE.md` (or .html) runs the whole study and writes the figures beside their
-required bounds. With `--json FILE` every outcome is appended as it comes, and an interrupted study is continued from there.
+`python tests/study/own_catalogue.py --machines 520 --report FILE.md` (or .html) runs the whole study and writes the figures beside
+their required bounds. With `--json FILE` every outcome is appended as it comes, and an interrupted study is continued from there.
 The fast suite runs it with few machines, the slow one with more.
 """
 
@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
+if not __package__:
+    sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
-from study_report import report
-from truth_machines import DYNAMIC, NOISES, OUTSIDE, STATIC, Machine, Plan
+from study.own_catalogue_report import report
+from study.truth_machines import DYNAMIC, NOISES, OUTSIDE, STATIC, Machine, Plan
 
 from hil.diagnosis import Diagnosis, diagnose, fit_model
 from hil.effects import ALL, Action
@@ -161,8 +162,6 @@ def _outcomes(todo: Sequence[Case], workers: int) -> Iterator[Outcome]:
     if workers <= 1:
         yield from map(run, todo)
         return
-    here = str(Path(__file__).parent)
-    sys.path[:] = [place for place in sys.path if place != here]  # it hides this package from processes
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
         yield from pool.imap_unordered(run, todo, chunksize=4)
 
