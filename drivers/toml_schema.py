@@ -31,10 +31,15 @@ T = TypeVar("T")
 
 _SHOWN = 60  # characters of a wrong value that an error quotes
 _SHOWN_KEYS = 120  # characters of a list of keys in an error
+_LONGEST_KEY = re.compile(r"(?:[^\s.,=#\[\]{}]++[ \t]*+\.[ \t]*+){32}")
+"""A dotted key of more parts than any schema has: `tomllib` takes time with the square of their number."""
+MOST_BYTES = 4 << 20
+"""Longest file that is read; the largest map shipped has 40 kB."""
 _UNITS = {
     "mm_s2": "mm/s²",
     "mm_s": "mm/s",
     "deg_s": "degrees/s",
+    "um_s": "µm/s",
     "um_per_mm": "µm/mm",
     "um_per_m": "µm/m",
     "um_per_m_c": "µm/(m °C)",
@@ -59,6 +64,11 @@ class Document:
         self.text = text.removeprefix("\ufeff")
         self.context = context
         self._taken: set[str] = set()
+        if len(self.text) > MOST_BYTES:
+            raise InputError(f"has {len(self.text)} characters, expected at most {MOST_BYTES}", path=path)
+        if found := _LONGEST_KEY.search(self.text):
+            line = self.text.count("\n", 0, found.start()) + 1
+            raise InputError("is not TOML that could be read: a key of too many parts", path=path, line=line)
         try:
             self.values: dict[str, Any] = tomllib.loads(self.text)
         except tomllib.TOMLDecodeError as error:
@@ -262,6 +272,16 @@ def _schema(kind: Any) -> dict[str, tuple[str, Any, bool]]:
     return schema
 
 
+def keys_of(kind: Any) -> dict[str, tuple[str, Any]]:
+    """By key of a table: what a value is expected to be, in words, and the default, `MISSING` where the key is required."""
+    defaults = {field.name: field.default for field in fields(kind)}
+    described = {}
+    for key, (name, annotation, optional) in _schema(kind).items():
+        default = defaults[name] if defaults[name] is not MISSING or not optional else None
+        described[key] = (_expected(annotation, key), default)
+    return described
+
+
 def _unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
     """The type itself and the marks of its `Annotated`s; X of X | None."""
     marks: tuple[Any, ...] = ()
@@ -319,5 +339,6 @@ def _expected(annotation: Any, key: str) -> str:
             float: "seconds" if unit == "s" else unit or "a number",
             str: "a text",
         }
-        words = plain.get(kind, "a table" if get_origin(kind) in (dict, Mapping) else "a number or a text") + bounds
+        table = get_origin(kind) in (dict, Mapping) or is_dataclass(kind)
+        words = plain.get(kind, "a table" if table else "a number or a text") + bounds
     return words

@@ -77,6 +77,11 @@ class SimWire:
         self._nodes.append(node)
         return node
 
+    def remove_node(self, node: Node) -> None:
+        """Disconnect a node, if it is connected; a frame of it that is on the wire is still delivered."""
+        if node in self._nodes:
+            self._nodes.remove(node)
+
     def port(self) -> WirePort:
         """A python-can bus on this wire."""
         return WirePort(self)
@@ -225,7 +230,8 @@ class WirePort(can.BusABC):
         if timeout == 0:
             return None
         clock = self._wire.clock
-        end_ns = FOREVER_NS if timeout is None else clock.now_ns() + round(timeout * 1e9)
+        # a wait shorter than the clock's resolution lasts 1 ns: a caller that waits for the rest of a time-out would wait for ever
+        end_ns = FOREVER_NS if timeout is None else clock.now_ns() + max(1, round(timeout * 1e9))
         while not received and clock.now_ns() < end_ns:
             now_ns = clock.now_ns()  # events that are due already are handled when time advances
             clock.sleep_until_ns(max(now_ns + 1, min(end_ns, self._wire.next_event_ns(), now_ns + _LOOK_NS)))
@@ -234,6 +240,7 @@ class WirePort(can.BusABC):
     def shutdown(self) -> None:
         super().shutdown()
         self._periodic.clear()
+        self._wire.remove_node(self._node)
 
     # -- periodic frames in simulated time -------------------------------------------------------------------------------
     def _send_periodic_internal(

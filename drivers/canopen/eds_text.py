@@ -105,7 +105,7 @@ def _parse(text: str) -> EdsText:
     parsed = EdsText()
     section: dict[str, str] | None = None
     where = ""
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
         line = line.strip()  # noqa: PLW2901 - the unstripped line is not needed
         if not line or line[0] in ";#":
             continue

@@ -32,6 +32,7 @@ _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
     (objects.FAULT_REACTION_OPTION, "", True),
     (objects.FOLLOWING_ERROR_WINDOW, "counts", True),
     (objects.FOLLOWING_ERROR_TIMEOUT, "ms", True),
+    (objects.MAX_TORQUE, "0.1 %", True),  # of the rated torque, as all torques of CiA 402
     (objects.POSITION_WINDOW, "counts", True),
     (objects.POSITION_WINDOW_TIME, "ms", True),
     (objects.HOME_OFFSET, "counts", True),

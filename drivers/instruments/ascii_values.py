@@ -19,7 +19,7 @@ LONGEST_BYTES = 200
 
 PATTERNS: dict[str, str] = {
     "mitutoyo": r"0\dA(?P<value>[+-](?=[\d.]{8}$)\d+\.\d+)",
-    "number": r"\s*(?P<value>[+-]?\s*\d+(\.\d+)?)\s*(?P<unit>mm|um|µm|in|inch|\")?\s*",
+    "number": r"\s*+(?P<value>[+-]?\s*+\d+(\.\d+)?)\s*+(?P<unit>mm|um|µm|in|inch|\")?\s*",
 }
 MM: dict[str, float] = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "in": 25.4, "inch": 25.4, '"': 25.4}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,2})?")

@@ -7,17 +7,28 @@ Readings carry their recorded time, shifted to the start of playback; after the 
 from __future__ import annotations
 
 import gzip
+import io
+import re
 import zlib
+from array import array
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from pathlib import Path
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 
+MOST_BYTES = 1 << 28
+"""Longest text of a recording, unpacked: at 1 kHz and 60 bytes a row, 75 minutes."""
+MOST_CELLS = 1 << 24
+"""Most numbers of a recording: 128 MiB as they are kept."""
+MOST_LINES = 1 << 22
+"""At 1 kHz, 70 minutes."""
+_LONGEST_LINE = 1 << 20
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _AIR = ("air_temp_c", "air_pressure_hpa", "air_humidity_percent")
 
 
@@ -41,14 +52,13 @@ class Recording:
     def read(cls, path: str | Path) -> Recording:
         """Read a file. Raises InputError naming it, and the line."""
         try:
-            data = Path(path).read_bytes()
-            text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode("utf-8")
+            with Path(path).open("rb") as file:
+                packed = file.peek(2)[:2] == b"\x1f\x8b"
+                return cls(_columns(_lines(io.BufferedReader(gzip.GzipFile(fileobj=file)) if packed else file)))
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror or error}", path=path) from error
         except (EOFError, zlib.error, UnicodeDecodeError) as error:
             raise InputError(f"is neither text nor packed text: {error}", path=path) from error
-        try:
-            return cls(_columns(text))
         except InputError as error:
             raise InputError(error.what, path=path, line=error.line) from error
 
@@ -65,23 +75,44 @@ class Recording:
         return times[-1] - times[0]
 
 
-def _columns(text: str) -> dict[str, list[float]]:
-    columns: dict[str, list[float]] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+def _lines(file: io.BufferedReader) -> Iterator[str]:
+    """The lines, unpacked one after the other. Raises InputError for a text or a line that is too long."""
+    total = count = 0
+    with io.TextIOWrapper(file, encoding="utf-8-sig", newline=None) as text:
+        while line := text.readline(_LONGEST_LINE):
+            total += len(line)
+            count += 1
+            if total > MOST_BYTES or count > MOST_LINES or len(line) == _LONGEST_LINE:
+                raise InputError(
+                    f"is too long unpacked, expected at most {MOST_BYTES >> 20} MiB in {MOST_LINES} lines"
+                    f" of {_LONGEST_LINE >> 20} MiB"
+                )
+            yield line
+
+
+def _columns(lines: Iterator[str]) -> dict[str, Sequence[float]]:
+    columns: dict[str, array[float]] = {}
+    cells_read = 0
+    for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         cells = [cell.strip() for cell in line.split(",")]
         if not columns:
-            columns = {name: [] for name in cells}
+            columns = {name: array("d") for name in cells}
+            if len(columns) != len(cells):
+                raise InputError("header names a column twice", line=number)
             continue
         if len(cells) != len(columns):
             raise InputError(f"row has {len(cells)} columns, expected {len(columns)}", line=number)
+        cells_read += len(cells)
+        if cells_read > MOST_CELLS:
+            raise InputError(f"holds more than {MOST_CELLS} numbers", line=number)
         for name, cell in zip(columns, cells, strict=True):
-            try:
-                columns[name].append(float(cell) if cell else nan)
-            except ValueError:
-                raise InputError(f"{name} is {cell[:40]!r}, expected a number", line=number) from None
-    return columns
+            value = nan if not cell or cell.lower() == "nan" else float(cell) if _NUMBER.fullmatch(cell) else inf
+            if value in (inf, -inf):
+                raise InputError(f"{name} is {cell[:40]!r}, expected a number", line=number)
+            columns[name].append(value)
+    return dict(columns)
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
+from drivers.clock import Clock
 from drivers.drive import DriveState
 from drivers.errors import InputError, ProtocolError
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import DriveMap
-from drivers.modbus.orders import hold
-from drivers.modbus.register_access import whole
+from drivers.modbus.orders import Orders, hold
+from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.register_map import Register
 from drivers.scaling import AxisScaling
 
@@ -124,3 +126,16 @@ class DriveValues:
         window = self._map.move.window or 0.0
         in_counts = self._registers[self._map.move.target].unit == "counts"
         return window if in_counts else window * self._scaling.encoder_counts_per_motor_rev
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What the parts of one drive work with: its name, its map, its registers, their values, its orders."""
+
+    name: str
+    map: DriveMap
+    access: RegisterAccess
+    values: DriveValues
+    orders: Orders
+    clock: Clock
+    scaling: AxisScaling

@@ -7,14 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.clock import Clock
 from drivers.errors import DriveFaultError
 from drivers.modbus.codec import Raw
-from drivers.modbus.drive_map import DriveMap, HomingMap, all_hold
-from drivers.modbus.drive_values import DriveValues
-from drivers.modbus.orders import POLL_S, Orders, hold
-from drivers.modbus.register_access import RegisterAccess
-from drivers.scaling import AxisScaling
+from drivers.modbus.drive_map import HomingMap, all_hold
+from drivers.modbus.drive_values import Unit
+from drivers.modbus.orders import POLL_S, hold
 from drivers.standstill import Standstill
 
 _ATTAINED_S = 0.5
@@ -27,30 +24,13 @@ class Homing:
     under_way: begun, and its end not seen yet. post_stop(): sends the stop.
     """
 
-    def __init__(
-        self,
-        drive_name: str,
-        drive_map: DriveMap,
-        access: RegisterAccess,
-        values: DriveValues,
-        orders: Orders,
-        *,
-        clock: Clock,
-        scaling: AxisScaling,
-        post_stop: Callable[[], None],
-    ) -> None:
+    def __init__(self, unit: Unit, *, post_stop: Callable[[], None]) -> None:
         self.homed: bool | None = None
         self.under_way = False
-        self._name = drive_name
-        self._map = drive_map
-        self._access = access
-        self._values = values
-        self._orders = orders
-        self._clock = clock
-        self._scaling = scaling
+        self._unit = unit
         self._post_stop = post_stop
         self._attained_gone = False  # whether the "homing attained" of the last homing has gone since this one started
-        self._attained_stands = Standstill(scaling.resolution_load_mm)  # while it is shown
+        self._attained_stands = Standstill(unit.scaling.resolution_load_mm)  # while it is shown
 
     def forget(self) -> None:
         """For a new connection: nothing is known of earlier homings."""
@@ -59,7 +39,7 @@ class Homing:
     def begin(self, homing: HomingMap, take_power: Callable[[], None]) -> None:
         """Order it and wait until the drive shows it in progress, or attained for long enough. take_power(): for a drive that homes as
         its power comes on. Raises MotionTimeoutError, NoAnswerError."""
-        orders = self._orders
+        orders = self._unit.orders
         orders.give(homing.release)
         orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
         self.homed = False
@@ -68,18 +48,18 @@ class Homing:
             orders.remember([write.register for write in homing.start if write.mask is None])
         orders.start(homing.start, "homing", homing.timeout_s)
         orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s, homing.remedy)
-        self._attained_gone, self._attained_stands = False, Standstill(self._scaling.resolution_load_mm)
+        self._attained_gone, self._attained_stands = False, Standstill(self._unit.scaling.resolution_load_mm)
         self.under_way = True
-        deadline = self._clock.deadline(homing.timeout_s)
+        deadline = self._unit.clock.deadline(homing.timeout_s)
         while not self._attained_seen(homing) and not deadline.expired:
-            self._clock.sleep_s(POLL_S)
+            self._unit.clock.sleep_s(POLL_S)
 
     def _attained_seen(self, homing: HomingMap) -> bool:
         """Whether one sample shows that "attained" has gone, or has stayed for long enough."""
-        raw = self._access.read(self._map.sampled())
-        position_mm = self._scaling.load_mm(self._values.position_counts(raw))
+        raw = self._unit.access.read(self._unit.map.sampled())
+        position_mm = self._unit.scaling.load_mm(self._unit.values.position_counts(raw))
         attained = hold(homing.applies, raw) and hold(homing.attained, raw)
-        return self._is_of_this_homing(attained, self._clock.now_ns(), position_mm)
+        return self._is_of_this_homing(attained, self._unit.clock.now_ns(), position_mm)
 
     def _is_of_this_homing(self, attained: bool, time_ns: int, position_mm: float) -> bool:
         """Whether the "attained" shown cannot be that of the last homing, which stays until the drive has processed its orders."""
@@ -89,14 +69,14 @@ class Homing:
 
     def look(self, raw: dict[str, Raw], time_ns: int, position_mm: float) -> None:
         """Evaluate a sample: its registers, time (ns) and position (load mm). Raises DriveFaultError once when homing failed."""
-        homing = self._map.homing
+        homing = self._unit.map.homing
         if homing is None or not hold(homing.applies, raw):
             return
         if self.under_way and homing.failed and hold(homing.failed, raw):
             self.under_way, self.homed = False, False
-            if self._values.load_mm(raw, self._map.velocity) != 0.0:
+            if self._unit.values.load_mm(raw, self._unit.map.velocity) != 0.0:
                 self._post_stop()
-            raise DriveFaultError(f"drive {self._name}: homing failed", self._values.fault_code(raw))
+            raise DriveFaultError(f"drive {self._unit.name}: homing failed", self._unit.values.fault_code(raw))
         attained = hold(homing.attained, raw)
         if self.under_way and not (self._is_of_this_homing(attained, time_ns, position_mm) and attained):
             return
@@ -104,14 +84,14 @@ class Homing:
 
     def leave(self, raw: dict[str, Raw]) -> None:
         """Take back a homing order that is still set: it would start another homing, or act as a new set-point."""
-        homing = self._map.homing
+        homing = self._unit.map.homing
         self.under_way = False
         if homing is not None and homing.applies and hold(homing.applies, raw):
-            self._orders.give(homing.release)
+            self._unit.orders.give(homing.release)
 
     def ask(self, homing: HomingMap) -> bool | None:
         """Read in homing mode whether the drive is homed. None for one that does not say so: it may have lost it with the change of
         mode. For a drive without power."""
-        self._orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
-        raw = self._access.of_conditions((*homing.applies, *homing.attained))
+        self._unit.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
+        raw = self._unit.access.of_conditions((*homing.applies, *homing.attained))
         return True if all_hold(homing.applies, raw) and all_hold(homing.attained, raw) else None

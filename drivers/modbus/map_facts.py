@@ -86,5 +86,5 @@ class FactLedger:
         try:
             found = json.loads(self._path.read_text(encoding="utf-8"))
             return {str(key): [Proof(name).value for name in names] for key, names in found.items()}
-        except (ValueError, AttributeError, TypeError) as error:
+        except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise InputError("does not say which facts were proven", path=self._path) from error

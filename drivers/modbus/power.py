@@ -7,13 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.clock import Clock
 from drivers.drive import FAULTS, DriveSample, DriveState
 from drivers.errors import DriveFaultError, MotionTimeoutError, ProtocolError, StateError
-from drivers.modbus.drive_map import DriveMap, Transition
-from drivers.modbus.drive_values import DriveValues
-from drivers.modbus.orders import POLL_S, Orders
-from drivers.modbus.register_access import RegisterAccess
+from drivers.modbus.drive_map import Transition
+from drivers.modbus.drive_values import Unit
+from drivers.modbus.orders import POLL_S
 from drivers.modbus.way_out import WayOut
 
 _BOOT_S = 5.0  # longest time in not ready to switch on, s
@@ -24,31 +22,15 @@ StateTest = Callable[[DriveState], bool]
 class PowerStates:
     """sample(): of the drive, for the fault code in an error."""
 
-    def __init__(
-        self,
-        drive_name: str,
-        drive_map: DriveMap,
-        access: RegisterAccess,
-        values: DriveValues,
-        orders: Orders,
-        *,
-        clock: Clock,
-        way_out: WayOut,
-        sample: Callable[[], DriveSample],
-    ) -> None:
-        self._name = drive_name
-        self._map = drive_map
-        self._access = access
-        self._values = values
-        self._orders = orders
-        self._clock = clock
+    def __init__(self, unit: Unit, *, way_out: WayOut, sample: Callable[[], DriveSample]) -> None:
+        self._unit = unit
         self._way_out = way_out
         self._sample = sample
 
     def state(self) -> DriveState:
         """The state, read now. Raises ProtocolError for one that is not in the map."""
-        names = [rule.condition.register for rule in self._map.states]
-        return self._values.state(dict(self._access.integers(names)))
+        names = [rule.condition.register for rule in self._unit.map.states]
+        return self._unit.values.state(dict(self._unit.access.integers(names)))
 
     def await_ready(self) -> None:
         """Wait until the drive has started up. Raises MotionTimeoutError."""
@@ -56,7 +38,7 @@ class PowerStates:
 
     def can_disable(self, state: DriveState) -> bool:
         """Whether the map leads out of this state by taking power off."""
-        return any(state in transition.sources for transition in self._map.disable)
+        return any(state in transition.sources for transition in self._unit.map.disable)
 
     # -- sequences of transitions ------------------------------------------------------------------------------------
     def enable(self, before_power: Callable[[], None]) -> None:
@@ -64,25 +46,25 @@ class PowerStates:
 
         Raises DriveFaultError in a fault, StateError where the map has no way, ProtocolError where it has a loop,
         MotionTimeoutError."""
-        for _ in range(len(self._map.enable) + 1):
+        for _ in range(len(self._unit.map.enable) + 1):
             state = self.state()
             if state is DriveState.ENABLED:
                 return
-            transition = self._from(self._map.enable, state, "enable")
+            transition = self._from(self._unit.map.enable, state, "enable")
             if DriveState.ENABLED in transition.targets:
                 before_power()
             self._walk(transition, "enable")
-        raise ProtocolError(f"drive {self._name}: enabling goes round in circles, it is {self.state().value}")
+        raise ProtocolError(f"drive {self._unit.name}: enabling goes round in circles, it is {self.state().value}")
 
     def disable(self, state: DriveState) -> None:
         """Take the power off from this state, of an axis at rest. Raises StateError, MotionTimeoutError."""
-        self._walk(self._from(self._map.disable, state, "disable"), "disable", off=True)
+        self._walk(self._from(self._unit.map.disable, state, "disable"), "disable", off=True)
 
     def post_off(self, state: DriveState) -> None:
         """The writes of `disable`, sent without waiting. Never raises for a drive without an answer."""
-        for transition in self._map.disable:
+        for transition in self._unit.map.disable:
             if state in transition.sources:
-                self._access.post(transition.writes)
+                self._unit.access.post(transition.writes)
                 return
 
     def reset_fault(self) -> None:
@@ -92,8 +74,8 @@ class PowerStates:
             state = self._await("end of the fault reaction", lambda now: now is not state, _BOOT_S)
         if state not in FAULTS:
             return
-        transition = self._from(self._map.reset_fault, state, "reset the fault")
-        self._orders.give_stopped(transition.writes)
+        transition = self._from(self._unit.map.reset_fault, state, "reset the fault")
+        self._unit.orders.give_stopped(transition.writes)
         try:
             state = self._await("reset", lambda now: now not in FAULTS, transition.timeout_s)
         except MotionTimeoutError as error:
@@ -101,7 +83,7 @@ class PowerStates:
             if sample.state not in FAULTS:
                 raise
             raise DriveFaultError(
-                f"drive {self._name}: the fault stays, its cause is still there", sample.fault_code
+                f"drive {self._unit.name}: the fault stays, its cause is still there", sample.fault_code
             ) from error
         if self.can_disable(state) and state not in transition.targets:
             self.disable(state)  # a stop that was sent in the fault is still in force
@@ -112,13 +94,13 @@ class PowerStates:
                 return transition
         if state in FAULTS:
             raise DriveFaultError(
-                f"drive {self._name} cannot {verb}: it is in {state.value}", self._sample().fault_code
+                f"drive {self._unit.name} cannot {verb}: it is in {state.value}", self._sample().fault_code
             )
-        raise StateError(f"drive {self._name} cannot {verb} from {state.value}")
+        raise StateError(f"drive {self._unit.name} cannot {verb} from {state.value}")
 
     def _walk(self, transition: Transition, verb: str, *, off: bool = False) -> None:
         """off: takes the power off, which is allowed after a stop and ends in a fault as well."""
-        (self._orders.take_power if off else self._orders.give)(transition.writes)
+        (self._unit.orders.take_power if off else self._unit.orders.give)(transition.writes)
         state = self._await(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,
@@ -126,17 +108,17 @@ class PowerStates:
             transition.remedy,
         )
         if state in FAULTS and not off:
-            raise DriveFaultError(f"drive {self._name}: fault while trying to {verb}", self._sample().fault_code)
+            raise DriveFaultError(f"drive {self._unit.name}: fault while trying to {verb}", self._sample().fault_code)
 
     def _await(self, what: str, good: StateTest, timeout_s: float, remedy: str = "") -> DriveState:
         timeout_s = self._way_out.within_s(timeout_s)
-        deadline = self._clock.deadline(timeout_s)
+        deadline = self._unit.clock.deadline(timeout_s)
         while True:
             state = self.state()
             if good(state):
                 return state
             if deadline.expired:
                 raise MotionTimeoutError(
-                    f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {state.value}{remedy and '; ' + remedy}"
+                    f"drive {self._unit.name}: {what} not within {timeout_s:.3g} s, it is {state.value}{remedy and '; ' + remedy}"
                 )
-            self._clock.sleep_s(POLL_S)
+            self._unit.clock.sleep_s(POLL_S)

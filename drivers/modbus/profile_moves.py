@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from drivers.drive import DriveLimits
 from drivers.errors import MotionTimeoutError
 from drivers.modbus.codec import Raw
-from drivers.modbus.drive_map import DriveMap, Handshake
-from drivers.modbus.drive_values import DriveValues
-from drivers.modbus.orders import Orders, hold
-from drivers.modbus.register_access import RegisterAccess
-from drivers.scaling import AxisScaling
+from drivers.modbus.drive_map import Handshake
+from drivers.modbus.drive_values import Unit
+from drivers.modbus.orders import hold
 
 
 @dataclass(frozen=True)
@@ -33,84 +31,69 @@ class Move:
 class ProfileMoves:
     """The moves of one drive. under_way: the last move begun, None after another order has moved the axis."""
 
-    def __init__(
-        self,
-        drive_name: str,
-        drive_map: DriveMap,
-        access: RegisterAccess,
-        values: DriveValues,
-        orders: Orders,
-        *,
-        scaling: AxisScaling,
-        limits: DriveLimits,
-    ) -> None:
+    def __init__(self, unit: Unit, limits: DriveLimits) -> None:
         self.under_way: Move | None = None
-        self._name = drive_name
-        self._map = drive_map
-        self._access = access
-        self._values = values
-        self._orders = orders
-        self._scaling = scaling
+        self._unit = unit
         self._limits = limits
 
     @contextmanager
     def target_kept(self) -> Iterator[None]:
         """Around writing the target: the one found is put back without power, not where that would start a move, nor after a
         refusal."""
-        move = self._map.move
-        once = self._orders.kept(move.target) or move.handshake is Handshake.ON_WRITE
-        readable = self._map.registers[move.target].readable
-        found = self._access.read([move.target]) if readable and not once else {}
+        move = self._unit.map.move
+        once = self._unit.orders.kept(move.target) or move.handshake is Handshake.ON_WRITE
+        readable = self._unit.map.registers[move.target].readable
+        found = self._unit.access.read([move.target]) if readable and not once else {}
         yield
-        self._orders.keep(found)
+        self._unit.orders.keep(found)
 
     def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> Move:
         """A move (mm, mm/s) from the position of a sample. Raises InputError for values outside its registers; writes nothing."""
-        start_counts = self._values.position_counts(raw)
-        target_counts = float(self._scaling.motor_counts(position_load_mm))
-        written_counts = target_counts - start_counts if self._map.move.relative else target_counts
+        start_counts = self._unit.values.position_counts(raw)
+        target_counts = float(self._unit.scaling.motor_counts(position_load_mm))
+        written_counts = target_counts - start_counts if self._unit.map.move.relative else target_counts
         return Move(start_counts, target_counts, velocity_mm_s, self._profile(written_counts, velocity_mm_s))
 
     def _profile(self, target_counts: float, velocity_mm_s: float) -> dict[str, Raw]:
         """All settings of a move, speeds before the target, as some drives start on the target; neighbours are joined when written."""
-        move = self._map.move
-        speed = {move.velocity: velocity_mm_s * self._scaling.counts_per_load_mm}
+        move = self._unit.map.move
+        speed = {move.velocity: velocity_mm_s * self._unit.scaling.counts_per_load_mm}
         written = self._settings(speed | self._ramps(move.acceleration, move.deceleration))
-        written[move.target] = self._values.raw(target_counts, move.target)
+        written[move.target] = self._unit.values.raw(target_counts, move.target)
         if not move.start:
             return written
-        return dict(sorted(written.items(), key=lambda item: self._map.registers[item[0]].span))
+        return dict(sorted(written.items(), key=lambda item: self._unit.map.registers[item[0]].span))
 
     def ramp_settings(self, *names: str | None) -> dict[str, Raw]:
         """The axis's highest acceleration for those of these registers that the drive has, raw."""
         return self._settings(self._ramps(*names))
 
     def _ramps(self, *names: str | None) -> dict[str, float]:
-        counts_s2 = self._limits.max_acceleration_mm_s2 * self._scaling.counts_per_load_mm
+        counts_s2 = self._limits.max_acceleration_mm_s2 * self._unit.scaling.counts_per_load_mm
         return {name: counts_s2 for name in names if name is not None}
 
     def _settings(self, wanted: dict[str, float]) -> dict[str, Raw]:
         """Speeds and ramps in counts -> raw, after keeping the earlier values."""
-        self._orders.remember(tuple(wanted))
-        return {name: self._values.raw_speed(counts, name) for name, counts in wanted.items()}
+        self._unit.orders.remember(tuple(wanted))
+        return {name: self._unit.values.raw_speed(counts, name) for name, counts in wanted.items()}
 
     def set_mode(self, raw: dict[str, Raw] | None = None) -> None:
         """Set the mode of operation for moves; raw: values read just now. Raises MotionTimeoutError."""
-        move = self._map.move
-        self._orders.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
+        move = self._unit.map.move
+        self._unit.orders.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
 
     def make_ready(self, raw: dict[str, Raw]) -> None:
         """Set mode and hand-shake as a new target needs them. Raises MotionTimeoutError."""
-        move = self._map.move
+        move = self._unit.map.move
         self.set_mode(raw)
-        if not self._orders.hold_now(move.idle, raw):
-            self._orders.give(move.release)
-            self._orders.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
+        if not self._unit.orders.hold_now(move.idle, raw):
+            self._unit.orders.give(move.release)
+            self._unit.orders.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
 
     def begin(self, planned: Move) -> None:
         """Start the move; returns when the axis has started. After an error it may be moving. Raises MotionTimeoutError,
         NoAnswerError."""
-        move, orders = self._map.move, self._orders
+        move, orders = self._unit.map.move, self._unit.orders
         with self.target_kept():
             orders.write(planned.written)
         self.under_way = planned
@@ -122,16 +105,16 @@ class ProfileMoves:
 
     def reached(self, raw: dict[str, Raw]) -> bool:
         """Whether the drive shows "in position", and its position is the target of the move in progress."""
-        move = self._map.move
+        move = self._unit.map.move
         if not hold(move.reached, raw):
             return False
         if self.under_way is None or move.window is None:
             return True
-        off_counts = abs(self._values.position_counts(raw) - self.under_way.target_counts)
-        return off_counts <= self._values.window_counts()
+        off_counts = abs(self._unit.values.position_counts(raw) - self.under_way.target_counts)
+        return off_counts <= self._unit.values.window_counts()
 
     def _reached_now(self) -> bool:
-        return self.reached(self._access.read(self._map.sampled()))
+        return self.reached(self._unit.access.read(self._unit.map.sampled()))
 
     def _await_departure(self, move: Move) -> None:
         """Wait until "in position" of the last move goes, so that it is not taken for the end of this one.
@@ -139,15 +122,17 @@ class ProfileMoves:
         Raises MotionTimeoutError when the drive accepted the target but does not move and shows "in position".
         """
         way_counts = abs(move.target_counts - move.start_counts)
-        way_mm = abs(self._scaling.load_mm(way_counts))
+        way_mm = abs(self._unit.scaling.load_mm(way_counts))
         ramps_s = 2.0 * move.velocity_mm_s / self._limits.max_acceleration_mm_s2
         longest_s = way_mm / move.velocity_mm_s + ramps_s + 0.05
-        if way_counts <= self._values.window_counts() or self._orders.becomes(
-            lambda: not self._reached_now(), min(longest_s, self._map.move.timeout_s)
+        if way_counts <= self._unit.values.window_counts() or self._unit.orders.becomes(
+            lambda: not self._reached_now(), min(longest_s, self._unit.map.move.timeout_s)
         ):
             return
-        left = abs(self._values.position_counts(self._access.read([self._map.position])) - move.target_counts)
+        left = abs(
+            self._unit.values.position_counts(self._unit.access.read([self._unit.map.position])) - move.target_counts
+        )
         if left > max(1.0, 0.5 * way_counts):
             raise MotionTimeoutError(
-                f"drive {self._name}: accepted a target {way_mm:.6f} mm away, says it is in position, and does not move"
+                f"drive {self._unit.name}: accepted a target {way_mm:.6f} mm away, says it is in position, and does not move"
             )

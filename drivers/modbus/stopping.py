@@ -21,7 +21,7 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.modbus.drive_map import DriveMap
-from drivers.modbus.drive_values import DriveValues
+from drivers.modbus.drive_values import DriveValues, Unit
 from drivers.modbus.homing import Homing
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.orders import Orders
@@ -75,11 +75,11 @@ class StoppableDrive(ServoDrive):
             shown_state=lambda: self.power.state().value,
             post_stop=self.send_stop,
         )
-        common = (name, drive_map, self.access, self.values, self.orders)
-        self.power = PowerStates(*common, clock=clock, way_out=self.way_out, sample=self.sample)
-        self.moves = ProfileMoves(*common, scaling=scaling, limits=limits)
-        self.runs = VelocityRuns(*common, clock=clock, scaling=scaling, moves=self.moves)
-        self.homing = Homing(*common, clock=clock, scaling=scaling, post_stop=self.send_stop)
+        ours = Unit(name, drive_map, self.access, self.values, self.orders, clock, scaling)
+        self.power = PowerStates(ours, way_out=self.way_out, sample=self.sample)
+        self.moves = ProfileMoves(ours, limits)
+        self.runs = VelocityRuns(ours, self.moves)
+        self.homing = Homing(ours, post_stop=self.send_stop)
 
     def _require_open(self) -> None:
         if not self._open:

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.clock import NS_PER_S, Clock
+from drivers.clock import NS_PER_S
 from drivers.errors import CapabilityError
 from drivers.modbus.codec import Raw
-from drivers.modbus.drive_map import DriveMap, RunMap
-from drivers.modbus.drive_values import DriveValues
+from drivers.modbus.drive_map import RunMap
+from drivers.modbus.drive_values import Unit
 from drivers.modbus.map_roles import Writes
-from drivers.modbus.orders import Orders
 from drivers.modbus.profile_moves import ProfileMoves
-from drivers.modbus.register_access import RegisterAccess
-from drivers.scaling import AxisScaling
 
 
 @dataclass(frozen=True)
@@ -37,26 +34,9 @@ class RunOrder:
 class VelocityRuns:
     """The velocity runs of one drive. running: a velocity other than 0 is written in it."""
 
-    def __init__(
-        self,
-        drive_name: str,
-        drive_map: DriveMap,
-        access: RegisterAccess,
-        values: DriveValues,
-        orders: Orders,
-        *,
-        clock: Clock,
-        scaling: AxisScaling,
-        moves: ProfileMoves,
-    ) -> None:
+    def __init__(self, unit: Unit, moves: ProfileMoves) -> None:
         self.running = False
-        self._name = drive_name
-        self._map = drive_map
-        self._access = access
-        self._values = values
-        self._orders = orders
-        self._clock = clock
-        self._scaling = scaling
+        self._unit = unit
         self._moves = moves
         self._jog: Writes = ()  # the order of the jog under way
         self._kept_alive_ns = 0  # when a jog was last ordered
@@ -67,13 +47,13 @@ class VelocityRuns:
 
     def planned(self, velocity_mm_s: float) -> RunOrder:
         """The order of a signed velocity, mm/s. Raises CapabilityError, InputError for one outside its register; writes nothing."""
-        run = self._map.run
+        run = self._unit.map.run
         if run is None:
-            raise CapabilityError(f"drive {self._name}: its register map has no velocity run")
-        counts_per_s = self._scaling.direction * velocity_mm_s * self._scaling.counts_per_load_mm
+            raise CapabilityError(f"drive {self._unit.name}: its register map has no velocity run")
+        counts_per_s = self._unit.scaling.direction * velocity_mm_s * self._unit.scaling.counts_per_load_mm
         if not run.forward:
-            return RunOrder(run, self._values.raw(counts_per_s, run.target), ())
-        target = self._values.raw_speed(abs(counts_per_s), run.target) if counts_per_s else None
+            return RunOrder(run, self._unit.values.raw(counts_per_s, run.target), ())
+        target = self._unit.values.raw_speed(abs(counts_per_s), run.target) if counts_per_s else None
         return RunOrder(run, target, run.forward if counts_per_s > 0 else run.backward)
 
     def begin(self, order: RunOrder) -> None:
@@ -82,13 +62,13 @@ class VelocityRuns:
             self._begin_jog(order)
         elif order.target is not None:
             run = order.run
-            self._access.write(self._moves.ramp_settings(run.acceleration, run.deceleration))
+            self._unit.access.write(self._moves.ramp_settings(run.acceleration, run.deceleration))
             if not self.running:
                 self._write_no_velocity()  # an old velocity must not take effect with the mode
-            self._orders.set_mode(run.mode, run.mode_shown, run.timeout_s)
+            self._unit.orders.set_mode(run.mode, run.mode_shown, run.timeout_s)
             self.running = True
-            self._orders.start(run.start, "velocity run", run.timeout_s)
-            self._orders.write({run.target: order.target})
+            self._unit.orders.start(run.start, "velocity run", run.timeout_s)
+            self._unit.orders.write({run.target: order.target})
 
     def _begin_jog(self, order: RunOrder) -> None:
         """Jog: the speed without its sign, then the order of its direction, which `keep_alive` repeats where it has to be."""
@@ -96,21 +76,23 @@ class VelocityRuns:
         if order.target is None:
             return
         run = order.run
-        self._orders.remember((run.target,))
-        self._access.write({run.target: order.target, **self._moves.ramp_settings(run.acceleration, run.deceleration)})
+        self._unit.orders.remember((run.target,))
+        self._unit.access.write(
+            {run.target: order.target, **self._moves.ramp_settings(run.acceleration, run.deceleration)}
+        )
         self.running, self._jog = True, order.jog
-        self._kept_alive_ns = self._clock.now_ns()
-        self._orders.start(self._jog, "jog", run.timeout_s)
+        self._kept_alive_ns = self._unit.clock.now_ns()
+        self._unit.orders.start(self._jog, "jog", run.timeout_s)
 
     def keep_alive(self) -> None:
         """Order a jog again that would end by itself. Half the time is left for the wire; a sample that is late lets it end."""
-        run = self._map.run
-        if run is None or run.keep_alive_s is None or not (self.running and self._jog) or self._orders.stopped:
+        run = self._unit.map.run
+        if run is None or run.keep_alive_s is None or not (self.running and self._jog) or self._unit.orders.stopped:
             return
-        age_s = (self._clock.now_ns() - self._kept_alive_ns) / NS_PER_S
+        age_s = (self._unit.clock.now_ns() - self._kept_alive_ns) / NS_PER_S
         if age_s >= 0.5 * run.keep_alive_s:
-            self._kept_alive_ns = self._clock.now_ns()
-            self._orders.give(self._jog)
+            self._kept_alive_ns = self._unit.clock.now_ns()
+            self._unit.orders.give(self._jog)
 
     def end(self) -> None:
         """Write 0 to the velocity register, so that no velocity stays in the drive."""
@@ -119,9 +101,9 @@ class VelocityRuns:
             self.running = False
 
     def _write_no_velocity(self) -> None:
-        run = self._map.run
+        run = self._unit.map.run
         if self._jog and run is not None:
             self._jog = ()
-            self._orders.give(run.stop)
+            self._unit.orders.give(run.stop)
         elif run is not None:
-            self._access.write({run.target: self._values.raw(0.0, run.target)})
+            self._unit.access.write({run.target: self._unit.values.raw(0.0, run.target)})

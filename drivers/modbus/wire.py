@@ -335,14 +335,19 @@ class PymodbusWire:
         number, port = next(self._numbers), self._port
         if isinstance(self.endpoint, RtuEndpoint):
             self._rest = b""
-        port.send(self._frame(unit, request, number))
-        end_s, received = time.monotonic() + timeout_s, 0
+        frame = self._frame(unit, request, number)
+        port.send(frame)
+        end_s, received, head = time.monotonic() + timeout_s, 0, b""
         while received <= _MOST_BYTES:
             data = port.receive(end_s + (port.rest_of_frame_s if received else 0.0))
             if not data:
                 break
             received += len(data)
             self._rest += data
+            head = (head + data)[: len(frame)]
+            if head == frame and not request.function.is_write and isinstance(self.endpoint, RtuEndpoint):
+                # the reply to a single write is the request itself: on such a line it would be believed without a drive
+                raise ProtocolError(f"{what}: the line echoes what is sent, expected an adapter without local echo")
             if (reply := self._found(unit, number, what)) is not None:
                 return reply
         if not received:

@@ -157,6 +157,23 @@ def test_it_reads_only_what_it_says_and_only_the_past(subject: Subject, form: Fo
     np.testing.assert_allclose(first, whole[:1], rtol=0, atol=1e-9)
 
 
+def test_single_targets_are_as_rows(subject: Subject, form: Form) -> None:
+    """A stream asks for some targets at once, without arrays where the effect can; for a form of history each by itself."""
+    term = term_of(subject, form)
+    for at in (0, subject.survey.rows // 2):
+        row = {name: float(subject.columns[name][at]) for name in {*form.inputs, "target_mm", "direction"}}
+        for target_mm in (row["target_mm"], -3.0, 120.5):
+            columns = {name: np.array([value]) for name, value in row.items()} | {"target_mm": np.array([target_mm])}
+            (expected,) = term.error_um(columns).tolist()
+            assert term.near_um(row, [target_mm]) == pytest.approx([expected], rel=1e-9, abs=1e-9)
+    lacking = {name: value for name, value in row.items() if name != form.inputs[0]}
+    if form.inputs[0] != "target_mm":
+        with pytest.raises(InputError, match=form.inputs[0]):
+            term.near_um(lacking, [1.0])
+        with pytest.raises(InputError, match=form.inputs[0]):
+            term.near_um(row | {form.inputs[0]: math.nan}, [1.0])
+
+
 def test_it_survives_the_model_file_and_says_what_it_is(subject: Subject, form: Form) -> None:
     term = term_of(subject, form)
     again = term_from_json(json.loads(json.dumps(term.to_json())), [*ALL, subject.effect], "terms[0]")

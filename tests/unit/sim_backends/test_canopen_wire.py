@@ -140,3 +140,23 @@ def test_the_load_is_the_share_of_busy_time(wire: SimWire) -> None:
     assert wire.load(0, 0) == pytest.approx(frame_bits(0x185, bytes(8)) / 1000, rel=0.01)
     a.shutdown()
     b.shutdown()
+
+
+def test_a_wait_below_the_clocks_resolution_ends(wire: SimWire) -> None:
+    """A caller waits for the rest of a time-out until none is left: were it to cost nothing, it would wait for ever."""
+    port = wire.port()
+    before_ns = wire.clock.now_ns()
+    assert port.recv(1e-18) is None
+    assert wire.clock.now_ns() == before_ns + 1
+    assert port.recv(0.0) is None
+    assert wire.clock.now_ns() == before_ns + 1
+
+
+def test_a_closed_port_is_no_longer_on_the_wire(wire: SimWire) -> None:
+    """A program that connects again and again leaves nothing behind that would go on to collect frames."""
+    stays, goes = wire.port(), wire.port()
+    goes.shutdown()
+    goes.shutdown()
+    wire.add_node().send(0x123, b"\x01")
+    assert stays.recv(1.0) is not None
+    assert not goes._received
