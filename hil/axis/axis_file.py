@@ -35,12 +35,15 @@ from drivers.toml_types import (
 )
 from hil.axis.agreement import REVERSAL_UM, AgreementLimits
 from hil.axis.backlash import BacklashConfig, read_backlash
+from hil.axis.certificate import CertificateConfig
 from hil.axis.connections import BENCH_MACHINES, DriveConfig, HomingConfig, read_drive
 from hil.axis.instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis.lost_motion import LostMotionConfig, read_lost_motion
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.tables import Band, SignedSections, TableMode
 from hil.figures.uncertainty import UncertaintyInputs
+from hil.figures.verdict import Accuracy, accuracy
+from hil.records.rows import Records
 from hil.records.zero import REFERENCE_WITHIN_UM
 
 __all__ = [
@@ -56,9 +59,11 @@ __all__ = [
     "MeasurementConfig",
     "StoreConfig",
     "StraightnessConfig",
+    "accuracy_of",
     "iso_targets",
     "load_axis",
     "load_drive_axis",
+    "uncertainty_of",
 ]
 
 
@@ -130,6 +135,7 @@ class CorrectionConfig:
     bound: Annotated[CorrectionBound, Key("")] = CAREFUL
     signs: tuple[SignedSections, ...] = ()
     fine_total_um: Positive = FINE_TOTAL_UM
+    accuracy_limit_um: Positive | None = None
 
     def __post_init__(self) -> None:
         if self.fine_range_um < self.fine_step_um:
@@ -164,11 +170,16 @@ class StraightnessConfig:
 
 @dataclass(frozen=True)
 class StoreConfig:
-    """Where campaigns and sealed tables go, and with whose keys. Paths are absolute."""
+    """Where campaigns and sealed tables go, and with whose keys. Paths are absolute.
+
+    password_file, key_password_file: where the passwords stand that are asked for otherwise, for simulated machines; None: nowhere
+    """
 
     directory: Folder
     builder_key: File
     builder_public: File
+    password_file: File | None = None
+    key_password_file: File | None = None
 
 
 Column = Annotated[str, Limits(pattern=r"\A(load_kg|pos_[a-z]\w*_mm)\Z", description="load_kg or pos_<axis>_mm")]
@@ -224,6 +235,7 @@ class AxisConfig(DriveAxis):
     lost_motion: LostMotionConfig | None = field(default=None, kw_only=True)  # None: the file says nothing of it
     uncertainty: UncertaintyInputs | None = field(default=None, kw_only=True)
     straightness: StraightnessConfig | None = field(default=None, kw_only=True)  # None: no other axis is corrected
+    certificate: CertificateConfig | None = field(default=None, kw_only=True)  # None: certificates cannot be made
 
     @property
     def agreement(self) -> AgreementLimits:
@@ -266,10 +278,28 @@ class AxisConfig(DriveAxis):
         }
 
 
+def uncertainty_of(axis: AxisConfig) -> UncertaintyInputs | None:
+    """The axis file's uncertainty inputs, None without. A misalignment that is not stated is taken from the beam's alignment."""
+    inputs, beam = axis.uncertainty, axis.instrument.alignment
+    if inputs is None or beam is None or inputs.misalignment_mm:
+        return inputs
+    targets = axis.measurement.targets_mm
+    return replace(inputs, misalignment_mm=beam.lateral_mm(targets[-1] - targets[0]))
+
+
+def accuracy_of(
+    axis: AxisConfig, records: Records, limit_um: float | None = None, *, corrected: bool | None = None
+) -> Accuracy:
+    """The accuracy A of one pass along the axis with its uncertainty, against the limit. limit_um: in place of the axis file's;
+    corrected: as for `accuracy`."""
+    limit_um = axis.correction.accuracy_limit_um if limit_um is None else limit_um
+    return accuracy(records, uncertainty_of(axis), limit_um, axis.measurement.targets_mm, corrected=corrected)
+
+
 def _purpose_of(correction: CorrectionConfig) -> dict[str, Any]:
     """As plain values; what has its default and is newer than a campaign that may be resumed is left out."""
     form: dict[str, Any] = {**asdict(correction), "mode": correction.mode.value}
-    del form["bound"], form["signs"]
+    del form["bound"], form["signs"], form["accuracy_limit_um"]
     if form["fine_total_um"] == FINE_TOTAL_UM:
         del form["fine_total_um"]
     if correction.band is not None and not correction.signs:
@@ -346,6 +376,7 @@ def _axis(document: Document) -> AxisConfig:
         lost_motion=read_lost_motion(document, limits, measurement.targets_mm) if "lost_motion" in document else None,
         uncertainty=document.load(UncertaintyInputs, "uncertainty") if "uncertainty" in document else None,
         straightness=straightness,
+        certificate=document.load(CertificateConfig, "certificate") if "certificate" in document else None,
     )
     document.finish()
     return axis

@@ -17,21 +17,34 @@ from hil.app.jobs.plan import Move, Plan, Write, measuring_plan
 from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.calibration.calibrate import Calibration, as_stored, calibrate
+from hil.calibration.spacing import KIND as DENSE
+from hil.calibration.spacing import Proposal, dense_steps, propose
 from hil.calibration.straightness import StraightnessResult, measure_straightness
-from hil.calibration.verify import Verification, verify
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_manual_tables
 from hil.correction.store import BoundTables, SealedStore, bound_tables, compensation_in_force
-from hil.correction.tables import Band, DirectionalTable, SignedSections, SingleTable, TableMode, TableSet
+from hil.correction.tables import (
+    Band,
+    DirectionalTable,
+    NotJudged,
+    Outside,
+    SignedSections,
+    SingleTable,
+    TableMode,
+    TableSet,
+    judge,
+    section_means,
+)
 from hil.figures.history import purpose_of_replay
 from hil.machine.axes_wiring import connected_across
 from hil.machine.events import Event, Listener, silent
-from hil.machine.measure import bidirectional_steps, other_targets
+from hil.machine.measure import bidirectional_steps, measure, other_targets
+from hil.machine.session import AxisSession
 from hil.machine.wiring import Machine
 from hil.records.files import replace_file
 from hil.records.journal import Campaign
 from hil.records.made_with import MadeWith
-from hil.records.rows import Floats
+from hil.records.rows import Floats, Records
 
 CALIBRATE, VERIFY, UNCORRECTED, STRAIGHTNESS = "calibrate", "verify", "uncorrected", "straightness"
 MANUAL, ENTER, WITHDRAW = "manual", "enter backlash", "withdraw"
@@ -43,6 +56,34 @@ def calibration_plan(axis: AxisConfig) -> Plan:
     steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
     writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
     return measuring_plan(axis, [*steps, *steps], writes, locked=True)
+
+
+def run_dense_pass(machine: Machine, listener: Listener = silent) -> Proposal:
+    """Prepares, measures the uncorrected axis densely, and proposes the spacing. Raises what `dense_steps` and measuring raise."""
+    axis, session = machine.axis, machine.session
+    steps = dense_steps(axis)
+    campaign = Campaign.numbered(axis.store.directory, axis.purpose(DENSE), resume=False)
+    session.prepare(campaign.directory)
+    session.compensation = None
+    records = measure(session, campaign, DENSE, steps, listener)
+    campaign.finish()
+    return propose(axis, records)
+
+
+def with_dense_pass(plan: Plan, axis: AxisConfig) -> Plan:
+    """The plan of a calibration after a dense pass."""
+    return _with_moves(plan, measuring_plan(axis, dense_steps(axis), []), plan)
+
+
+def with_proof(plan: Plan, axis: AxisConfig) -> Plan:
+    """The plan of a calibration that is followed by a verification."""
+    return _with_moves(plan, plan, verification_plan(axis, 1))
+
+
+def _with_moves(plan: Plan, first: Plan, then: Plan) -> Plan:
+    """The plan with the moves of two, one after the other."""
+    moves, positions = (*first.moves, *then.moves), first.positions + then.positions
+    return replace(plan, moves=moves, positions=positions, travel_s=first.travel_s + then.travel_s)
 
 
 def run_calibration(
@@ -329,11 +370,44 @@ def manual_job(axis: AxisConfig, tables: TableSet) -> Job:
 
 # -- verify --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Verified:
-    """A verification, and the compensation that was in force, None for none."""
+class Verification:
+    """The result of a verification; `outside` is empty without a band. not_judged: where none is asked for."""
 
-    compensation: Compensation | None
-    result: Verification
+    records: Records
+    outside: tuple[Outside, ...]
+    not_judged: tuple[NotJudged, ...] = ()
+
+    @property
+    def good(self) -> bool:
+        """No judged section is outside the band."""
+        return not self.outside
+
+
+def band_sentence(band: Band, result: Verification) -> str:
+    """How many section means lie inside the band. They are compared as they are, without their uncertainty."""
+    means = section_means(result.records)
+    total = int(sum(np.isfinite(one).sum() for one in (means.plus_um, means.minus_um))) - len(result.not_judged)
+    return f"band {band}: {total - len(result.outside)} of {total} section means inside (simple acceptance, without uncertainty)"
+
+
+def verify(
+    session: AxisSession,
+    campaign: Campaign,
+    name: str = "verify",
+    band: Band | None = None,
+    listener: Listener = silent,
+    *,
+    seed: int = 1,
+) -> Verification:
+    """Measures on a prepared session with the compensation in force.
+
+    seed: determines the other targets. Raises InputError for rows of another plan, and what stops the axis.
+    """
+    steps = bidirectional_steps(other_targets(session.how, seed), session.how.runs)
+    records = measure(session, campaign, name, steps, listener)
+    if band is None:
+        return Verification(records, ())
+    return Verification(records, *judge(section_means(records), band, session.how.targets_mm))
 
 
 def verification_plan(axis: AxisConfig, seed: int) -> Plan:
@@ -367,6 +441,14 @@ def run_verification(
     result = verify(machine.session, campaign, name, axis.correction.band, listener, seed=seed)
     campaign.finish()
     return result
+
+
+@dataclass(frozen=True)
+class Verified:
+    """A verification, and the compensation that was in force, None for none."""
+
+    compensation: Compensation | None
+    result: Verification
 
 
 def verification_job(

@@ -5,16 +5,28 @@ after, the band.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
 from nicegui import events, ui
 
 from drivers.errors import InputError
+from hil.app.desk.progress import Phase, Progress
 from hil.app.jobs.job import Job
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Latest, Reading, Table, draw_where
+from hil.app.panel.pieces import (
+    Check,
+    Latest,
+    Reading,
+    Steps,
+    Table,
+    draw_ready,
+    draw_where,
+    measured_checks,
+    tables_written,
+)
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
@@ -41,6 +53,7 @@ from hil.calibration.straightness import StraightnessResult
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_signs, read_straightness
 from hil.correction.tables import Band, SignedSections, SingleTable
+from hil.figures.verdict import Accuracy, Decision
 
 Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]
@@ -65,37 +78,71 @@ def draw(view: View) -> None:
         return
     kept: Kept = Reading(view, partial(calibration_screen, axis))
     messages = view.messages("calibrate.messages")
-    parts = [_draw_plan(view, axis)]
     typed = TypedTables(view, axis)
-    parts += [_draw_buttons(view, axis, kept, typed), typed.draw()]
-    with ui.element("div").classes("hil-grid"):
-        parts += [_draw_where(view), _draw_accuracy(view, kept), _draw_band(view, axis, kept, typed)]
-    with ui.element("div").classes("hil-grid wide"):
-        with view.card("calibrate.live", name="calibrate.live.card"):
-            x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
-            live = JobPlot(view, KINDS, x, y, name="calibrate.live", dots=True)
-        parts.append(_draw_curves(view, axis, kept))
-    parts.append(_draw_figures(view, axis, kept))
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            parts = [
+                _draw_accuracy(view, kept),
+                draw_where(view, "calibrate", lambda: view.desk.last_of(KINDS), progress=True),
+                _draw_buttons(view, axis, kept, typed),
+            ]
+        with ui.element("div").classes("hil-main"):
+            steps = Steps(view, "calibrate", ("found", "tables", "verified"))
+            live = _draw_live(view)
+            curves_card, curves_refresh = _draw_curves(view, axis, kept)
+            view.how("calibrate.plan", "calibrate.steps")
+    parts += [live.refresh, curves_refresh, _draw_band(view, axis, kept, typed), _draw_figures(view, axis, kept)]
+    parts += [_draw_plan(view, axis), typed.draw()]
 
     def refresh() -> None:
+        job = view.desk.last_of(KINDS)
+        running = job is not None and job.running
         messages.show(view.desk.last_of(SHOWN_KINDS))
+        steps.show(_steps(kept.value, job))
+        live.card.set_visibility(running)
+        curves_card.set_visibility(not running)
         for part in parts:
             part()
-        live.refresh()
 
     view.every(refresh)
+
+
+def _steps(screen: CalibrationScreen | None, job: Progress | None) -> list[str]:
+    """The state of each step: what runs by the job, the others by what is on disk."""
+    stages = {} if screen is None else screen.stages
+    verified = screen is not None and screen.verified is not None
+    states = ["done" if known else "" for known in ("before" in stages, "after" in stages, verified)]
+    if job is None or job.phase is Phase.DONE or job.kind == UNCORRECTED:
+        return states
+    at = 2 if job.kind == VERIFY else 0 if job.step is None else job.step[0] - 1
+    return [*states[:at], "now" if job.running else "broken", *[""] * (2 - at)]
+
+
+@dataclass(frozen=True)
+class LiveErrors:
+    """The plot of the errors as they are measured, in its card."""
+
+    card: ui.element
+    plot: JobPlot
+
+    def refresh(self) -> None:
+        """Draw new points."""
+        self.plot.refresh()
+
+
+def _draw_live(view: View) -> LiveErrors:
+    with view.card("calibrate.live", name="calibrate.live.card") as card:
+        x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
+        return LiveErrors(card, JobPlot(view, KINDS, x, y, name="calibrate.live", dots=True))
 
 
 def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
     """The moves and writes of a calibration, in words, and whether the tables can be read and written."""
     t, rights = view.t, view.desk.rights
-    with ui.element("div").classes("hil-grid wide"):
-        with view.card("calibrate.plan"):
-            ui.markdown(t("calibrate.steps"))
-        with view.card("calibrate.would"):
-            lines = view.question(calibrate.calibration_plan(axis))[:-1]
-            view.named(ui.label("\n".join(lines)).classes("hil-note"), "calibrate.plan.lines")
-            opened = view.named(ui.label().classes("hil-name"), "calibrate.opened")
+    with view.fold("calibrate.would"):
+        lines = view.question(calibrate.calibration_plan(axis))
+        view.named(ui.label("\n".join(lines)).classes("hil-note"), "calibrate.plan.lines")
+        opened = view.named(ui.label().classes("hil-name"), "calibrate.opened")
 
     def refresh() -> None:
         store = rights.store if view.in_control else None
@@ -108,6 +155,7 @@ def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
 def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) -> Refresh:
     """Start, verify, resume, and the straightness by the instrument."""
     t, desk = view.t, view.desk
+    zero: ZeroSwitches
 
     async def start_new() -> None:
         signed, straightness, backlash = with_signs(axis, typed.signs()), typed.straightness(), typed.backlash()
@@ -126,37 +174,60 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) 
         job = calibrate.straightness_job(axis, across, seed=int(view.number_of(seed)), zero=zero.said(anew=False))
         await zero.run(_asking(view, across), job)
 
-    with ui.row().classes("items-center"):
-        start = view.button("calibrate.start", start_new)
+    async def resume(kind: str) -> None:
+        await _resume(view, axis, kept, kind, zero, typed=typed)
+
+    opened = lambda: desk.rights.store is not None or not view.in_control  # noqa: E731
+    tables = Check("tables", opened, ("calibrate.open", lambda: _ask_password(view)))
+    ready = draw_ready(view, "calibrate", tables, *measured_checks(view), builder=True)
+    with ui.element("div").classes("hil-buttons"):
+        start = view.button("calibrate.start", start_new).classes("hil-go")
         verifying = view.button("calibrate.verify", verify)
+        resuming = {kind: view.button(f"calibrate.resume.{kind}", partial(resume, kind)) for kind in KINDS}
+    with view.fold("calibrate.more"):
         straightening = view.button("calibrate.straighten", measure_straightness)
         straightening.set_visibility(axis.straightness is not None)
-        corrected = view.named(ui.switch(t("calibrate.correction"), value=True), "calibrate.correction")
+        corrected, show_correction = _draw_correction_switch(view)
         seed = view.named(
             ui.number(t("calibrate.seed"), value=1, min=0, max=10_000, precision=0), "calibrate.seed"
         ).style("width: 14rem")
         zero = ZeroSwitches(view, "calibrate", anew=True)
-        tables = view.button("calibrate.open", lambda: _ask_password(view)).props("outline")
-    resuming = {
-        kind: view.button(f"calibrate.resume.{kind}", partial(_resume, view, axis, kept, kind, zero, typed=typed))
-        for kind in KINDS
-    }
 
     def refresh() -> None:
         store = desk.rights.store if view.in_control else None
         writable = store is not None and store.builder_key is not None
+        why_not, of_builder = view.why_not(), view.why_not(builder=True) or ("" if writable else t("why.tables"))
         for button in (start, straightening):
-            button.set_enabled(view.can_start and view.is_builder and writable)
-        verifying.set_enabled(view.can_start and (store is not None or not corrected.value))
-        tables.set_enabled(view.in_control and store is None)
+            button.allow(of_builder)
+        verifying.allow(why_not or ("" if store is not None or not corrected.value else t("why.tables_read")))
+        ready()
+        show_correction()
         zero.refresh()
         unfinished = {} if kept.value is None else kept.value.unfinished
-        allowed = {CALIBRATE: view.is_builder and writable, VERIFY: store is not None, UNCORRECTED: True}
+        readable = why_not or ("" if store is not None else t("why.tables_read"))
+        hindered = {CALIBRATE: of_builder, VERIFY: readable, UNCORRECTED: why_not}
         for kind, button in resuming.items():
             button.set_visibility(kind in unfinished)
-            button.set_enabled(view.can_start and allowed[kind])
+            button.allow(hindered[kind])
 
     return refresh
+
+
+def _draw_correction_switch(view: View) -> tuple[ui.switch, Refresh]:
+    """Whether a verification corrects. While one runs the switch says how it runs, whoever started it."""
+    desk, kinds = view.desk, (VERIFY, UNCORRECTED)
+    last = desk.last_of(kinds)
+    with_it = last is None or not last.running or last.kind == VERIFY
+    switch = view.named(ui.switch(view.t("calibrate.correction"), value=with_it), "calibrate.correction")
+
+    def refresh() -> None:
+        job = desk.job()
+        under_way = job is not None and job.running and job.kind in kinds
+        switch.set_enabled(not under_way)
+        if under_way and job is not None:
+            switch.set_value(job.kind == VERIFY)
+
+    return switch, refresh
 
 
 async def _resume(
@@ -233,6 +304,7 @@ class TypedTables:
                 upload = ui.upload(
                     label=t("calibrate.manual.bring"),
                     on_upload=self._bring,
+                    on_rejected=self._refused,
                     auto_upload=True,
                     max_file_size=LARGEST_BYTES,
                 )
@@ -250,10 +322,11 @@ class TypedTables:
         def refresh() -> None:
             rights = view.desk.rights
             now = rights.store if view.in_control else None
-            writable = view.can_start and view.is_builder and now is not None and now.builder_key is not None
-            store.set_enabled(writable)
+            writable = now is not None and now.builder_key is not None
+            why_not = view.why_not(builder=True) or ("" if writable else t("why.tables"))
+            store.allow(why_not)
             for button in (enter, withdraw):
-                button.set_enabled(writable and bool(stored.value))
+                button.allow(why_not or ("" if stored.value else t("why.nothing_stored")))
             if opened != [now]:
                 opened[:] = [now]
                 stored.again()
@@ -322,6 +395,10 @@ class TypedTables:
 
         await self._view.attempt(fill)
 
+    def _refused(self) -> None:
+        limit = self._view.t.number(LARGEST_BYTES / 1e6, 1)
+        self._view.show_error(InputError(self._view.t("parameters.refused", kinds=".csv", megabytes=limit)))
+
     async def _store(self) -> None:
         """Asks, part by part with what is stored now and what will be, and stores."""
         path = kept_text(self._axis, TYPED, self._text("table"))
@@ -356,8 +433,7 @@ class TypedTables:
             )
             for name in dict.fromkeys((*old, *new))
         ]
-        if await view.ask([*lines, *view.question(job.plan)]):
-            view.desk.run(view.token, job)
+        await view.ask_and_run(job, changes=lines)
 
 
 def _signs_csv(signs: Sequence[SignedSections]) -> str:
@@ -376,39 +452,97 @@ def _short(view: View, part: Part | None) -> str:
 
 async def _ask_password(view: View) -> None:
     """Asks for the reading password of the tables; it is not kept."""
-    given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes")
+    given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes", go="go.tables")
     if given is not None:
         token = view.token
         await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.read_tables(token, *given)))
 
 
-def _draw_where(view: View) -> Refresh:
-    """Position of the axis, and the present step."""
-    with view.card("calibrate.where"):
-        where = draw_where(view, "calibrate", lambda: view.desk.last_of(KINDS))
-        bar = view.named(ui.linear_progress(0.0, show_value=False, size="12px"), "calibrate.progress")
-
-    def refresh() -> None:
-        where()
-        job = view.desk.last_of(KINDS)
-        bar.set_value(0.0 if job is None or not job.total else job.done / job.total)
-
-    return refresh
-
-
 def _draw_accuracy(view: View, kept: Kept) -> Refresh:
-    """The accuracy A of ISO 230-2, now and before."""
+    """The accuracy A of ISO 230-2: large at other targets, with the decision; small at the calibrated ones, and before."""
     with view.card("calibrate.accuracy"):
-        now = view.value("calibrate.now", "µm")
-        before = view.value("calibrate.before", "µm", small=True)
-        verified = view.value("calibrate.verified", "µm", small=True)
+        verified = view.value("calibrate.verified", "µm").classes("pair")
+        stamp = view.named(ui.label().classes("hil-stamp"), "calibrate.stamp")
+        limit = LimitBar(view, "calibrate.limit")
+        decision = view.named(ui.label().classes("hil-name"), "calibrate.decision")
+        when = view.named(ui.label().classes("hil-name"), "calibrate.stamped")
+        with ui.element("div").classes("hil-lines"):
+            now = view.value("calibrate.now", "µm", small=True)
+            before = view.value("calibrate.before", "µm", small=True)
+
+    tables = Reading(view, partial(tables_written, view.desk))
 
     def refresh() -> None:
-        stages = {} if kept.value is None else kept.value.stages
-        for figure, name in ((now, "after"), (before, "before"), (verified, "verified")):
+        screen = kept.value
+        stages = {} if screen is None else screen.stages
+        proof = None if screen is None else screen.verified
+        when.set_text(_stamped(view, proof, tables.value))
+        verified.set_text(_figure(view, proof, "A"))
+        found = None if proof is None else proof.accuracy
+        stamped = found is not None and found.A_um is not None and found.decision in _STAMPS
+        stamp.set_visibility(stamped)
+        limit.show(found)
+        if stamped and found is not None:
+            stamp.set_text(view.t(f"calibrate.stamp.{found.decision.name.lower()}"))
+            stamp.classes(replace=f"hil-stamp {found.decision.name.lower()}")
+        old = "calibrate.decided.old" if "verified" in stages else "calibrate.decided.none"
+        decision.set_text(view.t(old) if found is None else _decided(view, found))
+        for figure, name in ((now, "after"), (before, "before")):
             figure.set_text(_figure(view, stages.get(name), "A"))
 
     return refresh
+
+
+def _stamped(view: View, proof: MeasuredStage | None, tables: datetime | None) -> str:
+    """When and from where the axis was verified, and of when its tables are."""
+    t, form = view.t, "%Y-%m-%d %H:%M"
+    there = t("calibrate.none_in_force") if tables is None else t("calibrate.in_force", date=tables.strftime(form))
+    if proof is None:
+        return there
+    done = (
+        one.who
+        for one in view.desk.events.entries()
+        if one.what == "done" and one.figures.get("job") == VERIFY and one.time >= proof.begun
+    )
+    who, date = next(done, ""), proof.begun.strftime(form)
+    verified = t("calibrate.stamped_by", date=date, who=who) if who else t("calibrate.stamped", date=date)
+    return f"{verified} · {there}"
+
+
+_STAMPS = (Decision.PASS, Decision.FAIL, Decision.UNDECIDED)
+
+
+class LimitBar:
+    """A ± U on a bar that ends at one and a half times the limit, with the limit as a line. Hidden without a limit."""
+
+    def __init__(self, view: View, name: str) -> None:
+        self._box = view.named(ui.element("div").classes("hil-limit"), name)
+        with self._box:
+            self._range, self._point, self._line = (
+                ui.element("div").classes(f"hil-limit-{one}") for one in ("u", "a", "l")
+            )
+        self._box.set_visibility(False)
+
+    def show(self, found: Accuracy | None) -> None:
+        """Draw it."""
+        there = found is not None and bool(found.limit_um) and found.A_um is not None
+        self._box.set_visibility(there)
+        if not there or found is None or found.limit_um is None or found.A_um is None:
+            return
+        per_um, spread_um = 100.0 / (1.5 * found.limit_um), found.U_um or 0.0
+        low, high = (min(100.0, max(0.0, per_um * (found.A_um + sign * spread_um))) for sign in (-1, 1))
+        self._range.style(f"left: {low:.1f}%; width: {high - low:.1f}%")
+        self._point.style(f"left: {min(100.0, per_um * found.A_um):.1f}%")
+        self._line.style(f"left: {per_um * found.limit_um:.1f}%")
+
+
+def _decided(view: View, found: Accuracy) -> str:
+    """The decision on the accuracy against its limit, with the rule."""
+    if found.A_um is None:
+        return view.t("calibrate.decided.no_figure", why=view.t.said(found.missing))
+    limit = "–" if found.limit_um is None else view.t.number(found.limit_um, 2)
+    unknown = found.decision is Decision.UNDECIDED and found.U_um is None
+    return view.t(f"calibrate.decided.{'unknown' if unknown else found.decision.name.lower()}", limit=limit)
 
 
 def _figure(view: View, stage: MeasuredStage | None, name: str) -> str:
@@ -424,10 +558,10 @@ def _draw_band(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) -> 
     """The band with the signs asked for now, whether every section is inside, and which are not; the same at other targets."""
     t, band = view.t, axis.correction.band
     with view.card("calibrate.band"):
-        verdict = view.value("calibrate.verdict", small=band is None)
+        verified = view.value("calibrate.verified_band", small=band is None)
+        verdict = view.value("calibrate.verdict", small=True)
         asked = view.value("calibrate.asked", small=True)
         outside = view.named(ui.label().classes("hil-name"), "calibrate.outside")
-        verified = view.value("calibrate.verified_band", small=True)
         signs = view.named(ui.label().classes("hil-name").style("white-space: pre-line"), "calibrate.signs")
         not_judged = view.named(ui.label().classes("hil-name"), "calibrate.not_judged")
     asked.set_text(
@@ -437,10 +571,14 @@ def _draw_band(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) -> 
 
     def refresh() -> None:
         stages = {} if kept.value is None else kept.value.stages
-        for figure, size, stage in ((verdict, "", stages.get("after")), (verified, " small", stages.get("verified"))):
-            if stage is not None and stage.outside is not None:
-                figure.set_text(t("calibrate.outside_is" if stage.outside else "calibrate.inside_is"))
-                figure.classes(replace=f"hil-value{size} hil-{'bad' if stage.outside else 'good'}")
+        proven = None if kept.value is None else kept.value.verified
+        for figure, stage in ((verified, proven), (verdict, stages.get("after"))):
+            known = stage is not None and stage.outside is not None
+            figure.set_text(
+                t("calibrate.outside_is" if stage.outside else "calibrate.inside_is") if known and stage else "–"
+            )
+        if proven is not None and proven.outside is not None:
+            verified.classes(replace=f"hil-value hil-{'bad' if proven.outside else 'good'}")
         last = stages.get("after")
         if last is not None and last.outside is not None:
             places = [f" · {t.number(one.target_mm, 1)} mm {'+' if one.direction > 0 else '−'}" for one in last.outside]
@@ -482,8 +620,8 @@ def _signs_text(view: View, signs: Sequence[SignedSections]) -> str:
     return "; ".join([*parts, t("calibrate.signs_rest" if parts else "calibrate.signs_none")])
 
 
-def _draw_curves(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
-    with view.card("calibrate.curves", name="calibrate.curves.card"):
+def _draw_curves(view: View, axis: AxisConfig, kept: Kept) -> tuple[ui.element, Refresh]:
+    with view.card("calibrate.curves", name="calibrate.curves.card") as card:
         drawing = Drawing(view, "calibrate.curves")
 
     def refresh() -> None:
@@ -491,7 +629,7 @@ def _draw_curves(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
         if screen is not None and screen.stages:
             drawing.show(screen, lambda: _curves(view, axis, screen))
 
-    return refresh
+    return card, refresh
 
 
 def _curves(view: View, axis: AxisConfig, screen: CalibrationScreen) -> Options:

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.errors import InputError
-from hil.app.jobs.identity import uncertainty_of
-from hil.axis.axis_file import AxisConfig
+from hil.axis.axis_file import AxisConfig, accuracy_of, uncertainty_of
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY, backlash_of, signs_of
 from hil.correction.store import bound_tables
 from hil.correction.tables import Band, NotJudged, Outside, SignedSections, SingleTable, judge, section_means
 from hil.figures.history import Pass, read_campaign
 from hil.figures.iso230 import iso230
-from hil.figures.uncertainty import budget
+from hil.figures.uncertainty import budget_um
+from hil.figures.verdict import Accuracy
 from hil.records.journal import MARKER, Campaign
 from hil.records.rows import Records, concatenate
 
@@ -37,7 +37,7 @@ class MeasuredStage:
 
     means_um: mean error of each target, (mm, µm), by direction; figures_um, u95_um: of ISO 230-2 with their expanded
     uncertainty (k = 2), unknown ones left out; band: with the signs that the campaign was begun with; outside: sections outside
-    it, None without a band; not_judged: those that it asks nothing for
+    it, None without a band; not_judged: those that it asks nothing for; accuracy: A with its uncertainty against the limit
     """
 
     begun: datetime
@@ -47,6 +47,7 @@ class MeasuredStage:
     band: Band | None
     outside: tuple[Outside, ...] | None
     not_judged: tuple[NotJudged, ...] = ()
+    accuracy: Accuracy | None = None
 
     @property
     def sections(self) -> int:
@@ -73,6 +74,12 @@ class CalibrationScreen:
     unfinished: Mapping[str, Resumable]
     tables: bool
 
+    @property
+    def verified(self) -> MeasuredStage | None:
+        """The verification of the present tables; None where the last one is older than the last calibration."""
+        found, after = self.stages.get("verified"), self.stages.get("after")
+        return None if found is None or (after is not None and found.begun < after.begun) else found
+
 
 def calibration_screen(axis: AxisConfig) -> CalibrationScreen:
     """Reads the axis's folder; too slow for the page's event loop. Raises InputError for a campaign that cannot be
@@ -88,10 +95,10 @@ def calibration_screen(axis: AxisConfig) -> CalibrationScreen:
         measured[name] = (its_passes.get(kind), its_band)
     for name, (one, its_band) in measured.items():
         if one is not None and one.records is not None:
-            stages[name] = _stage(axis, one.begun, one.records, its_band)
+            stages[name] = _stage(axis, one.begun, one.records, its_band, corrected=name == "verified")
     proofs = [one.records for one in rounds if one.records is not None]
     if proofs:
-        stages["after"] = _stage(axis, rounds[-1].begun, latest(proofs), band)
+        stages["after"] = _stage(axis, rounds[-1].begun, latest(proofs), band, corrected=True)
     unfinished = {kind: found for kind in (CALIBRATE, VERIFY, UNCORRECTED) if (found := _unfinished(folder, kind))}
     return CalibrationScreen(
         {name: stages[name] for name in STAGES if name in stages}, unfinished, bound_tables(axis) is not None
@@ -111,16 +118,18 @@ def latest(rounds: Sequence[Records]) -> Records:
     return concatenate([records for records in reversed(kept) if len(records)])
 
 
-def _stage(axis: AxisConfig, begun: datetime, records: Records, band: Band | None) -> MeasuredStage:
+def _stage(axis: AxisConfig, begun: datetime, records: Records, band: Band | None, *, corrected: bool) -> MeasuredStage:
     means = section_means(records)
     curves = {
         sign: tuple((float(x), float(y)) for x, y in zip(means.target_mm, values, strict=True) if np.isfinite(y))
         for sign, values in ((1, means.plus_um), (-1, means.minus_um))
     }
     figures, u95 = _figures(axis, records)
+    found = accuracy_of(axis, records, corrected=corrected)
     if band is None:
-        return MeasuredStage(begun, curves, figures, u95, None, None)
-    return MeasuredStage(begun, curves, figures, u95, band, *judge(means, band, axis.measurement.targets_mm))
+        return MeasuredStage(begun, curves, figures, u95, None, None, accuracy=found)
+    judged = judge(means, band, axis.measurement.targets_mm)
+    return MeasuredStage(begun, curves, figures, u95, band, *judged, accuracy=found)
 
 
 def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict[str, float]]:
@@ -130,11 +139,7 @@ def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict
     except InputError:
         return {}, {}
     values = {name: value for name in SHOWN if (value := found.figures()[name]) is not None}
-    inputs = uncertainty_of(axis)
-    try:
-        known = {} if inputs is None else budget(inputs, found, records).figures_um
-    except InputError:
-        known = {}
+    known = budget_um(uncertainty_of(axis), found, records)
     return values, {name: known[name] for name in values if name in known}
 
 

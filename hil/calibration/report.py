@@ -6,32 +6,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.app.jobs.identity import identity, uncertainty_of
+from hil.app.jobs.identity import identity
 from hil.app.report.data import NamedCampaign, ReportData, TableInForce
 from hil.app.report.document import render_html
-from hil.axis.axis_file import AxisConfig
+from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.calibration.calibrate import Calibration
-from hil.calibration.verify import Verification
+from hil.calibration.job import Verification
 from hil.correction.tables import Band, TableSet
 
 
-def calibration_report(axis: AxisConfig, result: Calibration) -> str:
-    """Report of a calibration as HTML: before, and each proof."""
+def calibration_report(axis: AxisConfig, result: Calibration, proof: Verification | None = None) -> str:
+    """Report of a calibration as HTML: before, each round, and the proof at other targets where it was made."""
     campaigns = [NamedCampaign("before", result.before)]
     campaigns += [
-        NamedCampaign(f"round {number}", one.records, _outside_note(len(one.outside), axis.correction.band))
+        NamedCampaign(
+            f"round {number}", one.records, _outside_note(len(one.outside), axis.correction.band), corrected=True
+        )
         for number, one in enumerate(result.rounds, start=1)
     ]
+    if proof is not None:
+        campaigns.append(verified_campaign(axis, proof))
     return render_html(of_axis(axis, "Calibration of", campaigns, result.tables))
 
 
 def verification_report(axis: AxisConfig, tables: TableSet, result: Verification) -> str:
     """Report of a verification as HTML: one campaign with the correction in force."""
+    return render_html(of_axis(axis, "Verification of", [verified_campaign(axis, result)], tables))
+
+
+def verified_campaign(axis: AxisConfig, result: Verification) -> NamedCampaign:
+    """A verification as a campaign of a report."""
     note = _outside_note(len(result.outside), axis.correction.band)
     if result.not_judged:
         note += f"; not judged, with the reason: {'; '.join(map(str, result.not_judged))}"
-    verified = NamedCampaign("verified", result.records, note)
-    return render_html(of_axis(axis, "Verification of", [verified], tables))
+    return NamedCampaign("verified", result.records, note, corrected=True)
 
 
 def of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tables: TableSet) -> ReportData:
@@ -44,6 +52,7 @@ def of_axis(axis: AxisConfig, what: str, campaigns: Sequence[NamedCampaign], tab
         in_force(tables),
         band_targets_mm=axis.measurement.targets_mm,
         uncertainty=uncertainty_of(axis),
+        limit_um=axis.correction.accuracy_limit_um,
     )
 
 

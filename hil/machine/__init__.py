@@ -4,7 +4,7 @@ supervisor     moves the axes, watches them, stops them     watched_axis     one
 instrument_check  instrument against motor                  overspeed        motor speed against commanded speed
 position_check motor position against travel and rest       time_out         likely reason of a motion that times out
 session        drive, instrument and correction together    set_points       command for a target
-measure        a pass of steps                              dwell            averaging at a target
-retry_point    resume after a lost beam                      signals          SIGINT, SIGTERM, SIGHUP
-wiring         axis file -> session (one axis)              axes_wiring      the same for several axes
+measure        a pass of steps, and after a lost beam       dwell            averaging at a target
+signals        SIGINT, SIGTERM, SIGHUP                      wiring           axis file -> session (one axis)
+axes_wiring    the same for several axes
 """

@@ -42,7 +42,8 @@ def average_at_rest(supervisor: Supervisor, how: MeasurementConfig) -> Average:
                 return _averaged(supervisor, readings)
             if settle.expired:
                 raise MotionTimeoutError(
-                    f"drive {supervisor.axes[0].drive.name}: the load still moves by {seen.change_um:.2f} ± {2 * seen.std_um:.2f} µm"
+                    f"drive {supervisor.axes[0].drive.name}: the load still moves by"
+                    f" {seen.change_um:.2f} ± {2 * seen.std_um:.2f} µm (k = 2)"
                     f" in {how.reading_s:g} s, expected at most {how.settle_um:g} µm"
                 )
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Mapping
+from typing import Any
 
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import (
@@ -14,22 +16,41 @@ from hil.app.terminal.axis_options import (
     print_plan,
     tell_zero,
 )
-from hil.app.terminal.measuring_options import add_recording_options, machine_of, recording_name
+from hil.app.terminal.measuring_options import (
+    add_limit_option,
+    add_recording_options,
+    limited,
+    machine_of,
+    recording_name,
+)
 from hil.app.terminal.output import write_json
 from hil.app.terminal.passwords import KEY, password
 from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.summary import print_stages
-from hil.axis.axis_file import AxisConfig, load_axis
-from hil.calibration.job import calibration_plan, enter_backlash, manual_tables, run_calibration, summarise
+from hil.app.terminal.summary import print_accuracy, print_stages
+from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
+from hil.calibration.calibrate import Calibration
+from hil.calibration.job import (
+    calibration_plan,
+    enter_backlash,
+    manual_tables,
+    run_calibration,
+    run_dense_pass,
+    run_verification,
+    summarise,
+    with_dense_pass,
+    with_proof,
+)
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_straightness
 from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import SingleTable, TableSet
+from hil.figures.verdict import Accuracy, At
 from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:
   hil calibrate X.toml
+  hil calibrate X.toml --dense              a dense pass first: proposes the spacing, the verification at the end proves it
   hil calibrate X.toml --resume             continue after an interruption
   hil calibrate X.toml --manual typed.csv   store tables that were typed or computed elsewhere, without measuring
   hil calibrate X.toml --backlash D.csv     pitch measured now, the backlash by other means: position_mm, backlash_um
@@ -39,7 +60,10 @@ example:
   hil calibrate X.toml --record machine.csv drive and instrument, recorded together
   hil calibrate X.toml --replay machine.csv the same again from the recording: nothing is connected, no table is stored
 
-Exit status 1: sections stayed outside the band, and are named; or the proof contradicts the tables, and nothing is stored.
+After the tables are stored, the axis is measured at other targets, between the tables' own: the accuracy A there, with its uncertainty
+against the limit, is what the calibration is worth.
+Exit status 1: A fails the limit or is undecided; sections stayed outside the band, and are named; or the proof contradicts the
+tables, and nothing is stored.
 """
 
 
@@ -70,6 +94,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="take what is stored for this axis out of force; other axes in the same file keep theirs",
     )
+    parser.add_argument(
+        "--dense",
+        action="store_true",
+        help="first one dense pass: says what accuracy between the targets to expect, and how many sections would do",
+    )
+    parser.add_argument(
+        "--without-proof",
+        action="store_true",
+        help="do not measure at other targets afterwards; `hil verify` does it later",
+    )
+    add_limit_option(parser)
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_zero_options(parser, anew=True)
     add_recording_options(parser)
@@ -81,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     """Returns 0: inside the band (or without a band); 1: some sections outside. Raises what `calibrate` and connecting
     raise.
     """
-    axis = load_axis(args.axis)
+    axis = limited(load_axis(args.axis), args.limit)
     if args.withdraw:
         return _withdraw(args, axis)
     straightness = None if args.straightness is None else read_straightness(args.straightness)
@@ -91,16 +126,60 @@ def run(args: argparse.Namespace) -> int:
     if args.stored:
         return _enter_backlash(args, axis, backlash)
     if args.dry_run:
-        print_plan(calibration_plan(axis))
+        _print_dry_run(args, axis)
         return 0
     store = None if args.replay else open_store(args, axis, writing=True)
     beside = {"straightness": straightness, "backlash": backlash}
     how = {**beside, "resume": args.resume, "recording": recording_name(args)}
     with machine_of(args, axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
+        dense = run_dense_pass(machine, listener) if args.dense else None
+        if dense is not None:
+            print("\n".join(dense.sentences()))
         result = run_calibration(machine, store, listener, **how)
+        proof = None
+        if store is not None and result.inside and not (args.record or args.without_proof):
+            proof = run_verification(machine, machine.session.compensation, listener)
     summary = summarise(axis, result)
-    print_stages({"before": summary["before"], **{f"round {n}": one for n, one in enumerate(summary["rounds"], 1)}})
+    found = None if proof is None else accuracy_of(axis, proof.records, corrected=True)
+    _print(args, axis, result, summary, found)
+    print("nothing is stored: this was a recording" if store is None else f"stored {store.path}")
+    if args.report:
+        from hil.calibration.report import calibration_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, calibration_report(axis, result, proof).encode())
+    if args.json:
+        more = {"accuracy": None if found is None else found.as_json()}
+        more |= {} if dense is None else {"dense": dense.as_json()}
+        write_json(args.json, {**summary, **more})
+    return 0 if result.inside and (found is None or found.good) else 1
+
+
+def _print_dry_run(args: argparse.Namespace, axis: AxisConfig) -> None:
+    plan = calibration_plan(axis)
+    if not (args.without_proof or args.record or args.replay):
+        plan = with_proof(plan, axis)
+    if args.dense:
+        plan = with_dense_pass(plan, axis)
+    print_plan(plan)
+
+
+def _print(
+    args: argparse.Namespace,
+    axis: AxisConfig,
+    result: Calibration,
+    summary: Mapping[str, Any],
+    found: Accuracy | None,
+) -> None:
+    """The accuracy at other targets first, then the figures at the calibrated ones, and the sections outside the band."""
+    if found is not None:
+        print_accuracy(found)
+    else:
+        print(
+            f"verified: not yet; the figures below prove nothing between the tables' targets (hil verify {args.axis})"
+        )
+    rounds = {f"with the tables, round {n}": one for n, one in enumerate(summary["rounds"], 1)}
+    print_stages({"uncorrected": summary["before"], **rounds}, title=At.CALIBRATED.value)
     if result.moved_um:
         (target_mm, direction), most_um = max(result.moved_um.items(), key=lambda one: abs(one[1]))
         print(
@@ -109,14 +188,6 @@ def run(args: argparse.Namespace) -> int:
         )
     for section in result.outside:
         print(f"outside the band: {section}")
-    print("nothing is stored: this was a recording" if store is None else f"stored {store.path}")
-    if args.report:
-        from hil.calibration.report import calibration_report  # noqa: PLC0415  (plots are slow to import)
-
-        replace_file(args.report, calibration_report(axis, result).encode())
-    if args.json:
-        write_json(args.json, summary)
-    return 0 if result.inside else 1
 
 
 def _store_manual(
@@ -139,7 +210,18 @@ def _store_manual(
 
 def _withdraw(args: argparse.Namespace, axis: AxisConfig) -> int:
     """Takes the axis's tables out of the sealed file; nothing moves, and no reading password is needed."""
-    others = ("resume", "manual", "straightness", "backlash", "stored", "report", "record", "replay", "new_zero")
+    others = (
+        "resume",
+        "manual",
+        "straightness",
+        "backlash",
+        "stored",
+        "report",
+        "record",
+        "replay",
+        "new_zero",
+        "dense",
+    )
     if given := [name for name in (*others, "instrument_zeroed") if getattr(args, name)]:
         raise InputError(f"--withdraw measures and stores nothing: --{given[0].replace('_', '-')} does not go with it")
     if bound_tables(axis) is None:
@@ -150,7 +232,11 @@ def _withdraw(args: argparse.Namespace, axis: AxisConfig) -> int:
             f"would take its tables, effects and lost motion out of {axis.tables_path}, what other axes have there stays"
         )
         return 0
-    store = SealedStore.of(axis, "", password(args.key_password_file, KEY, "builder key's password", os.environ))
+    store = SealedStore.of(
+        axis,
+        "",
+        password(args.key_password_file, KEY, "builder key's password", os.environ, usual=axis.store.key_password_file),
+    )
     store.withdraw()
     left = (
         f"{store.path} keeps what other axes have"

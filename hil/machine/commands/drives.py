@@ -75,13 +75,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     where.add_argument("--tcp", metavar="HOST[:PORT]", help="Modbus TCP")
     where.add_argument("--serial", metavar="DEVICE", help="Modbus RTU line, e.g. /dev/ttyUSB1")
     where.add_argument("--channel", help="CAN channel")
-    job.add_argument("--interface", default="socketcan", help="of python-can (default socketcan)")
+    job.add_argument("--interface", default="socketcan", help="interface of python-can (default socketcan)")
     job.add_argument("--bitrate", type=int, default=1_000_000, help="of the CAN bus (default 1000000)")
     job.add_argument("--node", type=int, metavar="ID", help="CANopen node id")
     job.add_argument("--axis", metavar="N", help="of a CANopen node with several axes (default 1)")
     job.add_argument("--eds", metavar="FILE", help="the maker's EDS or DCF file of a CANopen drive")
     job.add_argument("--velocity-unit", metavar="UNIT", help="of a CANopen drive that does not state it, such as rpm")
-    job.add_argument("--acceleration-unit", metavar="UNIT", help="likewise, such as rpm/s")
+    job.add_argument(
+        "--acceleration-unit", metavar="UNIT", help="of a CANopen drive that does not state it, such as rpm/s"
+    )
     job.add_argument("--unit", type=int, metavar="ID", help="Modbus unit (default: the drive's from the factory)")
     job.add_argument("--baud", type=int, help="of the serial line (default: the drive's from the factory)")
     job.add_argument("--timeout", type=float, default=1.0, metavar="S", help="for one answer (default 1)")
@@ -93,7 +95,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     job.add_argument(
         "--known", metavar="REG=VALUE", help="what the drive's display shows of a register: finds the word order"
     )
-    job.add_argument("--tolerance", type=float, default=0.0, metavar="V", help="how far the known value may be off")
+    job.add_argument(
+        "--tolerance", type=float, default=0.0, metavar="V", help="how far the value of --known may be off"
+    )
     job.add_argument(
         "--set-up", action="store_true", help="write what the drive file needs and says that it may be written"
     )

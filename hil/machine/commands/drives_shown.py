@@ -128,7 +128,7 @@ def _show_notes(args: argparse.Namespace, notes: DriveNotes) -> int:
                 for key in notes.axis_file
             ],
         )
-    print(f"{_STRENGTHS} nothing of this is believed:")
+    print(f"{_STRENGTHS} none of it is taken for granted:")
     print("the drive is asked what it has, and `hil doctor` proves its units before anything else is done")
     if head.wire is Wire.CANOPEN and not head.no_file:
         print(f"first axis file: hil drives new X.toml --drive {args.name} --channel can0 --node ID")

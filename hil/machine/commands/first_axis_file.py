@@ -43,10 +43,10 @@ class Question:
 
 
 TRAVEL = Question("--travel", "LOW,HIGH", "where the table may go, mm", 2)
-VELOCITY = Question("--max-velocity", "MM_S", "greatest speed of the table, mm/s")
+VELOCITY = Question("--max-velocity", "MM_S", "largest speed of the table, mm/s")
 ACCELERATION = Question("--max-acceleration", "MM_S2", "greatest acceleration of the table, mm/s²")
 COUNTS = Question("--counts-per-rev", "N", "position counts of the drive per turn of the motor")
-FEED = Question("--feed", "MM", "way of the table per turn of the screw, mm")
+FEED = Question("--feed", "MM", "travel of the table per turn of the screw, mm")
 GEAR = Question("--gear", "N", "turns of the motor per turn of the screw, such as 5/2")
 PORT = Question("--instrument-port", "PORT", "the instrument's port")
 QUESTIONS = (TRAVEL, VELOCITY, ACCELERATION, COUNTS, FEED, GEAR, PORT)

@@ -15,7 +15,7 @@ from drivers.errors import InputError, UnprovenError
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import Calibration, calibrate, check_proof
-from hil.calibration.verify import verify
+from hil.calibration.job import verify
 from hil.correction.tables import (
     Band,
     SignedSections,

@@ -76,7 +76,7 @@ def test_a_load_that_creeps_is_waited_for_up_to_a_time(seconds: float, settles: 
             assert session.read_position().position_load_mm == pytest.approx(30.0, abs=0.0003)
             assert machine.clock.now_ns() - arrived_ns > 1.0e9
         else:
-            with pytest.raises(MotionTimeoutError, match=r"still moves by -\d\.\d+ ± \d\.\d+ µm in 0.3 s"):
+            with pytest.raises(MotionTimeoutError, match=r"still moves by -\d\.\d+ ± \d\.\d+ µm \(k = 2\) in 0.3 s"):
                 session.read_position()
 
 

@@ -19,8 +19,7 @@ from drivers.errors import DriveFaultError, LinkLostError, MeasurementLostError
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
 from hil.machine.events import Event
-from hil.machine.measure import Step, bidirectional_steps, measure
-from hil.machine.retry_point import MOST_LOSSES, STEADY_S
+from hil.machine.measure import MOST_LOSSES, STEADY_S, Step, bidirectional_steps, measure
 from hil.machine.session import AxisSession
 from hil.machine.wiring import bench_parameters, connected
 from hil.records.journal import Campaign
