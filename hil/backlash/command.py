@@ -6,8 +6,8 @@ import argparse
 import sys
 
 from drivers.drive import ServoDrive
-from hil.app.terminal.axis_options import add_axis_arguments, add_password_options, open_store
-from hil.app.terminal.output import number, print_facts, print_table, write_json
+from hil.app.terminal.axis_options import add_axis_arguments, add_password_options, open_store, tell_bench
+from hil.app.terminal.output import number, print_facts, print_table, times, write_json
 from hil.app.terminal.progress import telling_notes, terminal_progress
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.axis.backlash import FEEDS, METHODS, BacklashConfig
@@ -23,6 +23,7 @@ from hil.backlash.job import (
 )
 from hil.backlash.procedure import DIRECTIONS
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um
+from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.machine.wiring import connected_drive
 from hil.records.files import replace_file
 
@@ -92,6 +93,8 @@ def run(args: argparse.Namespace) -> int:
         with terminal_progress() as listener:
             measured = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
     _print(measured)
+    if args.write and how.parameter is not None:
+        tell_bench(axis)
     if args.report:
         replace_file(args.report, report_html(axis, measured).encode())
     if args.json:
@@ -127,7 +130,7 @@ def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) 
             print(f"{where} {', '.join(f'{name} = {value:g}' for name, value in earlier.items())}")
         return
     print(
-        f"axis {axis.name} over {axis.drive.backend}: would enable it{', home it' if how.home else ''} and, {how.runs} times:"
+        f"axis {axis.name} over {axis.drive.backend}: would enable it{', home it' if how.home else ''} and, {times(how.runs)}:"
     )
     feed = f"creep at {how.creep_um_s:g} µm/s" if how.feed == "creep" else f"go in steps of {how.step_um:g} µm"
     for direction in DIRECTIONS:
@@ -169,5 +172,6 @@ def _print(measured: MeasuredBacklash) -> None:
             "readings": str(measured.kept),
         }
     )
+    print(f"{MEASURED_AT_A_REVERSAL['backlash']} ({OTHER_REVERSAL_FIGURES})")
     if result.lost_motion_um is None:
         print(verdict(result))

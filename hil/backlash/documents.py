@@ -20,17 +20,26 @@ def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
     if isinstance(settings.amount, NoSetting):
         lines = {"drive's own compensation": "none"}
     else:
-        lines = {f"{name}, before": f"{value:g}" for name, value in before.items()}
-        lines[f"1 of {settings.amount.name}"] = f"{settings.amount_um:g} µm"
+        lines = {f"{name} held before": _held(settings, name, value) for name, value in before.items()}
     if result.written is None:
         lines["now"] = "as before, nothing was written"
     elif isinstance(settings.amount, NoSetting):
         lines["now"] = f"{result.written:g} µm in the sealed tables, beside their pitch; not yet proven (hil verify)"
     else:
-        lines[f"{settings.amount.name}, written and read back"] = f"{result.written:g}"
+        held = _held(settings, settings.amount.name, result.written)
+        lines[f"{settings.amount.name} holds now"] = f"{held}, written and read back"
     if result.found.from_note:
         lines["note"] = "an earlier measurement had not put these back; this one has"
     return lines
+
+
+def _held(settings: BacklashSettings, name: str, value: float) -> str:
+    """What a setting of the drive holds; the amount also in µm, where its unit is another."""
+    if name != settings.amount.name:
+        return f"{value:g}"
+    return f"{value * settings.amount_um:g} µm" + (
+        "" if settings.amount_um == 1.0 else f" ({value:g} in the drive's unit)"
+    )
 
 
 def verdict(result: TorqueBacklash) -> str:

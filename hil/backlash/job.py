@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
 from hil.axis.zero import made_with_keeper
-from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, restore
+from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, read_before, restore
 from hil.backlash.procedure import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
 from hil.backlash.result import NAMES
 from hil.backlash.settings import NOTE, backlash_settings
@@ -34,7 +35,7 @@ from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import SingleTable
 from hil.machine.events import Listener, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
-from hil.records.files import read_text, replace_file
+from hil.records.files import parse_json, read_text, replace_file
 from hil.records.made_with import same
 
 MEASURE, LOOK = "backlash", "backlash look"
@@ -102,10 +103,10 @@ def measure(
         if how.parameter is None:
             _require_store(axis, store)
     kept = _next_file(axis.store.directory)
-    remember = partial(_remember, axis)
+    remember, keep = partial(_remember, axis), _keeper(kept, axis.name)
     into_drive = write and how.parameter is not None
     result = measure_backlash(
-        drive, how, settings, write=into_drive, remember=remember, keep=_keeper(kept), listener=listener, tell=tell
+        drive, how, settings, write=into_drive, remember=remember, keep=keep, listener=listener, tell=tell
     )
     if write and not into_drive and result.lost_motion_um is not None:
         amount_um = settings.amount_of(result.lost_motion_um)
@@ -153,12 +154,13 @@ def _next_file(directory: Path) -> Path:
     return directory / f"backlash-{max(taken, default=0) + 1:03d}.jsonl"
 
 
-def _keeper(path: Path) -> Callable[[int, ReversalTrace], None]:
-    """Appends one line of JSON per reversal, complete or interrupted."""
+def _keeper(path: Path, axis: str) -> Callable[[int, ReversalTrace], None]:
+    """Appends one line of JSON per reversal, complete or interrupted, with the axis and the time at which the measurement began."""
+    of = {"axis": axis, "begun": datetime.now().astimezone().isoformat(timespec="seconds")}
 
     def keep(run: int, trace: ReversalTrace) -> None:
         with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"run": run, **trace.to_json()}) + "\n")
+            file.write(json.dumps({"run": run, **of, **trace.to_json()}) + "\n")
 
     return keep
 
@@ -201,10 +203,21 @@ class CompensationState:
     original: float | None = None
     written: float | None = None
     interrupted: bool = False  # a measurement ended without restoring the settings
+    noted: float | None = None  # the value before that measurement
+    resolution: float = 1.0
 
     @property
     def on(self) -> bool:
         return self.amount != 0.0
+
+    @property
+    def to_restore(self) -> float | None:
+        """The value that restoring writes, None for none."""
+        return self.noted if self.interrupted else self.original
+
+    def amount_of(self, lost_motion_um: float) -> float:
+        """The amount for a lost motion in µm, in the parameter's unit, rounded to its resolution."""
+        return round(round(lost_motion_um / self.amount_um / self.resolution) * self.resolution, 9)
 
 
 def read_compensation(
@@ -220,8 +233,12 @@ def read_compensation(
     written = _written(axis)
     original = None if written is None else written["before"].get(settings.amount.name)
     last = None if written is None else written["amount"]
-    noted = settings.note.exists()
-    return CompensationState(settings.amount.name, settings.amount.read(), settings.amount_um, original, last, noted)
+    name, before = settings.amount.name, read_before(settings)
+    noted = before.values[name] if before.from_note else None
+    return CompensationState(
+        *(name, settings.amount.read(), settings.amount_um, original, last, before.from_note, noted),
+        settings.amount.resolution,
+    )
 
 
 def look_job(axis: DriveAxis, how: BacklashConfig) -> Job:
@@ -343,7 +360,7 @@ def _written(axis: DriveAxis) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        form = json.loads(read_text(path))
+        form = parse_json(read_text(path))
         return {"before": {str(k): float(v) for k, v in form["before"].items()}, "amount": float(form["amount"])}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("does not hold what was written to the drive, and what was there before", path=path) from error

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.errors import BridgeError, InputError, SafetyError
-from hil.records.files import read_text, replace_file
+from hil.records.files import parse_json, read_text, replace_file
 
 Tell = Callable[[str], None]
 
@@ -143,7 +143,7 @@ def _read_note(path: Path) -> dict[str, float] | None:
     if not path.exists():
         return None
     try:
-        values = json.loads(read_text(path))
+        values = parse_json(read_text(path))
     except ValueError as error:
         raise InputError("is not JSON, expected the values noted before a measurement", path=path) from error
     if not isinstance(values, dict) or not all(isinstance(value, int | float) for value in values.values()):

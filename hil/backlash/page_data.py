@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 
+from drivers.errors import InputError
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
+from hil.axis.axis_file import DriveAxis
 from hil.backlash import job as backlash
 from hil.backlash.documents import verdict
 from hil.backlash.job import CompensationState, MeasuredBacklash
-from hil.backlash.result import NAMES
+from hil.backlash.result import NAMES, Reversal, mean_um
+from hil.backlash.trace import read_trace
+from hil.records.files import parse_json
 
 
 @dataclass(frozen=True)
@@ -17,7 +24,7 @@ class BacklashScreen:
     """measurement: the last one; parameter: the drive's compensation as last read, None before that
 
     by_direction_um: mean of the runs so far, by the direction after the reversal; mean_um: the value to be written,
-    only of a complete measurement; warning: in English, "" for none
+    only of a complete measurement; warning: in English, "" for none; interrupted: a measurement left the drive's settings changed
     """
 
     measurement: Progress | None
@@ -25,19 +32,46 @@ class BacklashScreen:
     by_direction_um: dict[int, float | None]
     mean_um: float | None
     warning: str
+    interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class KeptBacklash:
+    """The last measurement on disk. at: when its file was last written; by_direction_um, mean_um: as of `BacklashScreen`."""
+
+    at: datetime
+    by_direction_um: Mapping[int, float | None]
+    mean_um: float | None
+
+
+def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
+    """The last measurement in the axis's folder, also of an earlier run of the server; None without a readable reversal."""
+    files = sorted(axis.store.directory.glob("backlash-[0-9]*.jsonl"), key=lambda path: path.stat().st_mtime)
+    if not files:
+        return None
+    method, reversals = backlash.backlash_config(axis).method, []
+    for line in files[-1].read_text(encoding="utf-8", errors="replace").splitlines():
+        with suppress(ValueError, InputError, TypeError, KeyError):  # torn, or of a reversal that was broken off
+            form = parse_json(line)
+            reversals.append(Reversal.of(int(form["run"]), read_trace(form)))
+    if not reversals:
+        return None
+    at = datetime.fromtimestamp(files[-1].stat().st_mtime).astimezone()
+    return KeptBacklash(at, {way: mean_um(reversals, method, way) for way in NAMES}, mean_um(reversals, method))
 
 
 def backlash_screen(desk: Desk) -> BacklashScreen:
     """From the present state of the desk. Reads whether a note of an interrupted measurement exists."""
     measurement = desk.last(backlash.MEASURE)
     result = None if measurement is None else measurement.result
-    mean_um = warning = None
+    found_um = warning = None
     if isinstance(result, MeasuredBacklash):
-        mean_um, warning = result.result.lost_motion_um, verdict(result.result)
-    if backlash.unrestored(desk.axis) and not (measurement is not None and measurement.running):
+        found_um, warning = result.result.lost_motion_um, verdict(result.result)
+    interrupted = backlash.unrestored(desk.axis) and not (measurement is not None and measurement.running)
+    if interrupted:
         warning = "an interrupted measurement left the drive's backlash settings changed: restore them"
     by_direction = {direction: _mean(measurement, direction) for direction in NAMES}
-    return BacklashScreen(measurement, _parameter(desk), by_direction, mean_um, warning or "")
+    return BacklashScreen(measurement, _parameter(desk), by_direction, found_um, warning or "", interrupted)
 
 
 def _mean(measurement: Progress | None, direction: int) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,6 +73,22 @@ class ReversalTrace:
             "weight_percent": self.weight_percent,
             "creep_um_s": self.creep_um_s,
         }
+
+
+def read_trace(form: Mapping[str, Any]) -> ReversalTrace:
+    """A trace from `ReversalTrace.to_json`. Raises InputError for a form that is none."""
+    try:
+        slides = np.asarray(form["slides_percent"], dtype=np.float64)
+        return ReversalTrace(
+            int(form["direction"]),
+            np.asarray(form["position_load_mm"], dtype=np.float64),
+            np.asarray(form["torque_percent"], dtype=np.float64),
+            slides if slides.ndim == 2 else np.empty((0, 1)),
+            float(form.get("weight_percent", 0.0)),
+            float(form.get("creep_um_s", 0.0)),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError("holds a reversal that cannot be read") from error
 
 
 def crept_trace(

@@ -10,8 +10,10 @@ memory: the motion so far is a value (`MotionHistory`) that the caller carries f
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +23,7 @@ from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.rise import Rise
 from hil.correction.running_lost_motion import Turns, remembered, wound_share
 from hil.correction.tables import TableSet
+from hil.effects.base import near_by_arrays
 from hil.records.made_with import MadeWith
 from hil.records.rows import UM_PER_MM, Floats
 from hil.records.zero import Zero
@@ -40,7 +43,7 @@ WOUND_SHARE = "wound_share"
 
 
 class ErrorTerm(Protocol):
-    """An effect with its fitted parameters, as the engine needs it (`hil.effects`)."""
+    """An effect with its fitted parameters, as the engine needs it (`hil.effects`); a stream uses its `near_um`, if it has one."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -88,7 +91,7 @@ class MotionHistory:
         turns = remembered(self.turns_mm, self.position_mm, self.direction, target_mm)
         if direction == self.direction:
             since_mm = self.since_reversal_mm + abs(travel)
-            return replace(self, position_mm=target_mm, since_reversal_mm=since_mm, turns_mm=turns)
+            return MotionHistory(target_mm, direction, since_mm, self.stroke_mm, turns)
         return MotionHistory(target_mm, direction, abs(travel), self.since_reversal_mm, turns)
 
 
@@ -116,7 +119,7 @@ class Compensation:
     zero: Zero | None = field(default=None, compare=False, kw_only=True)
     made_with: MadeWith | None = field(default=None, compare=False, kw_only=True)
 
-    @property
+    @cached_property
     def needs(self) -> frozenset[str]:
         """Columns that are read beyond target and direction."""
         own = set() if self.rise is None else {WOUND_SHARE}
@@ -184,6 +187,44 @@ class Compensation:
         plus, minus = (self.tables.correction_um(columns["target_mm"], sign) for sign in (1, -1))
         return np.asarray(minus + columns[WOUND_SHARE] * (plus - minus), dtype=np.float64)
 
+    @cached_property
+    def _curves(self) -> tuple[list[float], list[float], list[float]]:
+        """The tables' nodes, mm, and their corrections there in direction + and −, µm: between nodes they are straight."""
+        nodes = self.tables.nodes_mm
+        plus, minus = (self.tables.correction_um(nodes, sign).tolist() for sign in (1, -1))
+        return nodes.tolist(), plus, minus
+
+    def _near_um(self, row: Mapping[str, float], targets_mm: Sequence[float]) -> list[float]:
+        """`correction_um` at these targets, everything else as in the row, without arrays where the terms allow it.
+
+        A stream asks at every set-point. Raises as `correction_um`.
+        """
+        for name in self.needs:
+            if name not in row:
+                self.correction_um({name: np.array([value]) for name, value in row.items()})  # raises what is missing
+        nodes, plus, minus = self._curves
+        share = row[WOUND_SHARE] if self.rise is not None else 1.0 if row["direction"] > 0 else 0.0
+        found = []
+        for target_mm in targets_mm:
+            after = bisect_right(nodes, target_mm)
+            if after == 0 or after == len(nodes):
+                at = 0 if after == 0 else -1
+                low, high = minus[at], plus[at]
+            else:
+                before = after - 1
+                part = (target_mm - nodes[before]) / (nodes[after] - nodes[before])
+                low = minus[before] + part * (minus[after] - minus[before])
+                high = plus[before] + part * (plus[after] - plus[before])
+            found.append(low + share * (high - low))
+        for near_um in self._near_terms:
+            found = [whole - part for whole, part in zip(found, near_um(row, targets_mm), strict=True)]
+        return found
+
+    @cached_property
+    def _near_terms(self) -> tuple[Callable[[Mapping[str, float], Sequence[float]], list[float]], ...]:
+        """Of each term the error at some targets: its own `near_um` where it has one."""
+        return tuple(getattr(term, "near_um", partial(near_by_arrays, term)) for term in self.terms)
+
     def command(
         self,
         target_mm: float,
@@ -218,9 +259,7 @@ class Compensation:
             by = after if actual is None or actual.direction == 0 else actual
             values[WOUND_SHARE] = wound_share(self.rise, by.position_mm, by.direction, by.turns_mm)
         near_mm = [target_mm + beside for beside in _BESIDE_MM]
-        columns = {name: np.array([value] * len(near_mm), dtype=np.float64) for name, value in values.items()}
-        columns["target_mm"] = np.array(near_mm)
-        near_um: list[float] = self.correction_um(columns).tolist()
+        near_um = self._near_um(values, near_mm)
         bound.check_command(after.direction, near_mm, near_um)
         correction_um = near_um[0]
         return Command(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)

@@ -157,7 +157,7 @@ def rise_from_json(obj: object, where: str) -> Rise:
     if not isinstance(obj, Mapping) or set(obj) != {"shape", "amounts_um", "lengths_mm"}:
         raise InputError(f"{where} is not an object with the keys shape, amounts_um, lengths_mm")
     known = {shape.name: shape for shape in RUNNABLE}
-    if obj["shape"] not in known:
+    if not isinstance(obj["shape"], str) or obj["shape"] not in known:
         raise InputError(f"{where} names the shape {obj['shape']!r}, expected one of {', '.join(known)}")
     values = {}
     for name in ("amounts_um", "lengths_mm"):

@@ -22,17 +22,20 @@ from hil.correction.compensation import Compensation
 from hil.correction.rise import rise_from_json
 from hil.correction.sealed import (
     Binding,
+    SealedInfo,
     check,
+    check_seen,
     load_private_key,
     load_public_key,
     open_sealed,
+    remember,
     require_strong_new,
     reseal,
     seal,
 )
 from hil.correction.tables import FORMAT, TableSet
 from hil.effects import ALL, Effect, Term, term_from_json
-from hil.records.files import held, naming, read_bytes, replace_file, sync_directory
+from hil.records.files import held, naming, parse_json, read_bytes, replace_file, sync_directory
 from hil.records.made_with import MadeWith, read_made_with
 from hil.records.zero import Zero, read_zero
 
@@ -149,6 +152,23 @@ class SealedStore:
         return store
 
     @property
+    def seen_path(self) -> Path:
+        """The note of the file that the axis used last (`sealed.seen`)."""
+        return self.path.with_name(f"{self.axis}.seen.json")
+
+    def accept(self) -> SealedInfo:
+        """The builder's word that the present file is the axis's, whatever was used before.
+
+        Raises StateError without the builder's key, and the SealedError that says why the file is not this builder's.
+        """
+        if self.builder_key is None:
+            raise StateError(f"{self.path} is locked: accepting it needs the builder's private key")
+        with held(self.path.parent, wait=True), naming(self.path):
+            info = check(read_bytes(self.path), self.builder_key.public_key())
+            remember(self.seen_path, info)
+            return info
+
+    @property
     def _names(self) -> tuple[str, str]:
         return f"{self.axis}.tables", f"{self.axis}.effects"
 
@@ -170,6 +190,12 @@ class SealedStore:
                 f"{self.path}: table {lacking[0]} of axis {self.axis} has a password of its own (--table-password {lacking[0]}=FILE)"
             )
 
+    def _require_tables(self, entries: Iterable[str]) -> None:
+        """Raises InputError where the file has only what other axes have there."""
+        if self._names[0] not in entries:
+            others = ", ".join(sorted({name.partition(".")[0] for name in entries}))
+            raise InputError(f"holds no tables of axis {self.axis}, only of {others}: hil calibrate makes them")
+
     @property
     def _rise_name(self) -> str:
         return f"{self.axis}.lost-motion"
@@ -183,7 +209,8 @@ class SealedStore:
 
         measured: made on the machine, so that what the drive had at the last measurement is what it was made with, unless it states it
 
-        Raises StateError without the builder's key, CorrectionBoundError for a correction beyond the axis's bound.
+        Raises StateError without the builder's key, CorrectionBoundError for a correction beyond the axis's bound, ReplacedError where
+        the present file is not the one used before or a later one.
         """
         if self.builder_key is None:
             raise StateError(f"{self.path} is locked: changing it needs the builder's private key")
@@ -202,8 +229,9 @@ class SealedStore:
                     self._check_passwords(before)
                     there = self._rise_entry(before, self.builder_key.public_key())
                     changes |= rise if there or compensation.rise is not None else {}
-                    now = check(before, self.builder_key.public_key()).binding
-                    bound_to = self._bound_to(now, compensation, measured)
+                    info = check(before, self.builder_key.public_key())
+                    check_seen(self.seen_path, info)
+                    bound_to = self._bound_to(info.binding, compensation, measured)
                     data = reseal(before, changes, self._passwords(changes), self.builder_key, bound_to=bound_to)
             else:
                 changes |= rise if compensation.rise is not None else {}
@@ -211,6 +239,7 @@ class SealedStore:
                 bound_to = self._bound_to(None, compensation, measured)
                 data = seal(changes, self._passwords(changes), self.builder_key, bound_to=bound_to)
             replace_file(self.path, data)
+            remember(self.seen_path, check(data, self.builder_key.public_key()))
 
     def _bound_to(self, before: Binding | None, compensation: Compensation, measured: bool) -> dict[str, Any]:
         """This axis's entries to the zero that the axis has now and to the drive's parameters, the other axes' as they were."""
@@ -262,6 +291,7 @@ class SealedStore:
         with held(self.path.parent, wait=True), naming(self.path):
             data = read_bytes(self.path)
             present = check(data, self.builder_key.public_key())
+            check_seen(self.seen_path, present)
             ours = {
                 *self._names,
                 self._rise_name,
@@ -272,10 +302,15 @@ class SealedStore:
             of: Mapping[str, Any] = {} if present.binding is None else present.binding.of
             left = {**of, "axes": {name: bound for name, bound in of.get("axes", {}).items() if name != self.axis}}
             if ours == present.entries.keys():
+                number = 0 if present.binding is None else present.binding.counter
+                gone = Binding(number + 1, present.binding.date if present.binding else "", {})
+                remember(self.seen_path, replace(present, binding=gone))  # that file is not to come back
                 self.path.unlink()
                 sync_directory(self.path.parent)
             else:
-                replace_file(self.path, reseal(data, {}, {}, self.builder_key, bound_to=left, without=ours))
+                resealed = reseal(data, {}, {}, self.builder_key, bound_to=left, without=ours)
+                replace_file(self.path, resealed)
+                remember(self.seen_path, check(resealed, self.builder_key.public_key()))
             return _bound(present.binding, self.axis)
 
     def stored(self, effects: Sequence[Effect] = ALL) -> Compensation | None:
@@ -287,12 +322,15 @@ class SealedStore:
         self.save(Compensation(tables))
 
     def load(self, effects: Sequence[Effect] = ALL) -> Compensation:
-        """The stored compensation. Raises SealedError or InputError, naming the file, where it cannot be opened or verified, and
-        CorrectionBoundError where it exceeds the axis's bound."""
+        """The stored compensation. Raises SealedError or InputError, naming the file, where it cannot be opened or verified or is not
+        the one used before or a later one (ReplacedError), and CorrectionBoundError where it exceeds the axis's bound."""
         with naming(self.path):
             data = read_bytes(self.path)
-            of = self._bound(data)
+            info = check(data, self.builder_public)
+            check_seen(self.seen_path, info)
+            of = _bound(info.binding, self.axis)
             self._require_own(of.separate)
+            self._require_tables(check(data, self.builder_public).entries)
             separate = {table: f"{self.axis}.{table}" for table in of.separate}
             names = [*self._names, *self._rise_entry(data, self.builder_public), *separate.values()]
             opened = open_sealed(data, self._passwords(names), self.builder_public, names=names)
@@ -397,6 +435,6 @@ def _dump(value: object) -> bytes:
 
 def _parse(data: bytes, name: str) -> Any:
     try:
-        return json.loads(data)
+        return parse_json(data)
     except ValueError as error:
         raise InputError(f"entry {name} is not JSON") from error

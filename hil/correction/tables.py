@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,10 @@ class TableMode(Enum):
     BIDIRECTIONAL = "bidirectional"  # one pitch table per direction; the backlash is inside them
     UNIDIRECTIONAL_BACKLASH = "unidirectional+backlash"  # the + direction, and the backlash beside it
     MEAN_BACKLASH = "mean+backlash"  # the mean of both directions, and the backlash beside it, half of it each way
+
+
+_MANY = 1000
+"""Positions from which one search in a joined table takes less time than two (`tests/bench/test_engine_cost.py`)."""
 
 
 def _column(values: ArrayLike, what: str) -> Floats:
@@ -127,10 +132,27 @@ class DirectionalTable:
 
     def at(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
         """Correction in µm at positions, arrived at in a direction, broadcast together. InputError unless it is +1 or -1."""
-        position = np.asarray(position_mm, dtype=np.float64)
-        plus = np.interp(position, self.position_mm, self.plus_um)
-        minus = np.interp(position, self.position_mm, self.minus_um)
-        return np.asarray(np.where(_is_plus(direction), plus, minus), dtype=np.float64)
+        position, is_plus = np.asarray(position_mm, dtype=np.float64), _is_plus(direction)
+        if is_plus.ndim == 0:
+            one_um = self.plus_um if is_plus else self.minus_um
+            return np.asarray(np.interp(position, self.position_mm, one_um), dtype=np.float64)
+        if position.size < _MANY or self._joined is None:
+            plus, minus = (np.interp(position, self.position_mm, one) for one in (self.plus_um, self.minus_um))
+            return np.asarray(np.where(is_plus, plus, minus), dtype=np.float64)
+        both_mm, both_um, apart_mm = self._joined
+        inside = np.clip(position, self.position_mm[0], self.position_mm[-1])
+        return np.asarray(np.interp(np.where(is_plus, inside, inside + apart_mm), both_mm, both_um), dtype=np.float64)
+
+    @cached_property
+    def _joined(self) -> tuple[Floats, Floats, float] | None:
+        """Both directions as one table, the − direction's places moved up by the third value, mm: one search in place of two.
+
+        None where moved places would no longer ascend.
+        """
+        apart_mm = float(np.ptp(self.position_mm)) + 1.0
+        both_mm = np.concatenate([self.position_mm, self.position_mm + apart_mm])
+        ascend = bool(np.all(np.diff(both_mm) > 0.0))
+        return (both_mm, np.concatenate([self.plus_um, self.minus_um]), apart_mm) if ascend else None
 
     def plus_table(self) -> SingleTable:
         """The corrections of the + direction, µm."""

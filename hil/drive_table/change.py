@@ -19,7 +19,7 @@ from drivers.correction_table import CorrectionTable, RawTable
 from drivers.drive import WITHOUT_POWER, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from hil.machine.one_correction import switch_table
-from hil.records.files import read_text, replace_file
+from hil.records.files import parse_json, read_text, replace_file
 from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 
@@ -47,7 +47,7 @@ class Snapshot:
     def from_file(cls, path: Path) -> Snapshot:
         """Reads a note. Raises InputError for anything that `to_text` did not write."""
         try:
-            found = json.loads(read_text(path))
+            found = parse_json(read_text(path))
             enabled = bool(found.pop("enabled"))
             values: dict[str, Any] = {
                 name: tuple(map(int, value)) if isinstance(value, list) else int(value) for name, value in found.items()
@@ -212,7 +212,7 @@ def remembered_zero(note: Path, raw: RawTable) -> Zero | None:
     if not note.exists():
         return None
     try:
-        form = json.loads(read_text(note))
+        form = parse_json(read_text(note))
         zero = None if form["zero"] is None else Zero.from_json(form["zero"])
         return zero if form["table"] == _digest(raw) else None
     except (ValueError, KeyError, TypeError) as error:
@@ -226,7 +226,7 @@ def remembered_made_with(note: Path, raw: RawTable) -> MadeWith | None:
     if not note.exists():
         return None
     try:
-        form = json.loads(read_text(note))
+        form = parse_json(read_text(note))
         noted = form.get("made_with") if form["table"] == _digest(raw) else None
         return None if noted is None else MadeWith.from_json(noted)
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -18,6 +18,7 @@ from hil.app.terminal.axis_options import (
     open_store,
     positive,
     seed,
+    tell_bench,
 )
 from hil.app.terminal.output import number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
@@ -281,6 +282,8 @@ def _download(args: argparse.Namespace) -> int:
     print_facts({**facts, "written and read back in": f"{change.seconds * 1000:.0f} ms"})
     print_proof(proof)
     print("put back as it was found" if change.undone else "the drive corrects by it now; the bridge must not")
+    if not change.undone:
+        tell_bench(axis)
     if args.json:
         write_json(args.json, {**proof_form(axis.name, proof), **made_form(made), "seconds": change.seconds})
     return 0 if proof is None or proof.good else 1

@@ -16,7 +16,7 @@ from hil.app.terminal.axis_options import (
     tell_zero,
 )
 from hil.app.terminal.measuring_options import machine_of
-from hil.app.terminal.output import number, print_facts, print_table, write_json
+from hil.app.terminal.output import number, print_facts, print_table, times, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
@@ -134,7 +134,7 @@ def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespac
     minutes = plan.positions * (plan.at_rest_s + 0.2) / 60.0
     print(f"axis {plan.axis} over {plan.backend}: would enable it, {homing}take the datum at {plan.datum_mm:g} mm")
     print(
-        f"would go to and fro between {how.low_mm:g} and {how.high_mm:g} mm {how.runs} times at {plan.moves[0].velocity_mm_s:g}"
+        f"would go to and fro between {how.low_mm:g} and {how.high_mm:g} mm {times(how.runs)} at {plan.moves[0].velocity_mm_s:g}"
         f" mm/s, uncorrected, at rest at {how.places} places from {how.finest_um:g} µm on after each turning"
     )
     print(f"would then make {how.proof_moves} moves of all lengths there twice, without the new correction and with it")

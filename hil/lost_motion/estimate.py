@@ -24,13 +24,13 @@ NOT_SEPARATELY_DETERMINED = "not determined one by one, only their sum"
 
 @dataclass(frozen=True)
 class Uncertain:
-    """A value with its standard uncertainty, unit as the parameter's name says."""
+    """A value with its standard uncertainty, unit as the parameter's name says; as text with the expanded one (k = 2)."""
 
     value: float
     std: float
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} ± {self.std:.2g}"
+        return f"{self.value:.4g} ± {2.0 * self.std:.2g}"
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ on request.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -20,6 +21,7 @@ from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import Shape
 from hil.correction.store import SealedStore, bound_tables, compensation_in_force
+from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, separately_determined
 from hil.lost_motion.procedure import (
     COVERAGE,
@@ -39,6 +41,8 @@ from hil.records.journal import Campaign
 
 MEASURE, STORE = "lost motion", "lost motion store"
 CAMPAIGN = "lost-motion"
+RESULT = "result.json"
+"""File of a measurement's result in its folder, for a screen that is started later and for the index of a fleet."""
 
 
 def lost_motion_config(axis: AxisConfig) -> LostMotionConfig:
@@ -106,8 +110,10 @@ def run_lost_motion(
     except NoLostMotionError:
         campaign.finish()  # it was measured as a whole
         raise
+    measured = MeasuredLostMotion(how, result, present, campaign.directory)
+    campaign.write(RESULT, (json.dumps(form(axis, measured, stored=False), indent=2) + "\n").encode())
     campaign.finish()
-    return MeasuredLostMotion(how, result, present, campaign.directory)
+    return measured
 
 
 def _decides_rows(how: LostMotionConfig) -> dict[str, Any]:
@@ -126,9 +132,10 @@ def measuring_job(
             place.tell(SEALED)
         machine = place.machine()
         with zero.applied(machine.session):
-            return run_lost_motion(
+            measured = run_lost_motion(
                 machine, how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
             )
+        return measured
 
     return Job(MEASURE, zero.in_plan(measuring_plan(axis, how, seed)), work)
 
@@ -206,7 +213,7 @@ def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
     return {
         "lost motion": f"{found.amount_um:.2f} µm, rising as {found.rise.shape.name}",
         **({"shape": found.choice, "published form": beside_proof(result).sentence} if found.contenders else {}),
-        **{f"  {name}": text for name, text in parameters.items()},
+        **{f"  {name}": text + (" (k = 2)" if "±" in text else "") for name, text in parameters.items()},
         "noise of a reading": f"{result.stretch.noise_um:.3f} µm",
         "proof, before": f"{rms(proof.before_um):.2f} µm RMS, {abs(proof.before_um).max():.2f} at worst, with {before} in force",
         "proof, after": f"{rms(proof.after_um):.2f} µm RMS, {abs(proof.after_um).max():.2f} at worst",
@@ -214,6 +221,7 @@ def facts(measured: MeasuredLostMotion, stored: str) -> dict[str, str]:
         "over-compensated": f"{proof.over_um:.2f} µm at worst, {100.0 * proof.over_um / found.amount_um:.1f} % of the lost motion",
         "stored": stored,
         "rows": str(measured.kept),
+        "what it is": f"{MEASURED_AT_A_REVERSAL['lost_motion']} ({OTHER_REVERSAL_FIGURES})",
     }
 
 

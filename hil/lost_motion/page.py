@@ -10,7 +10,7 @@ from functools import partial
 from nicegui import ui
 
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Latest, Reading, Table, draw_where
+from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, measured_checks
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
@@ -19,7 +19,14 @@ from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
 from hil.lost_motion.estimate import separately_determined
 from hil.lost_motion.job import MeasuredLostMotion
-from hil.lost_motion.page_data import lost_motion_screen, proof_points, resumable, rise_curves
+from hil.lost_motion.page_data import (
+    KeptLostMotion,
+    kept_lost_motion,
+    lost_motion_screen,
+    proof_points,
+    resumable,
+    rise_curves,
+)
 from hil.lost_motion.procedure import rms
 from hil.records.rows import UM_PER_MM
 
@@ -32,12 +39,20 @@ def draw(view: View) -> None:
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("lost_motion.no_instrument")).classes("hil-note"), "lost_motion.no_instrument")
         return
-    with view.card("lost_motion.instructions"):
-        ui.markdown(view.t("lost_motion.steps"))
     messages = view.messages("lost_motion.messages")
-    parts = [_draw_buttons(view, axis)]
-    with ui.element("div").classes("hil-grid"):
-        parts += [_draw_where(view), _draw_found(view), _draw_proof(view)]
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            kept = Reading(view, partial(kept_lost_motion, axis))
+            parts = [
+                _draw_found(view, kept),
+                _draw_proof(view, kept),
+                draw_where(view, "lost_motion", lambda: lost_motion_screen(view.desk).measurement),
+                _draw_buttons(view, axis),
+            ]
+        with ui.element("div").classes("hil-main"):
+            parts.append(_draw_steps(view))
+            parts.append(_draw_rows(view))
+            view.how("lost_motion.instructions", "lost_motion.steps")
     parts += [_draw_plots(view), _draw_fits(view), draw_circle(view, axis)]
 
     def refresh() -> None:
@@ -63,58 +78,78 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
     async def store() -> None:
         measured = lost_motion_screen(desk).measured
         if measured is not None:
-            await view.ask_and_run(lost_motion.store_job(axis, measured))
+            new = t.number(measured.result.estimate.amount_um, 2)
+            before = None if measured.present is None else measured.present.rise
+            old = t.number(None if before is None else before.amount_um, 2)
+            change = view.change(t("lost_motion.amount"), old, new, "µm")
+            await view.ask_and_run(lost_motion.store_job(axis, measured), changes=[change])
 
-    with ui.row():
-        start_button = view.button("lost_motion.start", lambda: start(False))
+    ready = draw_ready(view, "lost_motion", *measured_checks(view))
+    with ui.element("div").classes("hil-buttons"):
+        start_button = view.button("lost_motion.start", lambda: start(False)).classes("hil-go")
         resume_button = view.button("lost_motion.resume", lambda: start(True))
         store_button = view.button("lost_motion.store", store)
         zero = ZeroSwitches(view, "lost_motion")
 
     def refresh() -> None:
-        start_button.set_enabled(view.can_start)
+        ready()
+        start_button.allow(view.why_not())
         zero.refresh()
-        resume_button.set_enabled(view.can_start and broken_off.value is True)
-        store_button.set_enabled(view.can_start and view.is_builder and lost_motion_screen(desk).storable)
+        resume_button.allow(view.why_not())
+        resume_button.set_visibility(broken_off.value is True)
+        storable = lost_motion_screen(desk).storable
+        store_button.allow(view.why_not(builder=True) or ("" if storable else t("why.nothing_proven")))
 
     return refresh
 
 
-def _draw_where(view: View) -> Refresh:
-    """Position of the axis, and the present step."""
-    with view.card("lost_motion.where"):
-        return draw_where(view, "lost_motion", lambda: lost_motion_screen(view.desk).measurement)
+def _earlier(view: View, kept: Reading[KeptLostMotion | None]) -> KeptLostMotion | None:
+    """The result of a server before this one; None as soon as there is a measurement of this one."""
+    return kept.value if lost_motion_screen(view.desk).measurement is None else None
 
 
-def _draw_found(view: View) -> Refresh:
+def _draw_found(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
     """The lost motion, its uncertainty and its shape."""
     t = view.t
     with view.card("lost_motion.found"):
         amount = view.value("lost_motion.amount", "µm")
-        std = view.value("lost_motion.std", "µm", small=True)
-        shape = view.value("lost_motion.shape", small=True)
+        with ui.element("div").classes("hil-lines"):
+            std = view.value("lost_motion.std", "µm", small=True)
+            shape = view.value("lost_motion.shape", small=True)
+        date = view.named(ui.label().classes("hil-name"), "lost_motion.kept")
 
     def refresh() -> None:
-        measured = lost_motion_screen(view.desk).measured
+        measured, earlier = lost_motion_screen(view.desk).measured, _earlier(view, kept)
+        date.set_text("" if earlier is None else t("backlash.kept", date=earlier.at.strftime("%Y-%m-%d %H:%M")))
+        if earlier is not None:
+            amount.set_text(t.number(earlier.amount_um, 2))
+            std.set_text(t.number(earlier.std_um, 3))
+            shape.set_text(_shape(view, earlier.shape))
+            return
         found = None if measured is None else measured.result.estimate
         amount.set_text(t.number(None if found is None else found.amount_um, 2))
-        std.set_text("–" if found is None else f"± {t.number(found.parameters['amount_um'].std, 3)}")
+        std.set_text("–" if found is None else t.number(found.parameters["amount_um"].std, 3))
         shape.set_text("–" if found is None else _shape(view, found.rise.shape.name))
 
     return refresh
 
 
-def _draw_proof(view: View) -> Refresh:
+def _draw_proof(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
     """The proof by fresh moves, and whether the result is stored."""
     t = view.t
-    with view.card("lost_motion.proof"):
-        after = view.value("lost_motion.after", "µm")
+    with view.card("lost_motion.proof"), ui.element("div").classes("hil-lines"):
+        after = view.value("lost_motion.after", "µm", small=True)
         before = view.value("lost_motion.before", "µm", small=True)
         over = view.value("lost_motion.over", "%", small=True)
         state = view.value("lost_motion.state", small=True)
 
     def refresh() -> None:
-        shown = lost_motion_screen(view.desk)
+        shown, earlier = lost_motion_screen(view.desk), _earlier(view, kept)
+        if earlier is not None:
+            after.set_text(t.number(earlier.after_um, 2))
+            before.set_text(t.number(earlier.before_um, 2))
+            over.set_text(t.number(earlier.over_percent, 1))
+            return
         proof = None if shown.measured is None else shown.measured.result.proof
         after.set_text(t.number(None if proof is None else rms(proof.after_um), 2))
         before.set_text(t.number(None if proof is None else rms(proof.before_um), 2))
@@ -125,23 +160,29 @@ def _draw_proof(view: View) -> Refresh:
     return refresh
 
 
+def _draw_steps(view: View) -> Refresh:
+    """The steps of the measurement."""
+    steps = Steps(view, "lost_motion", ("strokes", "fit", "before", "after"))
+    return lambda: steps.follow(lost_motion_screen(view.desk).measurement)
+
+
+def _draw_rows(view: View) -> Refresh:
+    """The readings as they come."""
+    with view.card("lost_motion.rows", name="lost_motion.rows.card"):
+        x, y = view.t("lost_motion.target_x"), view.t("lost_motion.error_y")
+        return JobPlot(view, lost_motion.MEASURE, x, y, name="lost_motion.rows", dots=True).refresh
+
+
 def _draw_plots(view: View) -> Refresh:
-    """During the measurement the errors over position; then the lost motion after each reversal with the fitted
-    shapes.
-    """
-    t = view.t
+    """The lost motion after each reversal with the fitted shapes, and the proof."""
     with ui.element("div").classes("hil-grid wide"):
         drawings = []
         for key in ("lost_motion.rise", "lost_motion.beginning", "lost_motion.moves"):
             with view.card(key, name=f"{key}.card"):
                 drawings.append(Drawing(view, key))
-        with view.card("lost_motion.rows", name="lost_motion.rows.card"):
-            x, y = t("lost_motion.target_x"), t("lost_motion.error_y")
-            live = JobPlot(view, lost_motion.MEASURE, x, y, name="lost_motion.rows", dots=True)
     rise, beginning, moves = drawings
 
     def refresh() -> None:
-        live.refresh()
         measured = lost_motion_screen(view.desk).measured
         if measured is not None:
             rise.show(measured, lambda: _rise(view, measured, beginning=False))
@@ -210,7 +251,7 @@ def _draw_fits(view: View) -> Refresh:
         )
         parameters.show(
             [
-                [t(f"lost_motion.parameter.{name}"), t.number(per * each.value, 2), f"± {t.number(per * each.std, 2)}"]
+                [t(f"lost_motion.parameter.{name}"), t.number(per * each.value, 2), t.number(per * each.std, 2)]
                 for name, each in found.determined.items()
                 for per in [UM_PER_MM if name.endswith("_mm") else 1.0]
             ]
@@ -221,4 +262,4 @@ def _draw_fits(view: View) -> Refresh:
 
 
 def _shape(view: View, name: str) -> str:
-    return view.t(f"lost_motion.shapes_by_name.{name.replace(' ', '_')}")
+    return view.t.known("lost_motion.shapes_by_name", name.replace(" ", "_"))

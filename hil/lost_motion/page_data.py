@@ -6,11 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
 
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
+from hil.app.report.views import object_of, value_of
 from hil.axis.axis_file import DriveAxis
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.at_load import load_mm
@@ -20,6 +22,7 @@ from hil.lost_motion.circle.job import DrivenCircle
 from hil.lost_motion.estimate import Estimate
 from hil.lost_motion.job import MeasuredLostMotion
 from hil.lost_motion.procedure import Proof
+from hil.records.files import parse_json
 from hil.records.rows import UM_PER_MM, Floats
 
 Points = list[tuple[float, float]]
@@ -55,6 +58,41 @@ def lost_motion_screen(desk: Desk) -> LostMotionScreen:
     kept = stored is not None and stored.phase is Phase.DONE and stored.result is measured is not None
     warnings = () if measured is None else tuple(lost_motion.sentences(measured))
     return LostMotionScreen(measurement, 0 if measurement is None else measurement.number, measured, kept, warnings)
+
+
+@dataclass(frozen=True)
+class KeptLostMotion:
+    """The last result on disk. at: when it was written; values in µm, over in %, None where the file lacks one; shape: by name."""
+
+    at: datetime
+    amount_um: float | None
+    std_um: float | None
+    shape: str
+    before_um: float | None
+    after_um: float | None
+    over_percent: float | None
+
+
+def kept_lost_motion(axis: DriveAxis) -> KeptLostMotion | None:
+    """The last result in the axis's folder, also of an earlier run of the server; None without a readable one."""
+    files = sorted(axis.store.directory.glob(f"{lost_motion.CAMPAIGN}-[0-9]*/{lost_motion.RESULT}"))
+    if not files:
+        return None
+    try:
+        found = object_of(parse_json(files[-1].read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        return None
+    proof, parameters = object_of(found.get("proof")), object_of(found.get("parameters"))
+    amount_um, over_um = value_of(found, "amount_um"), value_of(proof, "over_compensation_um")
+    return KeptLostMotion(
+        datetime.fromtimestamp(files[-1].stat().st_mtime).astimezone(),
+        amount_um,
+        value_of(object_of(parameters.get("amount_um")), "std"),
+        str(object_of(found.get("rise")).get("shape", "")),
+        value_of(object_of(proof.get("before")), "rms_um"),
+        value_of(object_of(proof.get("after")), "rms_um"),
+        100.0 * over_um / amount_um if amount_um and over_um is not None else None,
+    )
 
 
 def resumable(axis: DriveAxis) -> bool:

@@ -324,6 +324,15 @@ def measure_lost_motion(
         session.compensation = None
 
 
+def _first(result: LostMotionResult) -> str:
+    """What to do before lost motion is measured on an axis whose stored correction holds fitted effects."""
+    effects = ", ".join(t.effect.id for t in result.compensation.terms if isinstance(t, Term))
+    return (
+        f"what is stored also corrects {effects}, fitted with a reversal of their own: first calibrate again (hil calibrate), which"
+        " stores tables alone, then measure the lost motion, then close the loop for the rest"
+    )
+
+
 def verdict(result: LostMotionResult) -> Sequence[str]:
     """Sentences on what is wrong with the result; empty for a good one."""
     found, proof = result.estimate, result.proof
@@ -339,12 +348,16 @@ def verdict(result: LostMotionResult) -> Sequence[str]:
         do = (
             "what is in force stays, nothing has to be done"
             if proof.needless
+            else _first(result)
+            if result.compensation.terms
             else "look for what changes at the axis, then measure again with more runs and proof_moves"
         )
         said.append(
             f"no proven improvement, so nothing is stored: {left}, a gain of {gain.value:.3f} ± {COVERAGE * gain.std:.3f} µm (k = 2);"
             f" {do}"
         )
+    elif not proof.good and result.compensation.terms:
+        said.append(f"the correction did not prove itself: {left}; {_first(result)}")
     elif not proof.good:
         said.append(
             f"the correction did not prove itself: {left}, {proof.over_um:.2f} µm over-compensated at worst;"

@@ -146,7 +146,7 @@ def _tiles(report: LostMotionReport) -> str:
     amount = found.parameters["amount_um"]
     before, after = (float(np.sqrt(np.mean(values**2))) for values in (proof.before_um, proof.after_um))
     tiles = [
-        tile("Lost motion", markup.number(found.amount_um), "µm", f"± {markup.number(amount.std, 3)} (standard)"),
+        tile("Lost motion", markup.number(found.amount_um), "µm", f"± {markup.number(2.0 * amount.std, 3)} (k = 2)"),
         tile("Fresh moves, before", markup.number(before), "µm RMS"),
         tile("Fresh moves, after", markup.number(after), "µm RMS"),
         tile("Over-compensated at worst", markup.number(100.0 * proof.over_um / found.amount_um, 1), "%"),

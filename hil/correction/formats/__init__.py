@@ -8,10 +8,23 @@ records).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from hil.correction.formats import fanuc, keysight, linuxcnc, measured_csv, sinumerik, twincat, wide_iso
+from drivers.errors import InputError
+from hil.correction.formats import (
+    fanuc,
+    grbl,
+    keysight,
+    lines,
+    linuxcnc,
+    mach,
+    measured_csv,
+    renishaw,
+    sinumerik,
+    twincat,
+    wide_iso,
+)
 from hil.correction.formats.common import Export
 from hil.correction.tables import TableSet
 from hil.records.rows import Records
@@ -36,15 +49,52 @@ class Measurement:
     load: Callable[[str, Any], Records]
 
 
+def export_within(controller: Controller, tables: TableSet, settings: Any) -> Export:
+    """A controller's file that deviates from the tables by no more than `settings.tolerance_um`, resampling and rounding together.
+
+    A format's own tolerance is of the resampling alone; it is narrowed until the whole keeps what was asked for. Raises InputError
+    where the format cannot keep it, with what it does reach.
+    """
+    asked = settings.tolerance_um
+    best: Export | None = None
+    for share in _SHARES:
+        try:
+            made = controller.export(tables, replace(settings, tolerance_um=share * asked))
+        except InputError:
+            if best is None:
+                raise
+            break
+        if best is None or made.deviation_um < best.deviation_um:
+            best = made
+        if made.deviation_um <= asked + _ROUNDING_UM:
+            return made
+    reached = "" if best is None else f" The best it reaches is {best.deviation_um:.3f} µm."
+    raise InputError(
+        f"{controller.name} cannot keep {asked:g} µm: its values are rounded to steps, which resampling adds to.{reached}"
+        " Allow that (tolerance_um), or choose finer steps of the format"
+    )
+
+
+_SHARES = (1.0, 0.7, 0.5, 0.3, 0.1)
+"""Shares of the tolerance that resampling may use, tried in this order: the widest points that keep it are written."""
+_ROUNDING_UM = 1e-9
+"""Of the comparison itself."""
+
 CONTROLLERS: tuple[Controller, ...] = (
     Controller("linuxcnc", linuxcnc.LinuxCncSettings, linuxcnc.export, linuxcnc.load),
     Controller("sinumerik", sinumerik.SinumerikSettings, sinumerik.export, sinumerik.load),
     Controller("fanuc", fanuc.FanucSettings, fanuc.export, fanuc.load),
     Controller("twincat", twincat.TwinCatSettings, twincat.export, twincat.load),
+    Controller("grblhal", grbl.GrblHalSettings, grbl.export_grblhal, grbl.load_grblhal),
+    Controller("fluidnc", grbl.FluidNcSettings, grbl.export_fluidnc, grbl.load_fluidnc),
+    Controller("mach3", mach.Mach3Settings, mach.export, mach.load),
+    Controller("mach4", mach.Mach4Settings, mach.export, mach.load),
 )
 
 MEASUREMENTS: tuple[Measurement, ...] = (
     Measurement("keysight", keysight.KeysightSettings, keysight.load),
+    Measurement("renishaw", renishaw.RenishawSettings, renishaw.load),
+    Measurement("lines", lines.LinesSettings, lines.load),
     Measurement("csv", measured_csv.MeasuredCsvSettings, measured_csv.load),
     Measurement("iso-wide", wide_iso.WideIsoSettings, wide_iso.load),
 )

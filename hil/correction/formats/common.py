@@ -106,6 +106,11 @@ def anchored(
     return shifted(table, -value), value
 
 
+def enough(deviation_um: float) -> str:
+    """A deviation as text with three decimals, rounded up: as a tolerance it is accepted."""
+    return f"{np.ceil(1000.0 * deviation_um) / 1000.0:.3f}"
+
+
 def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[SingleTable, float]:
     """A two-directional table as one curve, of the + direction, and one backlash, µm.
 
@@ -117,7 +122,7 @@ def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[Singl
     if (high - low) / 4 > tolerance_um:
         raise InputError(
             f"the two directions differ by {low:.3f} to {high:.3f} µm along the axis, and one table with one backlash holds a"
-            f" constant; export both directions, or allow a deviation (tolerance_um) of {(high - low) / 4:.3f}"
+            f" constant; export both directions, or allow a deviation (tolerance_um) of {enough((high - low) / 4)}"
         )
     backlash = (low + high) / 2
     return SingleTable(table.position_mm, (table.plus_um + table.minus_um + backlash) / 2), backlash
@@ -194,7 +199,7 @@ def equidistant(
             best, best_step, best_points = deviation, step, len(grid)
     raise InputError(
         f"no equal step with at most {max_points} points keeps the table within {tolerance_um:g} µm; the best,"
-        f" {best_step:g} mm with {best_points} points, deviates by {best:.3f} µm: allow that"
+        f" {best_step:g} mm with {best_points} points, deviates by {enough(best)} µm: allow that"
         " (tolerance_um), or more points (max_points)"
     )
 
@@ -208,7 +213,7 @@ def _grid(origin: float, first: float, last: float, step: float) -> Floats:
 def _check_resampling(deviation_um: float, step_mm: float, tolerance_um: float) -> None:
     if deviation_um > tolerance_um:
         raise InputError(
-            f"with a step of {step_mm:g} mm the table deviates by {deviation_um:.3f} µm, more than {tolerance_um:g} µm;"
+            f"with a step of {step_mm:g} mm the table deviates by {enough(deviation_um)} µm, more than {tolerance_um:g} µm;"
             " allow that (tolerance_um), or narrow the step"
         )
 
@@ -234,7 +239,7 @@ def thinned(table: DirectionalTable, max_points: int, tolerance_um: float) -> Di
         if len(kept) == max_points:
             raise InputError(
                 f"the table has {len(table.position_mm)} points, and at most {max_points} fit; with that many it deviates by"
-                f" {off[worst]:.3f} µm: allow that (tolerance_um), or measure fewer sections"
+                f" {enough(off[worst])} µm: allow that (tolerance_um), or measure fewer sections"
             )
         kept = sorted({*kept, worst})
 

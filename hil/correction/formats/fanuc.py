@@ -245,7 +245,10 @@ def load(text: str, settings: FanucSettings = FanucSettings()) -> TableSet:
     points: dict[int, int] = {}
     inside = ended = False
     for line_number, raw in numbered_lines(text):
-        line = re.sub(r"\([^)]*\)", "", raw).rstrip(";").strip().upper()
+        before, closing, after = raw.rpartition(
+            ")"
+        )  # every remark ends in the first part, so that each is looked at once
+        line = (re.sub(r"\([^)]*\)", "", before + closing) + after).rstrip(";").strip().upper()
         if re.fullmatch(r"G10\s*L50", line):
             inside = True
         elif line == "G11":

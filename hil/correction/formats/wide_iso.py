@@ -15,14 +15,14 @@ import numpy as np
 from drivers.errors import InputError
 from hil.correction.formats.common import number, numbered_lines, require
 from hil.correction.formats.measured_csv import DIRECTIONS
-from hil.records.rows import Records
+from hil.records.rows import Records, shown
 
 CELLS = {"deviation_um": 1e-3, "deviation_mm": 1.0, "position_mm": 1.0}
 """Contents of the cells -> mm per unit of a cell."""
 
 _SIGN = "|".join(sorted((re.escape(name) for name in DIRECTIONS if not name[-1].isdigit()), key=len, reverse=True))
-_RUN_FIRST = re.compile(rf"(?:run|cycle|j)?\s*=?\s*(\d{{1,9}})\s*[,_ ]?\s*({_SIGN})", re.IGNORECASE)
-_SIGN_FIRST = re.compile(rf"({_SIGN})\s*[,_ ]?\s*(?:run|cycle|j)?\s*=?\s*(\d{{1,9}})", re.IGNORECASE)
+_RUN_FIRST = re.compile(rf"(?:run|cycle|j)? ?=? ?(\d{{1,9}}) ?[,_]? ?({_SIGN})", re.IGNORECASE | re.ASCII)
+_SIGN_FIRST = re.compile(rf"({_SIGN}) ?[,_]? ?(?:run|cycle|j)? ?=? ?(\d{{1,9}})", re.IGNORECASE | re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,20 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     if len(set(columns)) != len(columns):
         raise InputError("the header names a run and direction twice", line=header_line)
     table: list[tuple[float, list[float]]] = []
+    seen: set[float] = set()
     for line_number, cells in rows[1:]:
         if len(cells) != len(header):
             raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=line_number)
         values = [number(cell, label, line_number, settings.decimal) for cell, label in zip(cells, header, strict=True)]
-        if any(values[0] == target for target, _ in table):
+        if values[0] in seen:
             raise InputError(f"target {cells[0]} comes a second time", line=line_number)
+        seen.add(values[0])
         table.append((values[0], values[1:]))
     table.sort()
     scale = CELLS[settings.cells]
     measured: list[tuple[float, float, float, float]] = []
-    for run, direction in sorted(columns, key=lambda column: (column[0], -column[1])):
-        index = columns.index((run, direction))
+    for index in sorted(range(len(columns)), key=lambda at: (columns[at][0], -columns[at][1])):
+        run, direction = columns[index]
         for target, values in table if direction > 0 else reversed(table):
             cell = values[index] * scale
             measured.append((run, direction, target, cell if settings.cells == "position_mm" else target + cell))
@@ -110,8 +112,11 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _column(label: str, line: int) -> tuple[int, float]:
-    if match := _RUN_FIRST.fullmatch(label.strip()):
+    single_blanks = " ".join(label.split())  # in runs of them the patterns would try every division
+    if match := _RUN_FIRST.fullmatch(single_blanks):
         return int(match[1]), DIRECTIONS[match[2].lower()]
-    if match := _SIGN_FIRST.fullmatch(label.strip()):
+    if match := _SIGN_FIRST.fullmatch(single_blanks):
         return int(match[2]), DIRECTIONS[match[1].lower()]
-    raise InputError(f"column {label!r} names no run and direction, expected such as 1+ or run 1 reverse", line=line)
+    raise InputError(
+        f"column {shown(label)} names no run and direction, expected such as 1+ or run 1 reverse", line=line
+    )

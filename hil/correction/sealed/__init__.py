@@ -6,7 +6,8 @@
 Running needs the builder's public key and the reading password; changing needs the builder's private key. One file holds several
 entries, each with its own password or all with a common one. Nothing is unpickled, and nothing is decrypted before the signature
 over the whole file has been found good. The byte layout stands in `container`; `sealing` has the operations, `keys` the builder's
-key pair and detached signatures for files that stay readable, `errors` the ways a file is refused.
+key pair and detached signatures for files that stay readable, `seen` what a machine remembers of its file, `errors` the ways a
+file is refused.
 """
 
 from hil.correction.sealed.container import Binding, Cost
@@ -15,11 +16,13 @@ from hil.correction.sealed.errors import (
     DamagedError,
     ForeignSignatureError,
     NotSealedError,
+    ReplacedError,
     SealedError,
     SwappedError,
     TruncatedError,
     UnknownVersionError,
     UnsignedError,
+    WrongKeyPasswordError,
     WrongPasswordError,
 )
 from hil.correction.sealed.keys import (
@@ -46,6 +49,7 @@ from hil.correction.sealed.sealing import (
     seal,
     write_sealed,
 )
+from hil.correction.sealed.seen import check_seen, remember
 
 __all__ = [
     "Binding",
@@ -55,15 +59,18 @@ __all__ = [
     "ForeignSignatureError",
     "NotSealedError",
     "Passwords",
+    "ReplacedError",
     "SealedError",
     "SealedInfo",
     "SwappedError",
     "TruncatedError",
     "UnknownVersionError",
     "UnsignedError",
+    "WrongKeyPasswordError",
     "WrongPasswordError",
     "check",
     "check_detached",
+    "check_seen",
     "fingerprint",
     "is_sealed",
     "load_private_key",
@@ -71,6 +78,7 @@ __all__ = [
     "new_key",
     "open_sealed",
     "read_sealed",
+    "remember",
     "require_strong",
     "require_strong_new",
     "reseal",

@@ -29,6 +29,7 @@ from hil.correction.sealed.errors import (
     UnknownVersionError,
     UnsignedError,
 )
+from hil.records.files import parse_json
 
 MAGIC = b"HILSEAL"
 VERSION = 2
@@ -251,7 +252,7 @@ def _binding(form: Any) -> Binding:
 
 def _decode(text: bytes, version: int) -> Header:
     try:
-        form = json.loads(text)
+        form = parse_json(text)
         kdf = form["kdf"]
         if form["cipher"] != CIPHER or kdf["name"] != KDF:
             raise DamagedError(f"sealed file's header names a cipher or key derivation other than {CIPHER} and {KDF}")

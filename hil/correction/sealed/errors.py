@@ -3,10 +3,12 @@
 InputError
 └── SealedError
     ├── WrongPasswordError       the file is good, the password is not
+    │   └── WrongKeyPasswordError    that of the builder's private key
     ├── NotSealedError           something else than a sealed file
     ├── UnknownVersionError      a sealed file of a version this program does not know
     ├── TruncatedError           the end is missing
     ├── CostError                key-derivation cost outside the limits (an attack on time or memory, or a weak setting)
+    ├── ReplacedError            a good file, but older than the one used before, or another machine's
     ├── UnsignedError            no builder's signature
     ├── ForeignSignatureError    signed, by another key than the builder's
     └── DamagedError             the bytes are not those that were signed
@@ -26,6 +28,10 @@ class WrongPasswordError(SealedError):
     """The file is intact and signed, but this password does not open the entry."""
 
 
+class WrongKeyPasswordError(WrongPasswordError):
+    """This password does not open the builder's private key."""
+
+
 class NotSealedError(SealedError):
     """The bytes are no sealed file."""
 
@@ -40,6 +46,10 @@ class TruncatedError(SealedError):
 
 class CostError(SealedError):
     """The key-derivation cost lies outside the limits."""
+
+
+class ReplacedError(SealedError):
+    """A validly signed file in the place of the one that was used before: an older one, or another machine's."""
 
 
 class UnsignedError(SealedError):

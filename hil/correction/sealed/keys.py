@@ -10,10 +10,12 @@ import base64
 import hashlib
 import json
 import os
+import re
 import unicodedata
+from collections.abc import Iterator
 from pathlib import Path
 
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import padding
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
@@ -23,17 +25,22 @@ from cryptography.hazmat.primitives.serialization import (
     NoEncryption,
     PrivateFormat,
     PublicFormat,
-    load_pem_private_key,
+    load_der_private_key,
     load_pem_public_key,
 )
 
 from drivers.errors import InputError
 from hil.correction.sealed.container import SIGNATURE_BYTES, Cost
-from hil.correction.sealed.errors import DamagedError, ForeignSignatureError, WrongPasswordError
-from hil.records.files import read_bytes, replace_file
+from hil.correction.sealed.errors import CostError, DamagedError, ForeignSignatureError, WrongKeyPasswordError
+from hil.records.files import parse_json, read_bytes, replace_file
 
 KEY_COST = Cost(n=1 << 14, r=8, p=5)
 """As strong as the sealed files' default with half its memory, which other tools accept by default."""
+
+MAX_KEY_FILE_BYTES = 1 << 16
+"""An encrypted Ed25519 key has about 400; comments may stand before it."""
+MAX_ROUNDS = 1 << 22
+"""Most rounds of PBKDF2 (RFC 8018): seven times the 600,000 that OWASP recommends for HMAC-SHA-256, 1.3 s at 3 million a second."""
 
 _DETACHED = b"hil detached signature, version 1\0"
 _DETACHED_FORMAT = "hil-signature-1"
@@ -93,14 +100,21 @@ def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *,
 
 
 def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:
-    """Read a private key. Raises WrongPasswordError, or InputError when the file is no encrypted Ed25519 key."""
+    """Read a private key. Raises WrongKeyPasswordError, CostError for a key derivation that would take too long or too much memory,
+    before it is computed, or InputError when the file is no encrypted Ed25519 key."""
     data = read_bytes(path)
-    if b"-----BEGIN ENCRYPTED PRIVATE KEY-----" not in data:
-        raise InputError("is not a password-protected private key (PEM, PKCS #8)", path=path)
+    block = _ENCRYPTED.search(data) if len(data) <= MAX_KEY_FILE_BYTES else None
     try:
-        key = load_pem_private_key(data, password_bytes(password))
-    except ValueError as error:
-        raise WrongPasswordError("the password does not open this key, or the file is damaged", path=path) from error
+        der = b"" if block is None else base64.b64decode(b"".join(block[1].split()), validate=True)
+        _check_cost(der)
+    except CostError as error:
+        raise CostError(error.what, path=path) from error
+    except (ValueError, IndexError) as error:
+        raise InputError("is not a password-protected private key (PEM, PKCS #8, PBES2)", path=path) from error
+    try:
+        key = load_der_private_key(der, password_bytes(password))
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise WrongKeyPasswordError("the password does not open this key, or the file is damaged", path=path) from error
     if not isinstance(key, Ed25519PrivateKey):
         raise InputError("is a private key of another kind, expected Ed25519", path=path)
     return key
@@ -115,9 +129,10 @@ def save_public_key(path: str | Path, public: Ed25519PublicKey) -> None:
 
 def load_public_key(path: str | Path) -> Ed25519PublicKey:
     """Read a public key. Raises InputError when the file is no Ed25519 public key."""
+    data = read_bytes(path)
     try:
-        public = load_pem_public_key(read_bytes(path))
-    except ValueError as error:
+        public = load_pem_public_key(data[:MAX_KEY_FILE_BYTES])
+    except (ValueError, UnsupportedAlgorithm) as error:
         raise InputError("is not a public key (PEM)", path=path) from error
     if not isinstance(public, Ed25519PublicKey):
         raise InputError("is a public key of another kind, expected Ed25519", path=path)
@@ -140,7 +155,7 @@ def check_detached(data: bytes, signature: bytes, public: Ed25519PublicKey) -> N
     Raises ForeignSignatureError (good, but another key's), DamagedError (data or signature changed), InputError (no .sig file).
     """
     try:
-        form = json.loads(signature)
+        form = parse_json(signature)
         if form["format"] != _DETACHED_FORMAT:
             raise ValueError("format")
         builder, value = bytes.fromhex(form["builder"]), bytes.fromhex(form["signature"])
@@ -190,6 +205,50 @@ def _encrypted_pem(key: Ed25519PrivateKey, password: bytes, cost: Cost) -> bytes
     return b"\n".join([b"-----BEGIN ENCRYPTED PRIVATE KEY-----", *lines, b"-----END ENCRYPTED PRIVATE KEY-----", b""])
 
 
+_ENCRYPTED = re.compile(rb"-----BEGIN ENCRYPTED PRIVATE KEY-----([A-Za-z0-9+/=\s]*)-----END ENCRYPTED PRIVATE KEY-----")
+
+
+def _check_cost(der: bytes) -> None:
+    """Checks the key derivation that an EncryptedPrivateKeyInfo asks for, before anything is derived.
+
+    Raises CostError for a cost outside the limits, ValueError or IndexError for anything but PBES2 with scrypt or PBKDF2.
+    """
+    (whole,) = _parts(der, 0x30)
+    scheme, _ = _parts(whole)
+    name, parameters = _parts(scheme)
+    if name != _body(_OID_PBES2):
+        raise ValueError("not PBES2")
+    derivation, _ = _parts(parameters)
+    name, parameters = _parts(derivation)
+    values = list(_parts(parameters))
+    if name == _body(_OID_SCRYPT):
+        Cost(*(int.from_bytes(value, "big", signed=True) for value in values[1:4]))
+    elif name == _body(_OID_PBKDF2):
+        rounds = int.from_bytes(values[1], "big", signed=True)
+        if not 1 <= rounds <= MAX_ROUNDS:
+            raise CostError(f"key derivation of {rounds} rounds is absurd, expected 1 to {MAX_ROUNDS}")
+    else:
+        raise ValueError("neither scrypt nor PBKDF2")
+
+
+def _parts(data: bytes, tag: int | None = None) -> Iterator[bytes]:
+    """The contents of the DER values that stand one after the other in `data`; tag: that each must have."""
+    while data:
+        size, start = data[1], 2
+        if size & 0x80:
+            start += size & 0x7F
+            size = int.from_bytes(data[2:start], "big")
+        if start > 6 or start + size > len(data) or (tag is not None and data[0] != tag):
+            raise ValueError("no DER")
+        yield data[start : start + size]
+        data = data[start + size :]
+
+
+def _body(value: bytes) -> bytes:
+    return value[2:]
+
+
+_OID_PBKDF2 = bytes.fromhex("06092a864886f70d01050c")
 _OID_PBES2 = bytes.fromhex("06092a864886f70d01050d")
 _OID_SCRYPT = bytes.fromhex("06092b06010401da47040b")
 _OID_AES256_CBC = bytes.fromhex("060960864801650304012a")

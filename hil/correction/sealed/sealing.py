@@ -29,18 +29,21 @@ from hil.records.files import naming, read_bytes, replace_file
 Passwords = str | Mapping[str, str]
 """One common password, or one for each entry by name."""
 
+DEFAULT_COST = Cost()
+
 _TAG_BYTES = 16
 _DOMAIN = b"hil sealed file\0"
 
 
 @dataclass(frozen=True)
 class SealedInfo:
-    """What a sealed file shows without a password, its signature found good.
+    """What a sealed file shows without a password, its signature found good. `id`: its own for life, in hex.
 
     `entries` maps each name to its size in bytes; `sha256` is the hash of the file, in hex; `builder` the signer's fingerprint;
     `binding` what it is bound to, None for a file of version 1.
     """
 
+    id: str
     version: int
     builder: str
     entries: Mapping[str, int]
@@ -68,7 +71,7 @@ def seal(
     Raises InputError for a bad name, no entry, a missing password, or a binding that is too large.
     """
     builder = keys.raw(builder_key.public_key())
-    header = Header(os.urandom(16), cost or Cost(), builder, entries=(), binding=_next_binding(None, bound_to))
+    header = Header(os.urandom(16), cost or DEFAULT_COST, builder, entries=(), binding=_next_binding(None, bound_to))
     return _build(header, [], entries, passwords, builder_key)
 
 
@@ -88,6 +91,7 @@ def check(data: bytes, builder_public: Ed25519PublicKey) -> SealedInfo:
         if not container.VACANT.fullmatch(entry.name)
     }
     return SealedInfo(
+        id=parts.header.file_id.hex(),
         version=parts.header.version,
         builder=keys.fingerprint(parts.header.builder),
         entries=sizes,

@@ -12,7 +12,8 @@ from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import bound_tables
-from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
+from hil.figures.commands.iso230_4 import print_paths
+from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, by_standard
 from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
 from hil.machine.axes_wiring import connected_axes
 from hil.records.files import replace_file
@@ -22,6 +23,7 @@ example:
   hil circle X.toml Y.toml --dry-run                   what would move, and how far
   hil circle X.toml Y.toml --report circle.html        10 mm at 100 mm/min: uncorrected, by tables, with the lost motion
   hil circle X.toml Y.toml --centre 120 80 --clockwise
+  hil iso230-4 ccw.json cw.json                        bi-directional figures of ISO 230-4, from --json of both senses
 
 Driven are three circles where `hil lost-motion` has stored a rise: uncorrected, with the tables alone, and with tables and
 lost motion ("corrected" in JSON); two where only tables are stored. Both drives take set-points together: on one CAN bus by
@@ -141,6 +143,7 @@ def _print(driven: DrivenCircle) -> None:
     ]
     heads = [f"{at:g}°" for at in QUADRANTS_DEG]
     print_table(["bump in µm, after", *heads, "mean", "floor", "roundness"], rows)
+    print_paths({driven.label(name): by_standard(one, driven.circle).paths[0] for name, one in driven.traces.items()})
     facts = {"rows": str(driven.kept)}
     if driven.fallen_percent is not None:
         facts = {"bumps fallen by": f"{driven.fallen_percent:.1f} %", **facts}
@@ -151,5 +154,7 @@ def _print(driven: DrivenCircle) -> None:
     print_facts(facts)
     if driven.comparison:
         print(driven.comparison)
+    if driven.uncorrected:
+        print(driven.uncorrected)
     if not driven.good:
         print(VERDICT)

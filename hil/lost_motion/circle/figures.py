@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputError
+from hil.figures.iso230_4 import Iso230Part4, iso230_4
 
 Floats = NDArray[np.float64]
 
@@ -151,6 +152,13 @@ class Trace:
         return float(np.ptp(self.deviation_um))
 
 
+def by_standard(trace: Trace, circle: Circle) -> Iso230Part4:
+    """The figures of ISO 230-4 of a trace. Raises InputError for one that is no full turn."""
+    radius = circle.radius_mm + trace.deviation_um / 1000.0
+    angle = np.radians(trace.angle_deg)
+    return iso230_4([(radius * np.cos(angle), circle.sense * radius * np.sin(angle))], circle.radius_mm)
+
+
 def trace_of(first_mm: Floats, second_mm: Floats, circle: Circle) -> Trace:
     """Positions of both axes at the same times, mm, (n,) each, in order of time, as deviation over angle for the turn
     from `START_DEG`.
@@ -159,17 +167,14 @@ def trace_of(first_mm: Floats, second_mm: Floats, circle: Circle) -> Trace:
     mirrored, so that they increase.
     """
     u, v = first_mm - circle.centre_mm[0], circle.sense * (second_mm - circle.centre_mm[1])
-    angle = np.degrees(np.unwrap(np.arctan2(v, u)))
-    angle += 360.0 * round((START_DEG - LEAD_DEG - angle[0]) / 360.0)
+    angle = np.degrees(np.unwrap(np.arctan2(v, u)))  # from START_DEG - LEAD_DEG on, which arctan2 gives
     turn = (angle >= START_DEG) & (angle <= START_DEG + 360.0)
     u, v = u[turn], v[turn]
     radius = np.hypot(u, v)
     design = np.column_stack([u / radius, v / radius, np.ones(len(u))])
     centre = np.linalg.lstsq(design, radius - circle.radius_mm, rcond=None)[0]
     u, v = u - centre[0], v - centre[1]
-    around = np.degrees(np.unwrap(np.arctan2(v, u)))
-    around += 360.0 * round((START_DEG - around[0]) / 360.0)
-    return Trace(around, 1000.0 * (np.hypot(u, v) - circle.radius_mm))
+    return Trace(np.degrees(np.unwrap(np.arctan2(v, u))), 1000.0 * (np.hypot(u, v) - circle.radius_mm))
 
 
 def ring_of(traces: Iterable[Trace]) -> float:

@@ -14,7 +14,7 @@ from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import AxisConfig
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, compensation_in_force
-from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace
+from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace, by_standard
 from hil.lost_motion.circle.procedure import APPROACH_MM_S, RUN_IN_MM, CircleRun, check_axes, drive_circle, prepare
 from hil.lost_motion.job import stored_now
 from hil.machine.axes_wiring import connected_axes
@@ -34,12 +34,15 @@ Axes = tuple[AxisConfig, AxisConfig]
 
 @dataclass(frozen=True)
 class DrivenCircle:
-    """The result. runs: by name, the uncorrected one first; kept: the folder with the positions"""
+    """The result. runs: by name, the uncorrected one first; kept: the folder with the positions; without: names of axes that
+    nothing is stored for, which drove every circle uncorrected
+    """
 
     axes: Axes
     circle: Circle
     runs: Mapping[str, CircleRun]
     kept: Path
+    without: tuple[str, ...] = ()
 
     @property
     def traces(self) -> dict[str, Trace]:
@@ -88,6 +91,14 @@ class DrivenCircle:
             return f"{figures}: the two corrections differ by less than the floor"
         better = after.bump_mean_um < tables.bump_mean_um
         return f"{figures}: on this circle {'it' if better else 'tables alone'} did better"
+
+    @property
+    def uncorrected(self) -> str:
+        """Which axes drove every circle uncorrected, in a sentence; empty where each had a correction."""
+        if not self.without:
+            return ""
+        names = " and ".join(self.without)
+        return f"axis {names} drove uncorrected throughout: no correction of it was in force (hil calibrate makes one)"
 
     @property
     def missed(self) -> int:
@@ -145,7 +156,8 @@ def run_circle(
         )
         campaign.write(f"{name}.csv", _csv(runs[name], axes))
         listener(Event(stage, found=Measured(name, runs[name].trace.bump_mean_um, "µm")))
-    return DrivenCircle(axes, circle, runs, campaign.directory)
+    without = tuple(axis.name for axis, one in zip(axes, stored, strict=True) if one is None)
+    return DrivenCircle(axes, circle, runs, campaign.directory, without)
 
 
 def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None], *, period_s: float = PERIOD_S) -> Job:
@@ -197,7 +209,7 @@ def report_html(driven: DrivenCircle) -> str:
     }
     title, verdict = f"Circle of axes {names[0]} and {names[1]}", "" if driven.good else VERDICT
     traces = {driven.label(name): trace for name, trace in driven.traces.items()}
-    said = " ".join(filter(None, (verdict, driven.comparison)))
+    said = " ".join(filter(None, (verdict, driven.comparison, driven.uncorrected)))
     return render_circle(CircleReport(title, traces, names, circle.sense, said, identity))
 
 
@@ -217,12 +229,14 @@ def form(driven: DrivenCircle) -> dict[str, Any]:
                 "bump_mean_um": one.trace.bump_mean_um,
                 "floor_um": one.trace.floor_um,
                 "roundness_um": one.trace.roundness_um,
+                "iso230_4": by_standard(one.trace, circle).as_json(),
                 "missed_set_points": one.missed,
                 "angle_deg": one.trace.angle_deg.tolist(),
                 "deviation_um": one.trace.deviation_um.tolist(),
             }
             for name, one in driven.runs.items()
         },
+        "uncorrected_axes": list(driven.without),
         "fallen_percent": driven.fallen_percent,
         "fallen_by_tables_percent": driven.fallen_by_tables_percent,
     }

@@ -62,7 +62,7 @@ def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Ref
 
     def refresh() -> None:
         job = view.desk.last(circle.CIRCLE)
-        start_button.set_enabled(view.can_start)
+        start_button.allow(view.why_not())
         step.set_text("" if job is None else view.stage(job))
         driven = driven_circle(view.desk)
         messages.show(job, "" if driven is None or driven.good else circle.VERDICT)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import load_axis
 from hil.correction.bound import MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM, CorrectionBound
 from hil.correction.compensation import Compensation
-from hil.correction.formats import CONTROLLERS
+from hil.correction.formats import CONTROLLERS, export_within
 from hil.correction.formats.commands.options import (
     CONTROLLER_OPTIONS,
     add_options,
@@ -28,7 +27,7 @@ from hil.correction.manual import read_manual_tables
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects.model import FORMAT as MODEL_FORMAT
 from hil.effects.model import Model
-from hil.records.files import naming, read_bytes, replace_file
+from hil.records.files import naming, parse_json, read_bytes, replace_file
 
 EXAMPLE = """\
 example:
@@ -72,7 +71,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_password_options(parser, key=False)
     add_effects_option(parser)
     add_json_option(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, own_plan=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
             Path(args.source).suffix.lower() != ".toml"
         ):  # an axis's store holds what it gives against the axis file's bound
             Compensation(tables).check(CorrectionBound(*args.bound), f"{args.source}: correction not exported")
-        made = controller.export(tables, settings)
+        asked = args.format_tolerance_um is not None
+        made = export_within(controller, tables, settings) if asked else controller.export(tables, settings)
     if not args.dry_run:
         replace_file(args.out, made.text.encode("ascii"))
     _say(args, tables, made)
@@ -118,7 +118,7 @@ def read_source(args: argparse.Namespace) -> Compensation:
         raise InputError(f"is a {suffix or 'file without suffix'}, expected .toml, .csv or .json", path=args.source)
     text = read_bytes(args.source).decode("utf-8", errors="replace")
     try:
-        data = json.loads(text)
+        data = parse_json(text)
     except ValueError as error:
         raise InputError(f"is not JSON: {error}", path=args.source) from error
     if isinstance(data, dict) and data.get("format") == MODEL_FORMAT:

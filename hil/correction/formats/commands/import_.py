@@ -30,6 +30,8 @@ example:
   hil import x.comp --format linuxcnc --out x.csv           a table file of manual mode, to look at, edit, or store
   hil import X.NC --format fanuc --axis 1 --out tables.json
   hil import Sample.Lin --format keysight --out records.csv
+  hil import X.rtl --format renishaw --out records.csv
+  hil import log.txt --format lines --pattern '^\\d+ +(?P<target_mm>\\S+) +(?P<error_um>\\S+)' --out records.csv
   hil import lab.csv --format csv --column target_mm=Soll --column measured_mm=Ist:um --decimal , --infer --out records.csv
   hil import report.csv --format iso-wide --cells deviation_um --out records.csv
 
@@ -37,8 +39,14 @@ Options of a controller's format that the file does not say (unit, type, referen
 """
 
 MEASUREMENT_OPTIONS = (
+    Option(
+        "--pattern",
+        "pattern",
+        str,
+        "lines: regular expression with groups target_<unit>, error_<unit> or measured_<unit>, …",
+    ),
     Option("--delimiter", "delimiter", str, "csv, iso-wide: what parts the columns (default: found)"),
-    Option("--decimal", "decimal", str, "csv, iso-wide, keysight: decimal mark, . (default) or ,"),
+    Option("--decimal", "decimal", str, "csv, iso-wide, keysight, renishaw, lines: decimal mark, . (default) or ,"),
     Option("--infer", "infer", None, "csv: read run and direction off the order of the targets", switch=True),
     Option("--cells", "cells", str, "iso-wide: deviation_um (default), deviation_mm or position_mm"),
     Option("--column", "columns", None, "csv: where a column stands"),

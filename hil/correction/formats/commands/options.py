@@ -32,7 +32,12 @@ class Option:
 
 
 CONTROLLER_OPTIONS = (
-    Option("--axis", "axis", str, "the axis on the controller: X1 (sinumerik), its number (fanuc, twincat)"),
+    Option(
+        "--axis",
+        "axis",
+        str,
+        "the axis on the controller: X1 (sinumerik), its number (fanuc, twincat), its letter (grblhal, fluidnc)",
+    ),
     Option("--name", "name", str, "twincat: the axis's name"),
     Option("--unit", "unit", str, "linuxcnc: mm (default) or inch"),
     Option("--type", "comp_type", int, "linuxcnc: COMP_FILE_TYPE, 1 (trims, default) or 0 (positions reached)"),
@@ -62,21 +67,38 @@ CONTROLLER_OPTIONS = (
         "--step-mm",
         "step_mm",
         float,
-        "sinumerik, fanuc: distance of the points (default: the widest that is good enough)",
+        "sinumerik, fanuc, mach3, mach4: distance of the points (default: the widest that is good enough)",
     ),
     Option(
         "--max-points", "max_points", int, "sinumerik (default 200), twincat (1500): points the control has room for"
     ),
     Option("--max-correction-um", "max_correction_um", float, "sinumerik cec: MD32720 (default 1000)"),
     Option(
-        "--tolerance-um", "tolerance_um", float, "deviation from the tables that resampling may cause (default 0.1)"
+        "--tolerance-um",
+        "tolerance_um",
+        float,
+        "largest deviation from the tables, resampling and rounding together; refused where the format cannot keep it"
+        " (default: 0.1 by resampling, and what rounding adds)",
     ),
+    Option(
+        "--steps-per-mm",
+        "steps_per_mm",
+        float,
+        "grblhal, fluidnc: steps per mm as set now; changed by the straight part",
+    ),
+    Option("--symmetric", "asymmetric", None, "mach4: one map for both ways, and a backlash", switch=False),
     Option("--detection-unit-um", "detection_unit_um", float, "fanuc: the axis's detection unit (default 1)"),
     Option("--magnification", "magnification", int, "fanuc: parameter 3623 (default 1)"),
     Option("--first-number", "first_number", int, "fanuc: first free point number (default 0)"),
     Option("--setting-unit-mm", "setting_unit_mm", float, "fanuc: unit of parameter 3624 (default 0.001)"),
     Option("--rapid-mm-min", "rapid_mm_min", float, "fanuc: largest feed, to check the interval"),
-    Option("--one-directional", "bidirectional", None, "fanuc: one set of points and 1851", switch=False),
+    Option(
+        "--one-directional",
+        "bidirectional",
+        None,
+        "fanuc: one table for both directions, backlash in 1851",
+        switch=False,
+    ),
     Option("--bits-3605", "bits_3605", int, "fanuc: the other bits of parameter 3605 (default 0)"),
     Option("--program", "program", int, "fanuc: O number (default 9000)"),
 )

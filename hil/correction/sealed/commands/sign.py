@@ -6,8 +6,9 @@ import argparse
 import os
 
 from drivers.errors import InputError
-from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.output import add_json_option, binding_facts, print_facts, write_json
 from hil.app.terminal.passwords import KEY, add_key_options, password
+from hil.axis.axis_file import load_axis
 from hil.correction.sealed import (
     fingerprint,
     is_sealed,
@@ -19,12 +20,14 @@ from hil.correction.sealed import (
     save_public_key,
     sign_detached,
 )
+from hil.correction.store import SealedStore
 from hil.records.files import naming, read_bytes, replace_file
 
 EXAMPLE = """\
 example:
   hil sign --new-key builder                              # makes builder.key (password-protected) and builder.pub
   hil sign report.html --key builder.key                  # writes report.html.sig
+  hil sign --accept X.toml                                # the sealed file beside this axis is the one to use
   hil sign axis.sealed --key new.key --builder old.pub    # hands a sealed file on to another key
 
 A sealed file is signed anew only if its present signature is good, so that a file that was changed meanwhile is not signed.
@@ -44,6 +47,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--new-key", metavar="NAME", help="make the key pair NAME.key and NAME.pub")
     parser.add_argument(
+        "--accept",
+        metavar="AXIS.toml",
+        help="with the builder's key of the axis file: take its sealed file, though another or a later one was used before",
+    )
+    parser.add_argument(
         "--builder", metavar="OLD.pub", help="whose signature a sealed file carries now (default: the key's own)"
     )
     add_key_options(parser, required=False)
@@ -54,9 +62,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Sign, or make a key pair; exit status 0. Raises InputError for wrong arguments, SealedError for a file that is refused."""
     if args.new_key is not None:
-        if args.file or args.key or args.builder:
+        if args.file or args.key or args.builder or args.accept:
             raise InputError("--new-key stands alone: sign with the new key in a second step")
         result = _new_pair(args)
+    elif args.accept is not None:
+        if args.file or args.key or args.builder:
+            raise InputError("--accept stands alone: file and key are those of the axis file")
+        result = _accept(args)
     else:
         if not args.file or not args.key:
             raise InputError("nothing to sign with: give FILE and --key, or --new-key NAME")
@@ -77,6 +89,13 @@ def _new_pair(args: argparse.Namespace) -> dict[str, str]:
     save_private_key(private_path, key, secret)
     save_public_key(public_path, key.public_key())
     return {"private": private_path, "public": public_path, "builder": fingerprint(key.public_key())}
+
+
+def _accept(args: argparse.Namespace) -> dict[str, str]:
+    axis = load_axis(args.accept)
+    store = SealedStore.of(axis, "", password(args.key_password_file, KEY, "password of the builder's key", os.environ))
+    info = store.accept()
+    return {"accepted": str(store.path), "axis": axis.name, "id": info.id} | binding_facts(info.binding)
 
 
 def _sign(args: argparse.Namespace) -> dict[str, str]:

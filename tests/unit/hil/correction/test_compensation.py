@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from bisect import bisect_left
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -12,11 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InputError, StateError
+from drivers.errors import CorrectionBoundError, InputError, StateError
 from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import as_stored
 from hil.correction.bound import CorrectionBound
-from hil.correction.compensation import Columns, Compensation, MotionHistory
+from hil.correction.compensation import WOUND_SHARE, Columns, Compensation, MotionHistory
+from hil.correction.rise import TWO_TANH, Rise
+from hil.correction.running_lost_motion import wound_share
 from hil.correction.tables import (
     Band,
     DirectionalTable,
@@ -280,3 +283,149 @@ def test_a_row_of_columns_gives_what_single_commands_give() -> None:
 def test_a_target_that_is_no_position_is_refused(target: float) -> None:
     with pytest.raises(InputError, match="finite"):
         Compensation(flat(0.0)).command(target, MotionHistory(0.0, 1), {})
+
+
+@given(st.integers(0, 1000), st.sampled_from(list(TableMode)), st.booleans())
+def test_single_commands_are_those_of_the_arrays(seed: int, mode: TableMode, rising: bool) -> None:
+    """All parts of a table set, on nodes of their own, beyond the ends too: a command is what `correction_um` gives its row."""
+    rng = np.random.default_rng(seed)
+
+    def nodes() -> Floats:
+        return np.unique(np.round(rng.uniform(0.0, 100.0, rng.integers(1, 8)), 3))
+
+    at = [nodes() for _ in range(4)]
+    tables = TableSet(
+        mode,
+        DirectionalTable(at[0], rng.normal(size=len(at[0])), rng.normal(size=len(at[0]))),
+        SingleTable(at[1], rng.normal(size=len(at[1]))),
+        DirectionalTable(at[2], rng.normal(size=len(at[2])), rng.normal(size=len(at[2]))) if seed % 2 else None,
+        SingleTable(at[3], rng.normal(size=len(at[3]))) if seed % 3 else None,
+    )
+    compensation = Compensation(
+        tables, (Warm(), Winding()), Rise(TWO_TANH, (2.0, 1.0), (0.2, 1.0, 0.5)) if rising else None
+    )
+    history = MotionHistory(50.0, 1, 30.0, 40.0)
+    for target_mm in [*rng.uniform(-20.0, 120.0, 6), *at[0][:2], *at[2][-1:]]:
+        command = compensation.command(float(target_mm), history, {"temp_screw_c": 20.001}, CorrectionBound(1e6, 1e6))
+        after = command.history
+        row = {
+            "target_mm": target_mm,
+            "direction": after.direction,
+            "temp_screw_c": 20.001,
+            "since_reversal_mm": after.since_reversal_mm,
+            "stroke_mm": after.stroke_or_long_mm,
+        }
+        if compensation.rise is not None:
+            row[WOUND_SHARE] = wound_share(compensation.rise, target_mm, after.direction, after.turns_mm)
+        (expected,) = compensation.correction_um({name: np.array([float(value)]) for name, value in row.items()})
+        assert command.correction_um == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        history = after
+    assert pickle.loads(pickle.dumps(compensation)) == compensation
+
+
+# -- by hand: two directions, effects, a rise, another axis ---------------------------------------------------------------
+ENDS_MM = np.array([0.0, 100.0])
+
+
+def level(plus_um: float, minus_um: float) -> TableSet:
+    return TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(ENDS_MM, np.full(2, plus_um), np.full(2, minus_um)))
+
+
+@dataclass(frozen=True)
+class Known:
+    """A term that reads these columns, and its error in µm."""
+
+    needs: tuple[str, ...]
+    um: float = 1.0
+
+    def error_um(self, columns: Columns) -> Floats:
+        return np.full(len(columns["target_mm"]), self.um)
+
+
+@pytest.mark.parametrize(
+    ("compensation", "takes_it_out"),
+    [
+        (Compensation(level(3.0, 3.0)), False),
+        (Compensation(level(3.0, -1.0)), True),
+        (Compensation(level(3.0, 3.0), (Known(("target_mm",)), Known(("temp_air_c",)))), False),
+        (Compensation(level(3.0, 3.0), (Known(("target_mm",)), Known(("target_mm", "direction")))), True),
+        (Compensation(level(3.0, 3.0), (Known(("since_reversal_mm",)),)), True),
+        (Compensation(level(3.0, 3.0), (), Rise(TWO_TANH, (3.0, 1.0), (0.1, 0.4, 0.2))), True),
+    ],
+)
+def test_what_takes_a_reversal_out(compensation: Compensation, takes_it_out: bool) -> None:
+    assert compensation.corrects_reversal is takes_it_out
+
+
+def test_the_axis_that_straightness_moves() -> None:
+    beside = SingleTable(ENDS_MM, np.array([0.0, 5.0]))
+    plain = level(3.0, 3.0)
+    assert Compensation(plain).moves_axis == ""
+    assert Compensation(replace(plain, straightness=beside)).moves_axis == ""
+    across = Compensation(replace(plain, straightness=beside, straightness_axis="Z"))
+    assert across.moves_axis == "Z"
+    across.check(CorrectionBound(6.0), "tables")
+    with pytest.raises(CorrectionBoundError, match=r"tables, to axis Z: \+5 µm at 100 mm"):
+        across.check(CorrectionBound(4.0), "tables")
+
+
+def test_a_rise_goes_from_one_direction_to_the_other() -> None:
+    """10 µm in +, 4 µm in −: a quarter wound up 4 + 0.25·6 µm."""
+    rising = Compensation(level(10.0, 4.0), (), Rise(TWO_TANH, (4.0, 2.0), (0.1, 0.4, 0.2)))
+    rows = {"target_mm": np.array([50.0, 50.0, 50.0]), "direction": np.array([1.0, 1.0, -1.0])}
+    shares = {WOUND_SHARE: np.array([0.0, 0.25, 1.0])}
+    assert rising.correction_um(rows | shares) == pytest.approx([4.0, 5.5, 10.0])
+    with pytest.raises(StateError, match=r"needs wound_share, which"):
+        rising.correction_um(rows)
+
+
+def test_the_lost_motion_rises_with_the_actual_motion_where_that_is_known() -> None:
+    """The targets turned 20 mm ago and are in full; the axis itself turned just now, or has not moved yet."""
+    rising = Compensation(level(10.0, 4.0), (), Rise(TWO_TANH, (4.0, 2.0), (0.1, 0.4, 0.2)))
+    targets = MotionHistory(50.0, -1, 20.0).moved_to(30.0).moved_to(49.0)
+    turned = MotionHistory(50.0, -1, 20.0).moved_to(30.0).moved_to(30.0001)
+    still = MotionHistory(49.0)
+
+    def corrected_um(actual: MotionHistory | None) -> float:
+        return rising.command(50.0, targets, {}, ANY, actual).correction_um
+
+    assert corrected_um(None) == pytest.approx(10.0, abs=1e-6)
+    assert corrected_um(still) == pytest.approx(10.0, abs=1e-6)
+    assert corrected_um(turned) == pytest.approx(4.0, abs=0.02)
+
+
+def test_effects_of_position_are_taken_off_before_the_bound_is_asked() -> None:
+    """A table of 6 µm and an error of 5 µm leave 1 µm; an error of −5 µm makes 11 µm of it."""
+    Compensation(level(6.0, 6.0), (Known(("target_mm",), 5.0),)).check(CorrectionBound(2.0), "tables")
+    with pytest.raises(CorrectionBoundError, match=r"\+11 µm"):
+        Compensation(level(6.0, 6.0), (Known(("target_mm",), -5.0),)).check(CorrectionBound(10.0), "tables")
+
+
+@dataclass(frozen=True)
+class Bump:
+    """An error of 8 µm within 0.2 mm of 40 mm alone."""
+
+    needs: tuple[str, ...] = ("target_mm",)
+
+    def error_um(self, columns: Columns) -> Floats:
+        return np.where(np.abs(columns["target_mm"] - 40.0) < 0.2, 8.0, 0.0)
+
+
+def test_effects_of_position_are_held_against_the_bound_between_the_nodes() -> None:
+    with pytest.raises(CorrectionBoundError, match=r"-8 µm at (39|40)"):
+        Compensation(level(0.0, 0.0), (Bump(),)).check(CorrectionBound(7.0, 100.0), "tables")
+
+
+def test_the_slope_of_a_command_is_taken_half_a_millimetre_to_either_side() -> None:
+    """12 µm/mm up to 50 mm and level from there: 7.2 µm over the millimetre around 49.9 mm, 4.8 µm around 50.1 mm."""
+    steep = TableSet(
+        TableMode.BIDIRECTIONAL, DirectionalTable(np.array([0.0, 50.0, 100.0]), *[np.array([0.0, 600.0, 600.0])] * 2)
+    )
+    history = MotionHistory(10.0, 1)
+    for target_mm, refused in ((49.5, True), (49.9, True), (50.1, False), (50.6, False)):
+        engine, bound = Compensation(steep), CorrectionBound(1e4, 6.0)
+        if refused:
+            with pytest.raises(CorrectionBoundError, match="changes by"):
+                engine.command(target_mm, history, {}, bound)
+        else:
+            engine.command(target_mm, history, {}, bound)

@@ -22,6 +22,8 @@ from hil.correction.formats.twincat import TwinCatSettings
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 
 Floats = NDArray[np.float64]
+LENIENT = {"grblhal": {"tolerance_um": 99.0}, "fluidnc": {"tolerance_um": 99.0, "steps_per_mm": 800.0}}
+"""Settings with which controls that hold no table write what they can hold."""
 MANY = settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
 
@@ -126,6 +128,13 @@ def test_linuxcnc_thins_what_has_too_many_points() -> None:
     rough_tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(positions, rough, rough))
     with pytest.raises(InputError, match=r"600 points, and at most 256 fit; with that many it deviates by 0\.0"):
         linuxcnc.dump(rough_tables, LinuxCncSettings(tolerance_um=0.01))
+    for amplitude in (0.0502, 0.0506):  # the tolerance that is advised is accepted, however its last digit was rounded
+        uneven = straight + amplitude * (-1.0) ** np.arange(600)
+        advised_tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(positions, uneven, uneven))
+        with pytest.raises(InputError, match="allow that") as refused:
+            linuxcnc.dump(advised_tables, LinuxCncSettings(tolerance_um=0.01))
+        advised = float(str(refused.value).split("deviates by ")[1].split()[0])
+        linuxcnc.dump(advised_tables, LinuxCncSettings(tolerance_um=advised))
     allowed = linuxcnc.export(rough_tables, LinuxCncSettings(tolerance_um=0.11))
     assert 0.0 < allowed.deviation_um <= 0.1101
     assert worst_um(rough_tables, linuxcnc.load(allowed.text)) == pytest.approx(allowed.deviation_um, abs=1e-4)
@@ -269,7 +278,8 @@ def test_sinumerik_cross_axis_goes_into_a_third_table(small: TableSet) -> None:
     assert again.cross_correction_um(20.0, "Y1") == pytest.approx(3.0)
     assert worst_um(tables, again) < 0.001
     for controller in CONTROLLERS:
-        chosen = SinumerikSettings(table="eec") if controller.name == "sinumerik" else controller.settings()
+        more = {"table": "eec"} if controller.name == "sinumerik" else LENIENT.get(controller.name, {})
+        chosen = controller.settings(**more)
         with pytest.raises(InputError, match="corrects axis Y1"):
             controller.export(tables, chosen)
 
@@ -566,7 +576,8 @@ SMALL = TableSet(
 @given(st.sampled_from(CONTROLLERS), st.data())
 def test_a_damaged_file_gives_tables_or_one_kind_of_error(controller: Controller, data: st.DataObject) -> None:
     """Lines lost, doubled, swapped, characters changed: never an exception of another kind, never a run-away."""
-    lines = controller.export(SMALL, controller.settings()).text.splitlines()
+    chosen = controller.settings(**LENIENT.get(controller.name, {}))
+    lines = controller.export(SMALL, chosen).text.splitlines()
     for _ in range(data.draw(st.integers(1, 3))):
         place = data.draw(st.integers(0, len(lines) - 1))
         match data.draw(st.sampled_from(["drop", "double", "swap", "change", "number"])):
@@ -583,7 +594,7 @@ def test_a_damaged_file_gives_tables_or_one_kind_of_error(controller: Controller
                 text, at = lines[place], data.draw(st.integers(0, len(lines[place])))
                 lines[place] = text[:at] + data.draw(st.text(max_size=2)) + text[at + 1 :]
     try:
-        tables = controller.load("\n".join(lines), controller.settings())
+        tables = controller.load("\n".join(lines), chosen)
     except InputError:
         return
     assert np.all(np.isfinite(tables.correction_um([-5.0, 5.0, 25.0], 1)))

@@ -203,6 +203,13 @@ def test_a_command_whose_correction_is_no_number_is_not_given(near_um: list[floa
         CAREFUL.check_values("rows", [10.0, 9.5, 10.5], 1.0, near_um)
 
 
+def test_a_command_is_judged_at_its_target() -> None:
+    """Beside it there is less: 505 µm at the target, 495 µm half a millimetre away."""
+    with pytest.raises(CorrectionBoundError, match=r"505 µm at 10 mm"):
+        CorrectionBound(500.0, 20.0).check_command(1, [10.0, 9.5, 10.5], [505.0, 495.0, 495.0])
+    CorrectionBound(500.0, 20.0).check_command(1, [10.0, 9.5, 10.5], [495.0, 505.0, 505.0])
+
+
 # -- on an axis --------------------------------------------------------------------------------------------------------
 
 

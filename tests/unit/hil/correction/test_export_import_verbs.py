@@ -248,3 +248,42 @@ def test_records_of_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     broken.write_text("target,1+\n0,one\n")
     assert main(["import", str(broken), "--format", "iso-wide", "--out", str(out)]) == 2
     assert capsys.readouterr().err == f"hil: {broken}:2: 1+ is 'one', expected a number\n"
+
+
+@pytest.mark.parametrize("name", ["fanuc", "sinumerik", "twincat"])
+@pytest.mark.parametrize("asked", [0.05, 0.3, 1.0])
+def test_the_tolerance_that_was_asked_for_is_kept_or_refused(
+    name: str, asked: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A curve that no straight lines hold, in both directions; 12 machines drawn at random. Judged by reading the file back."""
+    rng = np.random.default_rng(8)
+    kept = refused = 0
+    for machine in range(12):
+        at = np.unique(np.round(rng.uniform(0.0, 500.0, 24), 1))
+        table = np.cumsum(rng.normal(0.0, 2.0, len(at)))
+        lost = rng.uniform(1.0, 8.0)
+        curves = "".join(f"{x},{y:.4f},{y - lost:.4f}\n" for x, y in zip(at, table - table[0], strict=True))
+        source, there, back = tmp_path / "t.csv", tmp_path / "there", tmp_path / "back.csv"
+        source.write_text(f"position_mm,plus_um,minus_um\n{curves}")
+        more = OPTIONS[name][:2] if name == "fanuc" else OPTIONS[name]
+        more = [*more, "--reference-mm", f"{at[0]}"] if name != "twincat" else more
+        argv = ["export", str(source), "--format", name, "--out", str(there), *more, "--tolerance-um", f"{asked}"]
+        if name == "fanuc" and machine % 2:
+            argv += ["--detection-unit-um", "0.1"]
+        code = main(argv)
+        if code == 2:
+            refused += 1
+            assert "µm" in capsys.readouterr().err
+            there.unlink(missing_ok=True)
+            continue
+        kept += 1
+        again = [*AGAIN[name], *(["--reference-mm", f"{at[0]}"] if name == "fanuc" else [])]
+        again += ["--detection-unit-um", "0.1"] if name == "fanuc" and machine % 2 else []
+        assert main(["import", str(there), "--format", name, "--out", str(back), *again]) == 0
+        wanted, found = read_manual_tables(str(source)), read_manual_tables(str(back))
+        where = np.linspace(at[0], at[-1], 4001)
+        off = [np.max(np.abs(wanted.correction_um(where, sign) - found.correction_um(where, sign))) for sign in (1, -1)]
+        assert max(off) <= asked + 1e-3
+    assert kept + refused == 12
+    if name == "fanuc" and asked == 0.3:
+        assert refused >= 6  # a detection unit of 1 µm rounds by up to 0.5

@@ -75,3 +75,12 @@ def test_what_depends_on_more_stays_an_effect() -> None:
 def test_a_period_too_fine_for_any_table_is_refused() -> None:
     with pytest.raises(InputError, match="need more than 20000 nodes"):
         folded(Compensation(TableSet.zero(NODES), (cyclic(0.05, 500.0),)))
+
+
+def test_a_backlash_on_places_of_its_own_stays_what_it_is() -> None:
+    """10 µm at 0 and 400 mm and 40 µm at 90 mm, where the pitch has no node."""
+    ends = np.array([0.0, 400.0])
+    backlash = SingleTable(np.array([0.0, 90.0, 400.0]), np.array([10.0, 40.0, 10.0]))
+    tables = TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, DirectionalTable(ends, np.zeros(2), np.zeros(2)), backlash)
+    found = folded(Compensation(tables, (cyclic(1000.0, 0.01),))).tables
+    assert found.correction_um([45.0, 90.0], -1) == pytest.approx([-25.0, -40.0], abs=0.06)

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.errors import InputError
 from hil.correction.formats.manual_csv import dump
-from hil.correction.manual import read_backlash, read_manual_tables, read_straightness
+from hil.correction.manual import read_backlash, read_manual_tables, read_signs, read_straightness
 from hil.correction.tables import TableMode
 
 
@@ -25,12 +25,15 @@ def test_two_directions(path: Path) -> None:
     assert tables.mode is TableMode.BIDIRECTIONAL
     assert (float(tables.correction_um(50.0, 1)), float(tables.correction_um(50.0, -1))) == (1.5, 5.0)
     assert (tables.specified, tables.straightness) == (None, None)
+    assert tables.backlash is not None
+    assert tables.backlash.value_um.tolist() == [1 - 4, 2 - 6]
 
 
 def test_one_direction_and_a_backlash_counted_once(path: Path) -> None:
     path.write_text("position_mm,plus_um,backlash_um\n0,1,10\n100,2,12\n")
     tables = read_manual_tables(path)
     assert tables.mode is TableMode.UNIDIRECTIONAL_BACKLASH
+    assert tables.pitch.minus_um.tolist() == [1 - 10, 2 - 12]
     np.testing.assert_allclose(tables.correction_um([0.0, 100.0], 1), [1, 2])
     np.testing.assert_allclose(tables.correction_um([0.0, 100.0], -1), [1 - 10, 2 - 12])
 
@@ -115,3 +118,17 @@ def test_bytes_that_are_no_text(path: Path) -> None:
     path.write_bytes(HEAD.encode() + b"0,1,\xff\n")
     with pytest.raises(InputError, match=r"typed\.csv:2: byte FFh is not UTF-8 text"):
         read_manual_tables(path)
+
+
+def test_signs_of_sections(path: Path) -> None:
+    path.write_text("from_mm,to_mm,plus,minus\n0,100,1,-1\n100,250,-1,-1\n")
+    first, second = read_signs(path)
+    assert (first.from_mm, first.to_mm, first.plus, first.minus) == (0.0, 100.0, 1, -1)
+    assert (second.from_mm, second.to_mm, second.plus, second.minus) == (100.0, 250.0, -1, -1)
+    (typed,) = read_signs(path, "from_mm,to_mm,plus,minus\n0,50,-1,1\n")  # in place of the file's
+    assert (typed.to_mm, typed.plus, typed.minus) == (50.0, -1, 1)
+    assert read_signs(path, "from_mm,to_mm,plus,minus\n") == ()
+    for wrong in ("2", "0", "-0.5"):
+        path.write_text(f"from_mm,to_mm,plus,minus\n0,100,1,{wrong}\n")
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            read_signs(path)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
-from hil.correction.formats import keysight, measured_csv, wide_iso
+from hil.correction.formats import keysight, lines, measured_csv, renishaw, wide_iso
 from hil.correction.formats.keysight import KeysightSettings
 from hil.correction.formats.measured_csv import Column, MeasuredCsvSettings, parse_column
 from hil.correction.formats.wide_iso import WideIsoSettings
@@ -265,3 +265,119 @@ def test_wide_refusals_name_the_line(text: str, complaint: str, line: int | None
     with pytest.raises(InputError, match=complaint) as caught:
         wide_iso.load(text)
     assert caught.value.line == line
+
+
+def rtl(records: Records, flags: str = "0 0 2 0") -> str:
+    """Records in the layout of an .rtl file, written from its description: one run number for each way."""
+    targets = np.unique(records.target_mm)
+    lines = [
+        "HEADER::",
+        "File type  : rtl",
+        "Owner      : Linear",
+        "Version no : V20",
+        "",
+        "TARGET DATA::",
+        "Filetype  : ISO",
+    ]
+    lines += [f"Target-count: {len(targets)}", "Targets :"]
+    lines += [" ".join(f"{t:.6f}" for t in targets[at : at + 5]) + " " for at in range(0, len(targets), 5)]
+    lines += [f"Flags: {flags}", "", "USER-TEXT::", "Machine: M", "Date:2026-01-01 10:00:00", "", "RUNS::"]
+    way = 2 * records.run.astype(int) - (records.direction > 0)
+    order = {int(w): n for n, w in enumerate(sorted(set(way.tolist())), start=1)}
+    lines += [f"Run-count: {len(order)}", "", "DEVIATIONS::", "Run Target Data:"]
+    numbers = np.searchsorted(targets, records.target_mm) + 1
+    error = (records.measured_mm - records.target_mm) * 1000
+    lines += [f"{order[int(w)]}   {n}      {e:.6f}" for w, n, e in zip(way, numbers, error, strict=True)]
+    return "\r\n".join([*lines, "", "ENVIRONMENT::", "Air temp   : 20.1", "", "EOF::", ""])
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=40, deadline=None)
+def test_an_rtl_file_is_the_campaign_that_it_was_written_from(seed: int) -> None:
+    same(renishaw.load(rtl(campaign(seed))), campaign(seed))
+
+
+def test_an_rtl_file_by_hand() -> None:
+    """Two targets, there and back twice: deviations of +1 and +2 µm there, -1 and -2 back, 0.5 µm more the second time."""
+    text = (
+        "HEADER::\nOwner : Linear\n\nTARGET DATA::\nTarget-count: 2\nTargets :\n 0.0 \n 100.0 \nFlags: 0 0 2 0\n"
+        "RUNS::\nRun-count: 4\nDEVIATIONS::\nRun Target Data:\n"
+        "1 1 1.0\n1 2 2.0\n2 2 -2.0\n2 1 -1.0\n3 1 1.5\n3 2 2.5\n4 2 -1.5\n4 1 -0.5\nEOF::\n"
+    )
+    records = renishaw.load(text)
+    assert records.run.tolist() == [1, 1, 1, 1, 2, 2, 2, 2]
+    assert records.direction.tolist() == [1, 1, -1, -1, 1, 1, -1, -1]
+    assert records.target_mm.tolist() == [0, 100, 100, 0, 0, 100, 100, 0]
+    assert (records.error_um).tolist() == pytest.approx([1, 2, -2, -1, 1.5, 2.5, -1.5, -0.5], abs=1e-6)
+    reversal_um = iso230(records).B
+    assert reversal_um == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("Target-count: 2", "Target-count: 3"), "Target-count says 3"),
+        (("Run-count: 4", "Run-count: 5"), "Run-count says 5"),
+        (("1 2 2.0", "1 3 2.0"), "none of the 2"),
+        (("1 2 2.0", "1 2"), "2 columns"),
+        (("1 2 2.0\n", ""), "1 readings"),
+        (("2 2 -2.0\n2 1", "2 2 -2.0\n2 2"), "not in order"),
+        (("Targets :\n 0.0", "Targets :\n x"), "a target"),
+        (("Owner : Linear", "Owner : Angular"), "no lengths along the axis"),
+        (("Flags: 0 0 2 0", "Flags: 0 1 2 0"), "filled with zeros"),
+        (("Run Target Data:", "Position   \tBidirectional Avg Error"), "averages"),
+        (("DEVIATIONS::", "OTHER::"), "no readings"),
+    ],
+)
+def test_an_rtl_file_that_is_not_whole_is_refused(change: tuple[str, str], said: str) -> None:
+    text = (
+        "HEADER::\nOwner : Linear\n\nTARGET DATA::\nTarget-count: 2\nTargets :\n 0.0 \n 100.0 \nFlags: 0 0 2 0\n"
+        "RUNS::\nRun-count: 4\nDEVIATIONS::\nRun Target Data:\n"
+        "1 1 1.0\n1 2 2.0\n2 2 -2.0\n2 1 -1.0\n3 1 1.5\n3 2 2.5\n4 2 -1.5\n4 1 -0.5\nEOF::\n"
+    )
+    assert change[0] in text
+    with pytest.raises(InputError, match=said):
+        renishaw.load(text.replace(*change))
+
+
+PATTERN = r"^\d+ +(?P<target_mm>\S+) +(?P<error_um>\S+)(?: +(?P<temp_screw_c>\S+) °C)$"
+
+
+def listing(records: Records) -> str:
+    rows = [
+        f"{n} {t:.4f} {1000 * (m - t):.4f} 20.{n % 10} °C"
+        for n, (t, m) in enumerate(zip(records.target_mm, records.measured_mm, strict=True))
+    ]
+    return "\n".join(["Listing of a laser", "No  target  error  temp", *rows, "", "end"])
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_lines_by_a_pattern_are_the_campaign_that_they_list(seed: int) -> None:
+    """Run and direction are in no line: they are read from the order of the targets."""
+    found = lines.load(listing(campaign(seed)), lines.LinesSettings(PATTERN))
+    same(found, campaign(seed))
+    assert found["temp_screw_c"][0] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ("(", "no regular expression"),
+        (r"(?P<error_um>\S+)", "needs one group target_"),
+        (r"(?P<target_mm>\S+) (?P<error_um>\S+) (?P<measured_mm>\S+)", "needs one group measured_"),
+        (r"(?P<target_miles>\S+) (?P<error_um>\S+)", "needs one group target_"),
+    ],
+)
+def test_a_pattern_that_names_no_positions_is_refused(pattern: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        lines.LinesSettings(pattern)
+
+
+def test_a_line_within_the_rows_is_never_skipped() -> None:
+    text = listing(campaign(1)).replace("\n3 ", "\n# 3 ")
+    with pytest.raises(InputError, match="does not match the pattern") as caught:
+        lines.load(text, lines.LinesSettings(PATTERN))
+    assert caught.value.line == 6
+    with pytest.raises(InputError, match="0 lines that match"):
+        lines.load("nothing\nhere\n", lines.LinesSettings(PATTERN))

@@ -106,3 +106,10 @@ def test_refusals(direction: int, travel_mm: float, stroke_mm: float, last_um: f
 def test_parameters_that_mean_nothing_are_refused(values: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match="expected a finite number"):
         TwoTanh(*values)
+
+
+def test_what_a_parameter_may_be_is_said() -> None:
+    with pytest.raises(InputError, match=r"rise_2_mm is 0, expected a finite number > 0"):
+        TwoTanh(1.0, 1.0, 0.1, 0.0)
+    with pytest.raises(InputError, match=r"amount_2_um is -1, expected a finite number ≥ 0"):
+        TwoTanh(1.0, -1.0, 0.1, 0.1)

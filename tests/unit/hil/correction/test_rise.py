@@ -42,6 +42,10 @@ def test_every_shape_rises_from_nothing_to_its_amount(rise: Rise) -> None:
     assert rise_from_json(rise.to_json(), "here") == rise
 
 
+UNEVEN = Rise(STRAIGHT_PIECES, (4.0, 6.0, *[0.0] * 14), (0.1, 0.3, *map(float, range(1, 15))))
+"""4 µm over the first 0.1 mm, 6 µm over the next 0.2 mm."""
+
+
 @pytest.mark.parametrize(
     ("rise", "travel_mm", "expected_um"),
     [
@@ -51,6 +55,9 @@ def test_every_shape_rises_from_nothing_to_its_amount(rise: Rise) -> None:
         (RISES[3], 0.25, 4.0),
         (RISES[4], 2.5, 0.0 + 1.0 + 0.5 * 2.0),
         (RISES[4], 16.0, 15.0),
+        (UNEVEN, 0.05, 2.0),
+        (UNEVEN, 0.2, 4.0 + 0.5 * 6.0),
+        (UNEVEN, 0.3, 10.0),
     ],
 )
 def test_literal_values(rise: Rise, travel_mm: float, expected_um: float) -> None:

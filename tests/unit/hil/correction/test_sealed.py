@@ -10,6 +10,7 @@ import shutil
 import stat
 import struct
 import subprocess
+import sys
 from datetime import datetime
 from pathlib import Path
 
@@ -174,6 +175,7 @@ def test_a_file_put_together_by_hand_opens() -> None:
     assert open_sealed(data, "secret", PUBLIC) == {"pitch.json": b"3.5 um"}
     info = check(data, PUBLIC).as_json()
     assert info == {
+        "id": b"0123456789abcdef".hex(),
         "version": 1,
         "builder": fingerprint(PUBLIC),
         "entries": {"pitch.json": 6},
@@ -226,6 +228,8 @@ def test_default_cost_is_memory_hard() -> None:
     assert cost.n * cost.r * cost.p >= 3 << 18
     assert (cost.n, cost.r, cost.p) == (32768, 8, 3)
     assert (KEY_COST.n, KEY_COST.r, KEY_COST.p) == (16384, 8, 5)
+    code = "from hil.correction.sealed.sealing import DEFAULT_COST; print(DEFAULT_COST)"  # tests have a cheaper one in here
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == f"{cost}\n"
 
 
 @pytest.mark.parametrize(

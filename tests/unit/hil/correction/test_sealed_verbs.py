@@ -149,7 +149,7 @@ def test_bad_input_is_refused_in_one_line(place: Path, argv: list[str], says: st
 
 def test_no_password_and_no_keyboard(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HIL_PASSWORD")
-    with pytest.raises(InputError, match="no reading password: give a password file or set HIL_PASSWORD"):
+    with pytest.raises(InputError, match="no reading password: give --password-file FILE or set HIL_PASSWORD"):
         call("seal", "pitch.json", "--out", "s", "--key", "builder.key")
     monkeypatch.setenv("HIL_KEY_PASSWORD", "wrong")
     with pytest.raises(WrongPasswordError, match=r"builder\.key"):

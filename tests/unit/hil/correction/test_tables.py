@@ -537,3 +537,25 @@ def test_a_band_that_is_none_is_refused(limits: tuple[float, float]) -> None:
 
 def test_the_ends_of_a_band_belong_to_it_and_nothing_unmeasured_does() -> None:
     assert BAND.holds([6.0, 7.0, 5.999999, 7.000001, math.nan]).tolist() == [True, True, False, False, False]
+
+
+@given(directional_tables(), st.integers(0, 100))
+def test_many_positions_give_what_single_ones_do(table: DirectionalTable, seed: int) -> None:
+    """Many are looked up in a joined table of both directions; at nodes and beyond the ends too."""
+    rng = np.random.default_rng(seed)
+    first, last = table.position_mm[[0, -1]]
+    position = np.concatenate([rng.uniform(first - 100.0, last + 100.0, 1500), np.repeat(table.position_mm, 2)])
+    direction = rng.choice([-1.0, 1.0], len(position))
+    found = table.at(position, direction)
+    each = [np.interp(position, table.position_mm, one) for one in (table.plus_um, table.minus_um)]
+    np.testing.assert_allclose(found, np.where(direction > 0, *each), atol=1e-6)
+    at_nodes = np.isin(position, table.position_mm)
+    assert np.array_equal(found[at_nodes], np.where(direction > 0, *each)[at_nodes])
+    with pytest.raises(InputError):
+        table.at(position, np.where(position > first, 0.0, 1.0))
+
+
+def test_places_that_nearly_coincide_are_looked_up_one_direction_at_a_time() -> None:
+    table = DirectionalTable(np.array([0.0, 1e-15, 100.0]), np.array([0.0, 5.0, 1.0]), np.array([2.0, 0.0, 3.0]))
+    found = table.at(np.full(2000, 1e-15), np.repeat([1.0, -1.0], 1000))
+    assert set(found.tolist()) == {5.0, 0.0}

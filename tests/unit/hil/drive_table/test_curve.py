@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
+from drivers.drive import DriveLimits
+from drivers.errors import CorrectionBoundError
 from drivers.scaling import AxisScaling
+from hil.correction.bound import CorrectionBound
 from hil.correction.tables import DirectionalTable
-from hil.drive_table import DriveCurve, largest_deviation_um
+from hil.drive_table import DriveCurve, check_curve, largest_deviation_um
 
 COUNTS, TWENTIETHS = Quantity("counts", 1.0, -100_000, 100_000), Quantity("um", 0.05, -1000, 1000)
 PLAIN = TableDescription(
@@ -113,3 +116,14 @@ def test_the_largest_deviation_at_the_ends_of_the_travel() -> None:
     assert largest_deviation_um(nothing, both([0.0, 10.0], [10.0, 0.0]), 2.0, 7.0) == pytest.approx(8.0)
     one_way = DirectionalTable(np.array([0.0, 10.0]), np.zeros(2), np.array([-1.0, -4.0]))
     assert largest_deviation_um(nothing, one_way, 0.0, 10.0) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_step_is_no_slope_to_the_bound(direction: int) -> None:
+    """12 µm at once, 20 mm apart: 0.6 µm/mm as a slope, more than the 10 µm within a mm as what it is, whichever way counts run."""
+    places = (0, 200_000, 400_000) if direction > 0 else (-400_000, -200_000, 0)
+    straight = curve(direction, RawTable((0, 240, 240), (0, 240, 240), places))
+    limits = DriveLimits(0.0, 40.0, 200.0, 2000.0)
+    check_curve(straight, limits, CorrectionBound())
+    with pytest.raises(CorrectionBoundError, match=r"changes by 12 µm between"):
+        check_curve(curve(direction, straight.raw, interpolation=Interpolation.STEP), limits, CorrectionBound())

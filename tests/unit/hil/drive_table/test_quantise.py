@@ -248,6 +248,15 @@ def test_stairs_by_hand() -> None:
     assert drive_table(later, even, scaling(), limits).raw.origin == 50_000
 
 
+def test_whole_steps_are_taken_as_they_are() -> None:
+    """A first node at 5 mm is 50 000 counts; ten steps of 10 mm are 0.5 µm off, and 100 000 counts each."""
+    five = replace(RAMP, position_mm=RAMP.position_mm + 5.0)
+    limits = DriveLimits(5.0, 105.0, 200.0, 2000.0)
+    assert drive_table(five, replace(PLAIN, nodes=Nodes.EQUIDISTANT), scaling(), limits).raw.origin == 50_000
+    found = drive_table(five, replace(STAIRS, points=11), scaling(), limits, deviation_um=0.54)
+    assert (found.raw.origin, found.raw.step, len(found.raw.plus)) == (50_000, 100_000, 11)
+
+
 def test_one_curve_is_the_middle_of_both() -> None:
     one = replace(PLAIN, directions=Directions.ONE)
     found = drive_table(level(10.0, 9.4), one, scaling(), SHORT)
@@ -297,3 +306,13 @@ def test_a_drive_that_adds_nothing_outside_has_nodes_just_beyond_the_travel() ->
     """Travel -2 to 502 mm, a tenth of a µm further on either side."""
     found = drive_table(machine(), replace(PLAIN, outside=Outside.ZERO), scaling(), LIMITS)
     assert (found.raw.position[0], found.raw.position[-1]) == (-20_001, 5_020_001)
+
+
+def test_what_one_curve_leaves_out_is_taken_from_what_thinning_may_leave_out() -> None:
+    """Directions 0.6 µm apart cost 0.3 of the 0.475 µm: a bend of 0.25 µm stays, one of 0.17 µm goes."""
+    places = np.array([0.0, 25.0, 50.0, 75.0, 100.0])
+    middle, half = np.array([0.0, 0.25, 0.0, 0.1, 0.0]), np.array([0.3, 0.3, 0.3, 0.1, 0.1])
+    one = replace(PLAIN, directions=Directions.ONE, points=4)
+    found = drive_table(DirectionalTable(places, middle + half, middle - half), one, scaling(), SHORT)
+    assert found.raw.nodes == (0, 250_000, 1_000_000)
+    assert found.deviation_um == pytest.approx(0.3 + 0.5 / 3, abs=0.026)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.correction.rise import DEAD_ZONE, TANH, TWO_TANH, Floats, Rise
-from hil.lost_motion.at_load import load_mm
-from hil.lost_motion.estimate import determined, estimate, separately_determined, uncertain
-from hil.lost_motion.fit import MeasuredReversal, fit, uncertainties
+from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, TANH, TWO_TANH, Floats, Rise, Shape
+from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, load_mm
+from hil.lost_motion.estimate import Estimate, determined, estimate, separately_determined, uncertain
+from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, fit, uncertainties
 
 MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 3.0, 24)])
 STICKS_UM = 40.0
@@ -108,10 +108,72 @@ def test_two_terms_that_are_there_are_told_one_by_one() -> None:
     assert separately_determined(uncertain(one, by_load, 0.00025))
 
 
+@pytest.mark.parametrize("amount_um", [0.0, 30.0, 1e6])
+@pytest.mark.parametrize("length_mm", [0.001, 0.05, 3.0])
+def test_a_search_may_begin_at_a_bound_of_it(amount_um: float, length_mm: float) -> None:
+    bounds, stroke = LengthBounds(0.001, 3.0, 1.0), np.zeros(len(MOTOR_MM), dtype=np.int64)
+    places = StrokePositions(MOTOR_MM, load_mm(Rise(TANH, (9.0,), (0.05,)), MOTOR_MM), stroke)
+    found = fit_at_load(Rise(TANH, (amount_um,), (length_mm,)), places, bounds)
+    assert (*found.amounts_um, *found.lengths_mm) == pytest.approx((9.0, 0.05), rel=1e-6)
+
+
+def test_a_load_that_follows_at_once_has_no_rise() -> None:
+    places = StrokePositions(MOTOR_MM, MOTOR_MM, np.zeros(len(MOTOR_MM), dtype=np.int64))
+    found = fit_at_load(Rise(TANH, (5.0,), (0.05,)), places, LengthBounds(0.001, 3.0, 1.0))
+    assert found.amount_um == pytest.approx(0.0, abs=1e-3)
+
+
+TANH_RISE, TWO_RISE, EXP_RISE = (
+    Rise(TANH, (9.0,), (0.1,)),
+    Rise(TWO_TANH, (6.0, 3.0), (0.1, 0.4, 0.2)),
+    Rise(EXPONENTIAL, (9.0,), (0.1,)),
+)
+
+
+def contender(rise: Rise, held_out_um: float) -> Contender:
+    return Contender(Fitted(rise), 0.1, held_out_um)
+
+
+@pytest.mark.parametrize(
+    ("taken", "asked_for", "said"),
+    [
+        (TWO_RISE, False, "two tanh taken: 0.320 µm RMS on strokes held out, tanh 0.300 (-6 %)"),
+        (TANH_RISE, False, "tanh taken: 0.300 µm RMS on strokes held out, two tanh 0.320 (+7 %)"),
+        (EXP_RISE, True, "exponential asked for: 0.500 µm RMS on strokes held out, tanh 0.300 (-40 %)"),
+        (TWO_RISE, True, "two tanh asked for: 0.320 µm RMS on strokes held out, tanh 0.300 (-6 %)"),
+    ],
+)
+def test_a_choice_is_said_against_two_tanh_or_the_best_of_the_others(taken: Rise, asked_for: bool, said: str) -> None:
+    contenders = (contender(TANH_RISE, 0.3), contender(TWO_RISE, 0.32), contender(EXP_RISE, 0.5))
+    assert Estimate(taken, {}, {}, contenders, (), 0.0, asked_for).choice == said
+
+
+@pytest.mark.parametrize(("two_tanh_um", "shape"), [(0.329, TWO_TANH), (0.331, TANH)])
+def test_two_tanh_unless_another_is_better_by_a_tenth(
+    monkeypatch: pytest.MonkeyPatch, two_tanh_um: float, shape: Shape
+) -> None:
+    """And what came back late is over the second half of the longest stroke."""
+    monkeypatch.setattr(
+        "hil.lost_motion.estimate.compete",
+        lambda *_, **__: (contender(TANH_RISE, 0.3), contender(TWO_RISE, two_tanh_um)),
+    )
+    load = load_mm(TANH_RISE, MOTOR_MM)
+    whole = [reversal_of(load, seed) for seed in range(2)]
+    short = MeasuredReversal(1, MOTOR_MM[:20], whole[0].error_um[:20])
+    found = estimate([short, *whole], 0.001)
+    assert found.rise.shape is shape
+    assert (found.parameters is found.published) == (shape is TWO_TANH)
+    assert not found.asked_for
+    end_mm = float(whole[0].by_load().travel_mm.max())
+    assert found.late_um == pytest.approx(found.rise.risen_um(end_mm) - found.rise.risen_um(end_mm / 2.0))
+
+
 def test_refusals() -> None:
     one = reversal_of(MOTOR_MM, 1)
     with pytest.raises(InputError, match="2 reversals, expected at least 3"):
         estimate([one, one], 0.001)
+    with pytest.raises(InputError, match="none of which is below 0"):
+        MeasuredReversal(1, np.append(-0.001, MOTOR_MM[1:]), np.zeros(len(MOTOR_MM)))
     with pytest.raises(InputError, match="has to grow from row to row"):
         MeasuredReversal(1, np.append(MOTOR_MM, 3.0), np.zeros(len(MOTOR_MM) + 1)).by_load()
     with pytest.raises(InputError, match="some reversals are over the load's travel"):

@@ -88,7 +88,7 @@ def test_the_uncertainty_of_an_amount_is_that_of_the_mean_of_strokes() -> None:
     assert lengths == pytest.approx([0.0], abs=1e-6)
     fitted = fit_at_load(replace(rise, amounts_um=(15.0,)), places, LengthBounds(0.01, 1.0, 1.0))
     assert fitted.amount_um == pytest.approx(20.0, abs=1e-3)
-    assert str(Uncertain(20.0, whole)) == "20 ± 0.58"
+    assert str(Uncertain(20.0, whole)) == "20 ± 1.2"
 
 
 def test_the_uncertainty_of_a_length() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.lost_motion.circle.figures import Circle, Trace, trace_of
+from hil.lost_motion.circle.figures import Circle, Trace, by_standard, ring_of, trace_of
 
 CENTRE = (120.0, 80.0)
 
@@ -71,6 +71,29 @@ def test_noise_is_in_the_floor_as_it_is_in_the_bumps() -> None:
     trace = driven(lambda _a: rng.normal(0.0, 0.1), Circle(CENTRE))
     assert 0.1 < trace.floor_um < 0.6
     assert trace.bump_mean_um == pytest.approx(trace.floor_um, rel=0.4)
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_turn_by_the_standard(sense: int) -> None:
+    """2 µm out towards the first axis's + direction and 2 µm in on the other side is a shifted centre, which the fit takes; 3 µm all
+    round is the radius; 4 µm twice per turn are left."""
+    circle = Circle(CENTRE, sense=sense)
+    trace = driven(lambda a: 3.0 + 4.0 * math.cos(math.radians(2.0 * a)), circle, (2.0, 0.0))
+    (found,) = by_standard(trace, circle).paths
+    assert found.sense == sense
+    assert (found.G_um, found.F_max_um, found.F_min_um) == pytest.approx((8.0, 7.0, -1.0), abs=0.02)
+    assert found.circle.radius_mm == pytest.approx(10.003, abs=1e-5)
+
+
+def test_rings_of_a_polar_plot() -> None:
+    def trace(*deviations_um: float) -> Trace:
+        return Trace(np.zeros(len(deviations_um)), np.array(deviations_um))
+
+    assert ring_of([trace(1.0, -7.9), trace(2.0)]) == 2.0
+    assert ring_of([trace(8.1)]) == 5.0
+    assert ring_of([trace(0.7)]) == 0.2
+    assert ring_of([trace(0.0)]) == 0.005
+    assert ring_of([]) == 0.5
 
 
 def test_what_is_no_circle_or_has_no_samples_is_refused() -> None:

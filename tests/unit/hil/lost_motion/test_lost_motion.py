@@ -13,6 +13,7 @@ import pytest
 
 from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from hil.app.panel.texts import Texts
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import TWO_TANH, Rise
@@ -164,7 +165,8 @@ def test_what_is_no_better_than_before_is_not_stored_whatever_is_left() -> None:
     assert not same.improves
     assert not same.good
     assert same.needless  # 0.25 of 53 µm was good already
-    result = replace(LostMotionResult(records, FOUND, None, None, same), estimate=FOUND)  # type: ignore[arg-type]
+    alone = Compensation(TableSet.zero(np.array([0.0, 100.0])))
+    result = replace(LostMotionResult(records, FOUND, None, alone, same), estimate=FOUND)  # type: ignore[arg-type]
     assert result.needless
     assert not result.good
     (said,) = verdict(result)
@@ -178,6 +180,25 @@ def test_what_is_no_better_than_before_is_not_stored_whatever_is_left() -> None:
     assert not bad.needless  # no better, and nothing was good before
     (said,) = verdict(replace(result, proof=bad))
     assert said.endswith("look for what changes at the axis, then measure again with more runs and proof_moves")
+
+
+def test_beside_fitted_effects_it_says_what_to_do_first() -> None:
+    """After `hil close-loop`: what is stored was fitted together, and no other measurement helps before a new calibration."""
+    form = {"effect": "velocity_lag", "form": "proportional", "inputs": ["velocity_mm_s", "direction"], "constants": {}}
+    term = term_from_json({**form, "nonlinear": {}, "coefficients": [1.0], "covariance": [[0.0]]}, ALL, "t")
+    beside = Compensation(TableSet.zero(np.array([0.0, 100.0])), (term,))
+    records = driven(proof_steps(HOW, 1))
+    noise = np.random.default_rng(4).normal(0.0, 1.0, len(records))
+    better = Proof(records, records, 4.0 * noise, 3.0 * noise, 10.0, 0.01)
+    same = Proof(records, records, 4.0 * noise, 4.0 * noise, 10.0, 0.01)
+    assert (better.improves, better.good, same.improves) == (True, False, False)
+    for proof in (better, same):
+        (said,) = verdict(LostMotionResult(records, FOUND, None, beside, proof))  # type: ignore[arg-type]
+        assert "what is stored also corrects velocity_lag" in said
+        assert "first calibrate again (hil calibrate)" in said
+        assert "measure again with more" not in said
+        assert "hil calibrate" in (shown := Texts("de").said(said))
+        assert shown != said
 
 
 def test_an_axis_file_that_says_nothing_has_strokes_in_the_middle() -> None:

@@ -40,12 +40,12 @@ def told(first: Uncertain, second: Uncertain) -> dict[str, str]:
 )
 def test_amounts_that_are_not_determined_are_not_told(first: Uncertain, second: Uncertain) -> None:
     said = told(first, second)
-    assert said["  amount um"] == "53.09 ± 0.0032"
+    assert said["  amount um"] == "53.09 ± 0.0064 (k = 2)"
     assert said["  single amounts"] == "not determined one by one, only their sum"
     assert {name for name in said if name.startswith("  ")} == {"  amount um", "  single amounts", "  rise 1 mm"}
 
 
 def test_amounts_that_are_determined_are_told() -> None:
     said = told(Uncertain(51.95, 0.1), Uncertain(1.14, 0.1))
-    assert (said["  amount 1 um"], said["  amount 2 um"]) == ("51.95 ± 0.1", "1.14 ± 0.1")
+    assert (said["  amount 1 um"], said["  amount 2 um"]) == ("51.95 ± 0.2 (k = 2)", "1.14 ± 0.2 (k = 2)")
     assert "  single amounts" not in said
