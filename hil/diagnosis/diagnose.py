@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
@@ -21,11 +20,10 @@ from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import LeftOver, left_over
 from hil.diagnosis.remainder.contest import beaten
-from hil.diagnosis.result import OUTSIDE, Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
-from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of
-from hil.diagnosis.search.fit import grid_choices, joint_fit
-from hil.diagnosis.search.rank import score_choices
-from hil.diagnosis.search.select import drop, structure_rms
+from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
+from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of, settle
+from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
+from hil.diagnosis.search.select import Selected, drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
 from hil.diagnosis.verdict.held_out import (
     ONCE,
@@ -38,10 +36,18 @@ from hil.diagnosis.verdict.held_out import (
     unproven_choice,
 )
 from hil.diagnosis.verdict.offer import offered
+from hil.diagnosis.verdict.rivals import (
+    columns_as_good,
+    courses_as_good,
+    is_unsure,
+    separating,
+    unrecorded,
+    weights_of,
+    with_rivals,
+)
 from hil.effects import ALL, Effect, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
-from hil.effects.warming import is_about_a_point, is_since_start
 from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
@@ -64,15 +70,14 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     rows = AllRows.of(records, seed)
     campaign = rows.searched
     problem = problem_of(campaign, effects, declared, seed)
-    chosen = choose(problem)
+    chosen = settle(choose(problem))
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     few = on_few_rows(chosen)
-    if few:
-        chosen = refitted_without(chosen, few)
+    chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
     lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
     if lost:
-        chosen = refitted_without(chosen, lost)
+        chosen = refitted_without(chosen, lost, chosen.last.noise)
     left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.hits)
     required: set[str] = set()
     if left and dropped:
@@ -81,26 +86,37 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
-    if left:
-        chosen = beside_the_rest(chosen, left)
+    chosen = settle(beside_the_rest(chosen, left)) if left else chosen
     unexplained = unexplained or bool(left)
-    noise = chosen.last.noise
+    fit, noise = smooth_fit(chosen.last, chosen.kept)
+    chosen = replace(chosen, fit=fit)
     parts = _noise_parts(chosen.fit.white_um, noise)
-    found = _findings(chosen, campaign.columns, required)
+    found = _findings(chosen, campaign.columns, noise)
     below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
     findings = tuple(finding for finding in found if finding.effect not in below_noise)
-    if below_noise:
-        chosen = refitted_without(chosen, below_noise)
+    chosen = refitted_without(chosen, below_noise, noise) if below_noise else chosen
+    courses = dict(courses_as_good(chosen))
     doubtful = {finding.effect: finding.term for finding in findings if finding.doubtful}
     unexplained = unexplained or bool(doubtful)
     structures = structures if unexplained else ()
-    suspected = None if dropped or few or below_noise or unexplained else unproven_choice(problem, chosen)
-    extended = chosen.fit if suspected is None else chosen.last.searcher.fit((suspected,), noise)
+    said = bool(dropped or few or below_noise or unexplained)
+    extended = (None if said else _unproven(problem, chosen, parts.within_run_um)) or chosen.fit
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     known_um = np.sum([term.error_um(rows.columns) for term in extended.found], axis=0)
     floor = pure_error(rows.columns, rows.error_um - known_um)
-    unexplained = unexplained or exceeds_repeats(floor, parts)
+    explained_um = predicted_um(floor, parts, len(campaign), _held(problem, noise))
+    setup_um = Figures.of(left_out.setup).rms_um
+    wanders = any(choice.form.shrunk for choice in chosen.kept)  # which no other run can predict
+    unpredicted = not wanders and left_out.usual_um > policy().unpredicted * explained_um
+    unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts)
+    doubted = {
+        f.effect for f in findings if unpredicted or f.effect in courses or is_unsure(f, findings, campaign)
+    } | required
+    carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
+    findings = with_rivals(
+        findings, doubted, unrecorded(effects, campaign.survey, records.columns), records.columns, carriers
+    )
     found_out = Diagnosis(
         pure_error=floor,
         noise=parts,
@@ -108,7 +124,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         extended=extended.extended,
         findings=findings,
         unexplained=unexplained,
-        carriers=tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else (),
+        carriers=carriers,
         blind=_blind(problem),
         before_um=left_out.before,
         after_um=left_out.after,
@@ -121,14 +137,29 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
-            *_course_notes(chosen),
-            *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, len(campaign), _held(problem, noise)),
-            *(_suspicion(term) for term in extended.found if suspected is not None),
+            *courses.values(),
+            *beyond_noise(floor, parts, setup_um, explained_um, len(campaign)),
+            *(_suspicion(term) for term in extended.found if extended is not chosen.fit),
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
     told = offered(found_out, structures, left_out, fitted_um, alone, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
+
+
+def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> JointFit | None:
+    """The fit with an effect that is suspected only, where it is more than noise that wanders."""
+    choice = unproven_choice(problem, chosen)
+    fit = None if choice is None else smooth_fit(chosen.last, (choice,))[0]
+    if fit is None or rms_of_term(fit.found[0], problem.campaign.columns).value < policy().wander * noise_um:
+        return None
+    return fit
+
+
+def smooth_fit(selected: Selected, choices: Sequence[Choice]) -> tuple[JointFit, Noise]:
+    """The fit of some choices beside a table as smooth as the rows show, and its noise model."""
+    noise = selected.searcher.smooth(choices, selected.noise)
+    return selected.searcher.fit(choices, noise), noise
 
 
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
@@ -144,22 +175,25 @@ def _held(problem: Problem, noise: Noise) -> float:
     return float(np.trace(np.linalg.solve(gram + np.diag(table.ridge(noise)[:w]) + 1e-9 * np.eye(w), gram)))
 
 
-def beyond_noise(
-    floor: PureError | None, parts: NoiseParts, held_out_um: float, rows: int, table: float
-) -> Iterator[str]:
-    """A note where the rows that were left out, or those that were fitted, vary by more than the noise explains.
-
-    held_out_um: RMS of the residual of rows left out, of which the table took `table` degrees of freedom
+def predicted_um(floor: PureError | None, parts: NoiseParts, rows: int, table: float) -> float:
+    """RMS of the residual of rows left out that noise, its memory and the offsets of the runs explain, where the table took so many
+    degrees of freedom.
     """
     least_um = parts.white_um if floor is None else floor.std_um.value
-    dof = rows if floor is None else floor.dof
-    limit = float(f_distribution.ppf(1.0 - policy().silent, rows, dof))
     explained_um = math.hypot(least_um, parts.memory_um, parts.run_offset_um)
-    predicted_um = explained_um * math.sqrt(1.0 + 2.0 * table / max(rows - table, 1.0))
-    if held_out_um > predicted_um * math.sqrt(limit):
+    return explained_um * math.sqrt(1.0 + 2.0 * table / max(rows - table, 1.0))
+
+
+def beyond_noise(
+    floor: PureError | None, parts: NoiseParts, held_out_um: float, explained_um: float, rows: int
+) -> Iterator[str]:
+    """A note where the rows that were left out, or those that were fitted, vary by more than the noise explains."""
+    dof = rows if floor is None else floor.dof
+    limit = float(fdtri(rows, dof, 1.0 - policy().silent))
+    if held_out_um > explained_um * math.sqrt(limit):
         yield (
             f"on rows left out {held_out_um:.3g} µm RMS remain, and noise, its memory and the offsets of the runs explain"
-            f" {predicted_um:.3g} µm: something that does not repeat from run to run is not in the model"
+            f" {explained_um:.3g} µm: something that does not repeat from run to run is not in the model"
         )
     if floor is not None and parts.white_um > floor.std_um.value * math.sqrt(limit):
         yield (
@@ -172,7 +206,7 @@ def exceeds_repeats(floor: PureError | None, parts: NoiseParts) -> bool:
     """Whether what is left from row to row is far more than repeats of one target differ by, even at the upper end of their 95 %."""
     if floor is None:
         return False
-    upper_um = floor.std_um.value * math.sqrt(floor.dof / float(chi2.ppf(0.025, floor.dof)))
+    upper_um = floor.std_um.value * math.sqrt(floor.dof / float(chdtri(floor.dof, 0.975)))
     return parts.white_um > policy().beyond_repeats * upper_um
 
 
@@ -274,41 +308,14 @@ def _misfit_note(left: LeftOver) -> str:
     return f"{left.rms} µm RMS along {' × '.join(left.columns)} are left of an effect that was found: its form is not quite this"
 
 
-def _course_notes(chosen: Chosen) -> Iterator[str]:
-    """A note for each effect that follows a measured temperature where a course of the time since the start fits as well."""
-    last = chosen.last
-    kept = chosen.kept
-    survey = last.searcher.linear.campaign.survey
-    for i, choice in enumerate(kept):
-        name = choice.form.inputs[0] if choice.form.inputs else ""
-        courses = [
-            course
-            for form in choice.effect.forms(survey)
-            if name in survey.temperatures
-            and is_since_start(form)
-            and is_about_a_point(form) == is_about_a_point(choice.form)
-            for course in grid_choices(choice.effect, form)
-        ]
-        if not courses:
-            continue
-        projection = last.searcher.projection(last.noise, last.searcher.extra([*kept[:i], *kept[i + 1 :]]))
-        gains, _ = score_choices(projection, [choice, *courses])
-        behind = float(gains[0]) - choice.form.log_odds - float(np.max(gains[1:] - courses[0].form.log_odds))
-        if behind < policy().as_well:
-            yield (
-                f"{choice.effect.id} follows {name}, and a course of the time since the start fits these rows as well (log odds"
-                f" {behind:.1f}): the correction follows the temperature, which was measured; another warm-up tells the two apart"
-            )
-
-
-def refitted_without(chosen: Chosen, effects: Collection[str]) -> Chosen:
+def refitted_without(chosen: Chosen, effects: Collection[str], noise: Noise) -> Chosen:
     """The fit again without some effects."""
     kept = [choice for choice in chosen.kept if choice.effect.id not in effects]
-    return replace(chosen, fit=chosen.last.searcher.fit(kept, chosen.last.noise))
+    return replace(chosen, fit=chosen.last.searcher.fit(kept, noise))
 
 
-def _findings(chosen: Chosen, columns: Mapping[str, Floats], doubted: Collection[str]) -> tuple[Finding, ...]:
-    """The findings, largest first. doubted: effects that a cause nobody recorded may have caused as well."""
+def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tuple[Finding, ...]:
+    """The findings, largest first."""
     findings: list[Finding] = []
     named: set[str] = set()
     free = {choice.effect.id for choice in chosen.selections[0].choices}
@@ -317,12 +324,9 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats], doubted: Collection
         if effect.id in named:
             continue
         named.add(effect.id)
-        weights = _doubted(_weights(chosen, effect.id), chosen, term)
-        between = effect.id in ONCE and is_between_runs(term.error_um(columns), chosen.last.searcher.linear.campaign)
-        if between or effect.id in doubted:
-            weights = _beside_an_unseen_cause(weights, effect.id)
+        weights = weights_of(chosen, effect.id)
         rivals = [
-            RivalFound(name, weight, _separate_by(effect, name))
+            RivalFound(name, weight, separating(effect, name))
             for name, weight in weights.items()
             if name != effect.id and weight > policy().least_confidence
         ]
@@ -332,7 +336,8 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats], doubted: Collection
         of_rows = np.sum([one.error_um(columns) for one in (term, *more)], axis=0)
         rms, peak = float(np.std(of_rows)), float(np.max(np.abs(of_rows - np.mean(of_rows))))
         std = rms * _unsure_of_size(chosen, effect.id, of_rows) if more else rms_of_term(term, columns).std
-        findings.append(Finding(term, confidence, tuple(rivals), rms, std, peak, more, effect.id in free))
+        follows = () if more else columns_as_good(chosen, term, noise)
+        findings.append(Finding(term, confidence, tuple(rivals), rms, std, peak, more, effect.id in free, follows))
     return tuple(sorted(findings, key=lambda f: -f.rms_um))
 
 
@@ -342,62 +347,6 @@ def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:
     others = [choice for choice in chosen.kept if choice.effect.id != effect]
     projection = last.searcher.projection(last.noise, last.searcher.extra(others))
     return chosen.fit.white_um / math.sqrt(_energy_beside(projection, of_rows))
-
-
-def _weights(chosen: Chosen, effect: str) -> dict[str, float]:
-    """Weight of each effect at the stage at which this one was taken, best first; 'unexplained' for a cause outside the
-    catalogue.
-    """
-    for selected in chosen.selections:
-        for stage in selected.stages:
-            if stage.taken and stage.ranking and effect in (stage.about, stage.ranking[0].effect):
-                top = stage.ranking[0].evidence
-                odds = {r.effect: r.evidence - top for r in stage.ranking}
-                if effect in selected.foreign:
-                    odds[OUTSIDE] = selected.foreign[effect].log_odds
-                raw = {name: math.exp(max(value / policy().temperature, -40.0)) for name, value in odds.items()}
-                total = sum(raw.values())
-                return {name: value / total for name, value in raw.items()}
-    return {}
-
-
-def _doubted(weights: dict[str, float], chosen: Chosen, term: Term) -> dict[str, float]:
-    """Lowers the weights by the share of unexplained structure in the term's own columns, whose cause may have caused
-    all of the term.
-    """
-    own = set(term.needs) | {"target_mm", "direction"}
-    last = chosen.last
-    columns = last.searcher.linear.campaign.columns
-    hits = [hit for hit in chosen.hits if set(hit.structure.columns) <= own]
-    if not hits:
-        return weights
-    other = sum(structure_rms(last.searcher, hit, last.choices, last.noise) ** 2 for hit in hits)
-    mine = float(np.var(term.error_um(columns)))
-    share = other / max(mine + other, 1e-300)
-    doubted = {name: weight * (1.0 - share) for name, weight in weights.items()}
-    return doubted | {OUTSIDE: doubted.get(OUTSIDE, 0.0) + share}
-
-
-def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
-    """Whether a course of the rows (n,) is a jump from one run to the next: everything that was set there may have caused it."""
-    jumps = np.flatnonzero(np.diff(course_um))
-    return len(jumps) == 1 and bool(campaign.run[jumps[0]] != campaign.run[jumps[0] + 1])
-
-
-def _beside_an_unseen_cause(weights: dict[str, float], effect: str) -> dict[str, float]:
-    """The weights beside a cause that nobody recorded."""
-    mine = weights.get(effect, 1.0)
-    other = mine * math.exp(-policy().unseen / policy().temperature)
-    total = sum({effect: mine, **weights}.values()) + other
-    more = {effect: mine, **weights, OUTSIDE: weights.get(OUTSIDE, 0.0) + other}
-    return {name: weight / total for name, weight in more.items()}
-
-
-def _separate_by(effect: Effect, rival: str) -> str:
-    for known in effect.rivals:
-        if known.effect == rival:
-            return known.separate_by
-    return "a campaign in which the columns the two read vary apart"
 
 
 def _carriers(

@@ -56,7 +56,9 @@ def shown_diagnosis(follow: FollowUp, records: Records) -> dict[str, Any]:
     """
     diagnosis = follow.diagnosis
     form = with_plots(follow.to_json(), diagnosis, records)
-    whole = NamedCampaign("diagnosed", records.with_column("residual_um", diagnosis.before_um))
+    explained_um = diagnosis.before_um - diagnosis.after_um
+    columns = records.with_column("residual_um", diagnosis.before_um).with_column("explained_um", explained_um)
+    whole = NamedCampaign("diagnosed", columns)
     findings = form["findings"]
     alone = len(findings) == 1
     views = [finding_view(one, whole, alone=alone) for one in findings]

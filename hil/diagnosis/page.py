@@ -12,10 +12,11 @@ from nicegui import ui
 from hil.app.desk.campaigns import Measurement
 from hil.app.jobs import worker_process as aside
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Reading, Table
+from hil.app.panel.pieces import Reading, Table, Tabs, measurement_words
 from hil.app.panel.view import View
 from hil.app.report.job import Wanted
 from hil.axis.axis_file import AxisConfig
+from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
 from hil.diagnosis.loop.page import draw_loop
 from hil.diagnosis.page_data import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
 from hil.diagnosis.pages.sentences import parameter, sentence
@@ -29,20 +30,40 @@ SURE = 0.999
 
 
 def draw(view: View) -> None:
-    """Draws the page."""
+    """Draws the page: the diagnosis of a stored campaign, and the loop on the axis, one of them at a time."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("diagnosis.no_instrument")).classes("hil-note"), "diagnosis.no_instrument")
         return
     chosen = {"key": ""}
     kept: Kept = Reading(view, lambda: diagnosis_screen(axis, chosen["key"]))
-    parts = [_draw_choice(view, kept, chosen)]
-    with ui.element("div").classes("hil-grid"):
-        parts += [_draw_figures(view, kept), _draw_verdict(view, kept), _draw_next(view, kept)]
-    with view.card("diagnosis.residual", name="diagnosis.residual.card").classes("w-full"):
-        residual = Drawing(view, "diagnosis.residual")
+    tabs = Tabs(view, "diagnosis", ("campaign", "loop"))
+    with tabs.panel("campaign"):
+        parts = [_draw_diagnosis(view, kept, chosen)]
+    with tabs.panel("loop"):
+        parts.append(draw_loop(view, axis, kept))
+    job = view.desk.job()
+    if job is not None and job.kind == CLOSE_LOOP:
+        tabs.show("loop")
+
+    def refresh() -> None:
+        for part in parts:
+            part()
+
+    view.every(refresh)
+
+
+def _draw_diagnosis(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
+    """Choice, start, verdict and residual in the window; each finding, and what the campaign cannot show, below."""
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            parts = [_draw_figures(view, kept), _draw_next(view, kept), _draw_choice(view, kept, chosen)]
+        with ui.element("div").classes("hil-main"):
+            parts.append(_draw_verdict(view, kept))
+            with view.card("diagnosis.residual", name="diagnosis.residual.card"):
+                residual = Drawing(view, "diagnosis.residual", empty="diagnosis.none_yet")
     found = view.named(ui.element("div").classes("w-full"), "diagnosis.findings")
-    parts += [_draw_rest(view, kept), draw_loop(view, axis, kept)]
+    parts.append(_draw_rest(view, kept))
     drawn: list[ShownDiagnosis | None] = []
 
     def refresh() -> None:
@@ -53,20 +74,24 @@ def draw(view: View) -> None:
             return
         drawn[:] = [shown]
         found.clear()
-        if shown is not None:
-            position = shown.position
-            if position is not None:
-                residual.show(shown, partial(_options, view, position))
-            with found:
-                for number, finding in enumerate(shown.findings, start=1):
-                    _draw_finding(view, number, finding)
+        if shown is None:
+            residual.clear()
+            return
+        position = shown.position
+        if position is not None:
+            residual.show(shown, partial(_options, view, position))
+        with found:
+            for number, finding in enumerate(shown.findings, start=1):
+                _draw_finding(view, number, finding)
 
-    view.every(refresh)
+    return refresh
 
 
 def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
     """Selection of the measurement; start and cancel."""
     t, desk = view.t, view.desk
+
+    taken: list[DiagnosisScreen] = []  # the contents that the choice was last taken from
 
     def choose(key: object) -> None:
         if isinstance(key, str) and key != chosen["key"]:
@@ -74,32 +99,39 @@ def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
             kept.again()
 
     async def start() -> None:
-        of = None if kept.value is None else kept.value.chosen
+        of = None if kept.value is None else kept.value.choice(chosen["key"])
         if of is not None:
             desk.compute(view.token, aside.request(aside.DIAGNOSE, [Wanted(of.key, of.paths)]))
 
-    with ui.row().classes("items-end"):
-        select = ui.select({}, label=t("diagnosis.campaign"), on_change=lambda event: choose(event.value))
-        view.named(select.style("min-width: 24rem"), "diagnosis.campaign")
-        start_button = view.button("diagnosis.start", start)
-        cancel = view.button("diagnosis.cancel", lambda: desk.cancel_computing(view.token)).props("outline")
-        status = view.named(ui.label().classes("hil-name"), "diagnosis.status")
     messages = view.named(ui.label().classes("hil-note bad"), "diagnosis.messages")
+    with view.card("diagnosis.campaign", name="diagnosis.choice"):
+        select = ui.select({}, on_change=lambda event: choose(event.value)).props("dense options-dense")
+        view.named(select.classes("w-full"), "diagnosis.campaign")
+        status = view.named(ui.label().classes("hil-name"), "diagnosis.status")
+        bar = ui.linear_progress(show_value=False, size="9px", color=None).props("indeterminate")
+        view.named(bar, "diagnosis.progress")
+    with ui.element("div").classes("hil-buttons"):
+        start_button = view.button("diagnosis.start", start).classes("hil-go")
+        cancel = view.button("diagnosis.cancel", lambda: desk.cancel_computing(view.token))
 
     def refresh() -> None:
         screen, now = kept.value, desk.computed
-        if screen is not None:
+        if screen is not None and taken != [screen]:
+            taken[:] = [screen]
             options = {one.key: _words(view, one) for one in screen.choices}
-            key = None if screen.chosen is None else screen.chosen.key
-            if select.options != options or select.value != key:
-                chosen["key"] = key or ""
-                select.set_options(options, value=key)
+            read = "" if screen.chosen is None else screen.chosen.key
+            if (
+                chosen["key"] not in options
+            ):  # nobody has chosen, or it is gone; a choice made while these were read stands
+                chosen["key"] = read
+            select.set_options(options, value=chosen["key"] or None)
         ours = now.work == aside.DIAGNOSE
-        start_button.set_enabled(
-            view.in_control and not now.running and screen is not None and screen.chosen is not None
-        )
+        busy = "" if view.in_control and not now.running else t("why.computing" if view.in_control else "why.control")
+        start_button.allow(busy or ("" if screen is not None and screen.chosen is not None else t("why.no_campaign")))
         cancel.set_visibility(ours and now.running and view.in_control)
         status.set_text(t("diagnosis.computing", seconds=t.number(now.seconds, 0)) if now.running else "")
+        status.set_visibility(now.running)
+        bar.set_visibility(now.running)
         messages.set_text(t.said(now.error) if ours else "")
         messages.set_visibility(ours and bool(now.error))
 
@@ -107,55 +139,80 @@ def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
 
 
 def _words(view: View, one: Measurement) -> str:
-    return view.t("diagnosis.choice", campaign=one.key, begun=one.begun.strftime("%Y-%m-%d %H:%M"), rows=one.rows)
+    begun = one.begun.strftime("%Y-%m-%d %H:%M")
+    return view.t("diagnosis.choice", begun=begun, what=measurement_words(view, one), rows=one.rows)
 
 
 def _draw_figures(view: View, kept: Kept) -> Refresh:
     """Residual before and after, on rows that were not fitted, and the noise floor."""
     t = view.t
     with view.card("diagnosis.figures"):
-        after = view.value("diagnosis.after", "µm")
-        before = view.value("diagnosis.before", "µm", small=True)
-        peaks = view.value("diagnosis.peaks", "µm", small=True)
-        noise = view.value("diagnosis.noise", "µm", small=True)
+        with ui.element("div") as held_out:
+            after = view.value("diagnosis.after", "µm")
+            with ui.element("div").classes("hil-lines"):
+                before = view.value("diagnosis.before", "µm", small=True)
+                peaks = view.value("diagnosis.peaks", "µm", small=True)
+        not_held_out = view.named(ui.label(t("diagnosis.not_held_out")).classes("hil-note"), "diagnosis.not_held_out")
+        with ui.element("div").classes("hil-lines"):
+            noise = view.value("diagnosis.noise", "µm", small=True)
+            rows = view.value("diagnosis.rows", small=True)
 
     def refresh() -> None:
         shown = None if kept.value is None else kept.value.shown
+        without = shown is not None and not shown.rms_um
+        not_held_out.set_visibility(without)
+        held_out.set_visibility(not without)
         rms, peak = ({}, {}) if shown is None else (shown.rms_um, shown.peak_um)
         after.set_text(t.number(rms.get("after"), 2))
         before.set_text(t.number(rms.get("before"), 2))
-        peaks.set_text(f"{t.number(peak.get('before'), 2)} → {t.number(peak.get('after'), 2)}")
-        noise.set_text("–" if shown is None else f"{t.number(shown.noise_um[0])} ± {t.number(shown.noise_um[1])}")
+        peaks.set_text(f"{t.number(peak.get('before'), 2)} → {t.number(peak.get('after'), 2)}" if peak else "–")
+        noise.set_text("–" if shown is None else f"{t.number(shown.noise_um[0])}{_spread(view, shown.noise_um[1], 3)}")
+        rows.set_text("–" if shown is None else str(shown.rows))
 
     return refresh
 
 
+def _spread(view: View, std_um: float | None, digits: int) -> str:
+    """The expanded uncertainty (k = 2) of a standard one; "" where there is none."""
+    return "" if std_um is None else f" ± {view.t.number(2.0 * std_um, digits)}"
+
+
+def _expanded(view: View, std_um: float | None, digits: int) -> str:
+    """The expanded uncertainty (k = 2) of a standard one, named; "" where there is none."""
+    return "" if std_um is None else f" ± {view.t.number(2.0 * std_um, digits)} (k = 2)"
+
+
 def _draw_verdict(view: View, kept: Kept) -> Refresh:
-    """The findings; the unexplained part and the columns that it follows."""
+    """The findings, the first in a sentence; the unexplained part and the columns that it follows."""
     t = view.t
-    with view.card("diagnosis.verdict"):
-        found = view.value("diagnosis.found", small=True)
-        unexplained = view.value("diagnosis.unexplained", small=True)
-        carriers = view.named(ui.label().classes("hil-name").style("white-space: pre-line"), "diagnosis.carriers")
-        state = view.value("diagnosis.recommended", small=True)
+    with view.card("diagnosis.verdict").classes("hil-verdict"):
+        found = view.named(ui.label("–").classes("hil-headline"), "diagnosis.found")
+        said = view.named(ui.label().classes("hil-clamp"), "diagnosis.sentence")
+        with ui.element("div").classes("hil-line wrap"):
+            ui.label(t("diagnosis.unexplained")).classes("hil-name")
+            unexplained = view.named(ui.label("–").classes("hil-value small"), "diagnosis.unexplained")
+            ui.label(t("diagnosis.recommended")).classes("hil-name")
+            state = view.named(ui.label("–").classes("hil-value small"), "diagnosis.recommended")
+        carriers = view.named(ui.label().classes("hil-name hil-clamp"), "diagnosis.carriers")
 
     def refresh() -> None:
         shown = None if kept.value is None else kept.value.shown
         if shown is None:
             for label in (found, unexplained, state):
                 label.set_text("–")
-            carriers.set_text(t("diagnosis.none_yet"))
+            said.set_text(t("diagnosis.none_yet"))
+            carriers.set_text("")
             return
         names = [_effect(view, one.effect) for one in shown.findings]
         found.set_text(" · ".join(names) or t("diagnosis.nothing"))
+        said.set_text(sentence(t, shown.findings[0]) if shown.findings else "")
         unexplained.set_text(t("diagnosis.is_unexplained" if shown.unexplained else "diagnosis.all_explained"))
         unexplained.classes(replace=f"hil-value small hil-{'bad' if shown.unexplained else 'good'}")
-        carriers.set_text(
-            "\n".join(
-                f"{' × '.join(map(t.said, columns))}: {t.number(rms, 2)} ± {t.number(std, 2)} µm"
-                for columns, rms, std in shown.carriers
-            )
-        )
+        follows = [
+            f"{' × '.join(map(t.said, columns))}: {t.number(rms, 2)}{_expanded(view, std, 2)} µm"
+            for columns, rms, std in shown.carriers
+        ]
+        carriers.set_text(" · ".join(follows))
         old = "" if shown.current else f" · {t('diagnosis.old')}"
         state.set_text(t("diagnosis.yes" if shown.recommended else "diagnosis.no") + old)
 
@@ -166,14 +223,11 @@ def _draw_next(view: View, kept: Kept) -> Refresh:
     """The next measurement."""
     t = view.t
     with view.card("diagnosis.next"):
-        run = view.value("diagnosis.next_run", small=True)
-        rows = view.value("diagnosis.rows", small=True)
+        run = view.named(ui.label("–").classes("hil-clamp four"), "diagnosis.next_run")
 
     def refresh() -> None:
         shown = None if kept.value is None else kept.value.shown
         run.set_text("–" if shown is None else t.said(shown.next_run) or t("diagnosis.no_next"))
-        run.style("font-size: 1.3rem")
-        rows.set_text("–" if shown is None else str(shown.rows))
 
     return refresh
 

@@ -57,7 +57,8 @@ class ShownFinding:
 
 @dataclass(frozen=True)
 class ShownDiagnosis:
-    """rms_um, peak_um: "before", "after" and "after_setup_fixed" -> the figure, on rows that were not fitted; carriers:
+    """rms_um, peak_um: "before", "after" and "after_setup_fixed" -> the figure, on rows that were not fitted, none where the records
+    cannot be held out (`can_be_held_out`); carriers:
     columns, their RMS in µm and its standard error; blind: effect, reason; next_run: the next measurement, "" for none
 
     current: of the rows that are there now
@@ -107,6 +108,12 @@ def diagnosis_screen(axis: AxisConfig, key: str = "") -> DiagnosisScreen:
     return DiagnosisScreen(choices, chosen, shown, unfinished_loop(folder), stored_loop(folder))
 
 
+def can_be_held_out(how: object) -> bool:
+    """Whether rows left out in this way are predicted within what was measured. Quarters of a single run are not: the model has no row
+    near them, and its figures there say nothing of the axis."""
+    return isinstance(how, str) and "quarter" not in how
+
+
 def read_shown(of: Measurement) -> ShownDiagnosis:
     """The stored diagnosis of a measurement. Raises InputError for a file that holds none."""
     form = read_stored(of.diagnosis)
@@ -116,7 +123,8 @@ def read_shown(of: Measurement) -> ShownDiagnosis:
     findings = objects_of(form.get("findings"))
     curves += [None] * (len(findings) - len(curves))
     forms = [*objects_of(drawn.get("forms")), *({} for _ in findings)]
-    stages = {name: object_of(form.get(name)) for name in ("before", "after", "after_setup_fixed")}
+    held_out = can_be_held_out(object_of(form.get("held_out")).get("how", "not stated"))
+    stages = {name: object_of(form.get(name)) for name in ("before", "after", "after_setup_fixed") if held_out}
     return ShownDiagnosis(
         current=form.get("sources", sources(of.paths)) == sources(of.paths),
         rows=int(value_of(object_of(form.get("held_out")), "rows") or 0),

@@ -57,9 +57,10 @@ NM = 3
 
 def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
     """The form with a `plot` in each finding, `left` (`left_over`), and `residual_um`: the declared model's held-out
-    residual of each row.
+    residual of each row, and `explained_um`: what of it the extended model takes away, so that the figures "after" are of the
+    difference.
 
-    records: those that were diagnosed. Records longer than a plot have no `residual_um`.
+    records: those that were diagnosed. Records longer than a plot have neither.
     """
     columns = columns_of(records)
     shown = np.arange(0, len(records), -(-len(records) // MOST_POINTS))
@@ -77,7 +78,10 @@ def with_plots(form: Mapping[str, Any], diagnosis: Diagnosis, records: Records) 
             "effect_um": _rounded(effect_um, shown),
         }
         findings.append({**plain, "plot": plot})
-    whole = {"residual_um": _rounded(diagnosis.before_um, shown)} if len(shown) == len(records) else {}
+    whole = {}
+    if len(shown) == len(records):
+        explained_um = diagnosis.before_um - diagnosis.after_um
+        whole = {"residual_um": _rounded(diagnosis.before_um, shown), "explained_um": _rounded(explained_um, shown)}
     return {**form, "findings": findings, "left": left_over(diagnosis, columns), **whole}
 
 

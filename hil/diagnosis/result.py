@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,6 +20,18 @@ Floats = NDArray[np.float64]
 
 OUTSIDE = "unexplained"
 """Name among the rivals for a dependence on other columns that no effect of the catalogue has."""
+
+
+def pooled(name: str, parts: Sequence[tuple[Estimate, float]]) -> Estimate:
+    """Mean and standard uncertainty of estimates with their shares: the spread between them counts (law of total variance). Of bounds
+    ("least_", "most_") the outermost.
+    """
+    if name.startswith(("least_", "most_")):
+        return (min if name.startswith("least_") else max)((one for one, _ in parts), key=lambda one: one.value)
+    whole = sum(share for _, share in parts)
+    mean = sum(one.value * share for one, share in parts) / whole
+    variance = sum((one.std**2 + (one.value - mean) ** 2) * share for one, share in parts) / whole
+    return Estimate(mean, math.sqrt(variance))
 
 
 @dataclass(frozen=True)
@@ -40,6 +52,7 @@ class Finding:
     confidence: share of the weight among all causes, 0 … 1
     rms_um, rms_std_um, peak_um: what the effect contributes to these rows about its mean: RMS, its standard uncertainty, largest
     more: further terms of the same effect
+    follows: the same effect by other columns that fit nearly as well, each with its share, and the share of the column of `term`
     beside_any_table: it was found beside a table fitted from the rows; else only because the declared table lacks it
     """
 
@@ -51,6 +64,7 @@ class Finding:
     peak_um: float = 0.0
     more: tuple[Term, ...] = ()
     beside_any_table: bool = True
+    follows: tuple[tuple[Term, float], ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -66,7 +80,9 @@ class Finding:
     def explanation(self) -> str:
         """The cause in a sentence with figures."""
         if not self.summed:
-            return " ".join(term.effect.explain(term) for term in self.terms)
+            told = " ".join(term.effect.explain(term) for term in self.terms)
+            either = " or ".join(f"{term.needs[0]} ({share:.2f})" for term, share in self.follows)
+            return f"{told} These rows do not tell which it follows: {either}." if either else told
         size = Estimate(self.rms_um, self.rms_std_um)
         return (
             f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)} that no single form of the catalogue"
@@ -91,8 +107,14 @@ class Finding:
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """The effect's parameters by name, as far as the rows determine them."""
-        return {"rms_um": Estimate(self.rms_um, self.rms_std_um)} if self.summed else self.term.parameters
+        """The effect's parameters by name, as far as the rows determine them; where they do not tell which column it follows, with
+        the difference between those columns in the uncertainty.
+        """
+        if self.summed:
+            return {"rms_um": Estimate(self.rms_um, self.rms_std_um)}
+        own = self.term.parameters
+        every = [(term.parameters, share) for term, share in self.follows] or [(own, 1.0)]
+        return {name: pooled(name, [(known[name], share) for known, share in every if name in known]) for name in own}
 
 
 @dataclass(frozen=True)
@@ -255,6 +277,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
     return {
         "effect": finding.effect,
         "parameters": {name: {"value": e.value, "std": e.std} for name, e in finding.parameters.items()},
+        "follows": {term.needs[0]: share for term, share in finding.follows},
         "confidence": finding.confidence,
         "action": finding.action.value,
         "explanation": finding.explanation,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from hil.records.files import read_bytes, read_text
+from hil.records.files import parse_json, read_bytes, read_text
 
 STORED = ".diagnosis.json"
 """Suffix after the name of the diagnosed pass or passes."""
@@ -41,8 +40,8 @@ def sources(paths: Sequence[Path]) -> dict[str, str]:
 def read_stored(path: Path) -> dict[str, Any]:
     """A stored diagnosis. Raises InputError for a file that holds none."""
     try:
-        form = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        form = parse_json(read_text(path))
+    except ValueError as error:
         raise InputError("is not JSON", path=path) from error
     if (
         not isinstance(form, dict)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, ClassVar, Protocol
@@ -30,6 +30,8 @@ MOST_UNSURE = 0.5
 """Relative standard deviation up to which a positive parameter is given as a value; beyond it its interval of two of them would
 hold zero, and it is given as the bounds that the rows do determine.
 """
+STEP = 1e-4
+"""Relative step of a central difference: its error is the square of it."""
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 """Column name -> values of shape (n,), rows in the order of time; the unit is the end of the name."""
@@ -45,14 +47,14 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty (k = 1), both in the unit of the parameter's name."""
+    """A value with its standard uncertainty (k = 1), both in the unit of the parameter's name; as text with the expanded (k = 2)."""
 
     value: float
     std: float
 
     def __str__(self) -> str:
-        std = float(f"{self.std:.2g}")
-        return f"{self.value:.4g} ± {std:g}"
+        expanded = float(f"{2.0 * self.std:.2g}")
+        return f"{self.value:.4g} ± {expanded:g}"
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,8 @@ class Effect(ABC):
     """A function of position and direction alone: a table measured after the cause appeared contains it already."""
     is_table: ClassVar[bool] = False
     """A smooth shape over the whole travel, as a correction table is one: a fit cannot tell its share from the table's own."""
+    slow: ClassVar[bool] = False
+    """Follows a temperature or the air, which change together over a campaign, so that one such effect may stand for two."""
     several: ClassVar[bool] = False
     """Whether a machine may have it more than once (two periods, two worn zones, two jumps). Two terms of any other effect are one
     course, of which only the sum is determined.
@@ -150,6 +154,13 @@ class Effect(ABC):
         faster.
         """
         return np.hstack([self.basis(form, theta, columns) for theta in thetas])
+
+    def scalar_um(
+        self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
+    ) -> float | None:
+        """The error of one row, µm: `basis` times coefficients without arrays, for streams. None: only `basis` can give it."""
+        del form, theta, coefficients, row
+        return None
 
     @abstractmethod
     def parameters(self, term: Term) -> dict[str, Estimate]:
@@ -214,6 +225,18 @@ class Term:
         basis = self.effect.basis(self.form, self.theta, columns)
         return np.asarray(basis @ np.array(self.coefficients), dtype=np.float64)
 
+    def near_um(self, row: Mapping[str, float], targets_mm: Sequence[float]) -> list[float]:
+        """The error at these targets, µm, everything else as in the row. Raises InputError as `error_um`."""
+        place, found = dict(row), []
+        if all(name in row and math.isfinite(row[name]) for name in self.needs):
+            for target_mm in targets_mm:
+                place["target_mm"] = target_mm
+                one = self.effect.scalar_um(self.form, self.theta, self.coefficients, place)
+                if one is None:
+                    break
+                found.append(one)
+        return found if len(found) == len(targets_mm) else near_by_arrays(self, row, targets_mm)
+
     @property
     def parameters(self) -> dict[str, Estimate]:
         """The effect's parameters by name, see `Effect.parameters`."""
@@ -259,6 +282,19 @@ class Term:
         variance = float(gradient @ np.array(self.covariance) @ gradient)
         return Estimate(float(basis[0] @ coefficients), math.sqrt(max(variance, 0.0)))
 
+    def derived(self, quantity: Callable[[Floats, Floats], float]) -> Estimate:
+        """A quantity of coefficients (k,) and parameters (t,) with its first-order uncertainty, by central differences."""
+        k = len(self.coefficients)
+        values = np.array([*self.coefficients, *self.theta])
+        gradient = np.zeros(len(values))
+        for i, value in enumerate(values):
+            step = np.zeros(len(values))
+            step[i] = STEP * max(abs(value), 1e-9)
+            sides = [quantity(shifted[:k], shifted[k:]) for shifted in (values + step, values - step)]
+            gradient[i] = (sides[0] - sides[1]) / (2.0 * step[i])
+        variance = float(gradient @ np.array(self.covariance) @ gradient)
+        return Estimate(quantity(values[:k], values[k:]), math.sqrt(max(variance, 0.0)))
+
     def amplitude(self, i: int, j: int) -> Estimate:
         """√(a² + b²) of coefficients i and j, with first-order uncertainty."""
         a, b = self.coefficients[i], self.coefficients[j]
@@ -292,6 +328,18 @@ class Term:
         }
 
 
+class HasError(Protocol):
+    """Something that gives an error for columns."""
+
+    def error_um(self, columns: Columns) -> Floats: ...
+
+
+def near_by_arrays(term: HasError, row: Mapping[str, float], targets_mm: Sequence[float]) -> list[float]:
+    """The error of a term at these targets, µm, everything else as in the row."""
+    columns = {name: np.full(len(targets_mm), value, dtype=np.float64) for name, value in row.items()}
+    return [float(one) for one in term.error_um({**columns, "target_mm": np.array(targets_mm, dtype=np.float64)})]
+
+
 class Parametrised(Protocol):
     """An effect in one form, with its non-linear parameters."""
 
@@ -307,7 +355,7 @@ def slopes_of(columns: Columns, one: Parametrised, coefficients: Floats) -> Floa
     """Derivative of the effect's error to its non-linear parameters, shape (n, t)."""
     out = np.zeros((len(next(iter(columns.values()))), len(one.theta)))
     for i, value in enumerate(one.theta):
-        step = 1e-4 * max(abs(value), 1e-9)
+        step = STEP * max(abs(value), 1e-9)
         sides = []
         for shifted in (value + step, value - step):
             theta = (*one.theta[:i], shifted, *one.theta[i + 1 :])

@@ -35,8 +35,8 @@ class CrossAxis(Effect):
                 "mean_mm": survey.mean[axis],
             }
             inputs = (axis, "target_mm")
-            forms.extend(Form(self.id, name, inputs, constants) for name in (OFFSET, ALONG))
-            forms.extend(Form(self.id, name, inputs, constants, scan=False) for name in (BOTH, CURVED))
+            forms.extend(Form(self.id, name, inputs, constants) for name in (OFFSET, ALONG, CURVED))
+            forms.append(Form(self.id, BOTH, inputs, constants, scan=False))
         return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
@@ -56,4 +56,5 @@ class CrossAxis(Effect):
         return {name: term.coefficient(i) for i, name in enumerate(names)}
 
     def explain(self, term: Term) -> str:
-        return f"The error follows {term.form.inputs[0]} ({term.form.name}): {term.coefficient(0)} µm per metre of that axis."
+        bend = f" and {term.coefficient(1)} µm per square metre about its middle" if term.form.name == CURVED else ""
+        return f"The error follows {term.form.inputs[0]} ({term.form.name}): {term.coefficient(0)} µm per metre of that axis{bend}."

@@ -6,7 +6,9 @@ error = amplitude · sin(2π x / period + phase), x the target in mm, phase in r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -91,12 +93,32 @@ class Cyclic(Effect):
             raise KeyError(form.name)
         return np.stack(waves, axis=2).reshape(len(angle), -1)
 
+    def scalar_um(
+        self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
+    ) -> float | None:
+        angle = 2 * math.pi * row["target_mm"] / theta[0]
+        sine, cosine = math.sin(angle), math.cos(angle)
+        total = coefficients[0] * sine + coefficients[1] * cosine
+        if form.name == FUNDAMENTAL:
+            return total
+        if form.name == HARMONICS:
+            return total + coefficients[2] * math.sin(2 * angle) + coefficients[3] * math.cos(2 * angle)
+        if form.name == MODULATED:
+            factor = (row["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
+        elif form.name == PER_DIRECTION:
+            factor = row["direction"]
+        else:
+            raise KeyError(form.name)
+        return total + factor * (coefficients[2] * sine + coefficients[3] * cosine)
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        found = {"period_mm": term.nonlinear(0), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
+        found = {"period_mm": period_mm(term), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
         if term.form.name == HARMONICS:
             found["second_harmonic_um"] = term.amplitude(2, 3)
         elif term.form.name == MODULATED:
-            found["change_to_the_ends_um"] = term.amplitude(2, 3)
+            phase = term.derived(lambda c, theta: _phase(term.form, c, float(theta[0])))
+            found["phase"] = replace(phase, value=math.remainder(phase.value, 2.0 * math.pi))
+            found["change_to_the_ends_um"] = term.derived(lambda c, _: abs(_along(c)[0]))
         elif term.form.name == PER_DIRECTION:
             found["half_difference_um"] = term.amplitude(2, 3)
         return found
@@ -104,6 +126,36 @@ class Cyclic(Effect):
     def explain(self, term: Term) -> str:
         extra = "" if term.form.name == FUNDAMENTAL else f", {term.form.name}"
         return (
-            f"The error repeats every {term.nonlinear(0)} mm of travel with an amplitude of"
+            f"The error repeats every {period_mm(term)} mm of travel with an amplitude of"
             f" {term.amplitude(0, 1)} µm{extra}: a part that turns or divides with that period is eccentric or misadjusted."
         )
+
+
+def period_mm(term: Term) -> Estimate:
+    """The period at mid-travel.
+
+    Where the amplitude changes along the travel, both waves have a change of their own: that of the phase is a change of the
+    period, and only the two together are determined.
+    """
+    if term.form.name != MODULATED:
+        return term.nonlinear(0)
+    return term.derived(lambda c, theta: _period(term.form, c, float(theta[0])))
+
+
+def _along(coefficients: Floats) -> tuple[float, float]:
+    """Change of amplitude (µm) and of phase (rad) from mid-travel to its end, of an amplitude that changes along the travel."""
+    size = math.hypot(coefficients[0], coefficients[1])
+    in_phase = float(coefficients[:2] @ coefficients[2:4]) / size
+    across = float(coefficients[0] * coefficients[3] - coefficients[1] * coefficients[2]) / size
+    return in_phase, across / size
+
+
+def _period(form: Form, coefficients: Floats, period: float) -> float:
+    turns = 1.0 / period + _along(coefficients)[1] / (2.0 * math.pi * form.constants["half_span_mm"])
+    return 1.0 / turns
+
+
+def _phase(form: Form, coefficients: Floats, period: float) -> float:
+    """Phase at x = 0 of a wave of the period at mid-travel."""
+    turns = 1.0 / period - 1.0 / _period(form, coefficients, period)
+    return math.atan2(coefficients[1], coefficients[0]) + 2.0 * math.pi * form.constants["centre_mm"] * turns

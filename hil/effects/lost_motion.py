@@ -1,9 +1,11 @@
 """Lost motion after a reversal: the table follows only after some travel; the error decays with the travel since the
 reversal.
 
-error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reversal_mm`. The constant per direction that
-remains for large s belongs to the table. (A controller's two-stage running form is in `hil.lost_motion`, fitted to
-dense reversals.)
+error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reversal_mm`. The constant per direction that remains for
+large s belongs to the table. Elements that stick and slip at different forces (Prandtl, Masing) remember a stroke S = `stroke_mm`
+that was too short to wind them up: error = amount · d · (f(s / length) - f(S / length)) up to s = S, and 0 from there on, where the
+branch from before that stroke is met again. (A controller's two-stage running form is in `hil.lost_motion`, fitted to dense
+reversals.)
 """
 
 from __future__ import annotations
@@ -14,11 +16,14 @@ from typing import ClassVar
 import numpy as np
 
 from hil.effects.base import MOST_UNSURE, Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.history import LONG_STROKE_MM
 from hil.effects.survey import Survey
 
 EXPONENTIAL = "exponential"
 TANH = "tanh"
 TWO_STAGE = "two lengths"
+REMEMBERED = {"exponential, short strokes remembered": EXPONENTIAL, "tanh, short strokes remembered": TANH}
+"""Forms with the stroke before, and the form that each has after a long one."""
 SEEN_FROM = 0.9
 """Share of the amount that must be there at the shortest travel of the rows for the amount itself to be stated: what lies before
 that travel is an extrapolation, so otherwise the value at it is stated.
@@ -47,18 +52,26 @@ class LostMotion(Effect):
         pairs = tuple((a[0], b[0]) for a in starts[::3] for b in starts[::3] if b[0] > 2 * a[0])
         inputs = ("since_reversal_mm", "direction")
         seen = {"shortest_mm": survey.ranges.get("since_reversal_mm", (0.0, 0.0))[0]}
+        short = survey.has("stroke_mm") and survey.ranges.get("stroke_mm", (np.inf,))[0] < survey.half_span_mm
+        remembered = tuple(
+            Form(self.id, name, (*inputs, "stroke_mm"), seen, (length,), starts)
+            for name in (REMEMBERED if short else ())
+        )
         return (
             Form(self.id, EXPONENTIAL, inputs, seen, (length,), starts),
             Form(self.id, TANH, inputs, seen, (length,), starts),
+            *remembered,
             Form(self.id, TWO_STAGE, inputs, seen, (length, second), pairs, scan=False),
         )
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         s, d = columns["since_reversal_mm"], columns["direction"]
-        if form.name == EXPONENTIAL:
-            return np.asarray(d * np.exp(-s / theta[0]))[:, None]
-        if form.name == TANH:
-            return np.asarray(d * (1.0 - np.tanh(s / theta[0])))[:, None]
+        if form.name in (EXPONENTIAL, TANH):
+            return np.asarray(d * _left(form.name, s / theta[0]))[:, None]
+        if form.name in REMEMBERED:
+            after_long, stroke = REMEMBERED[form.name], columns["stroke_mm"]
+            left = _left(after_long, s / theta[0]) - _left(after_long, stroke / theta[0])
+            return np.asarray(d * np.maximum(left, 0.0))[:, None]
         if form.name == TWO_STAGE:
             return np.column_stack([d * np.exp(-s / theta[0]), d * np.exp(-s / theta[1])])
         raise KeyError(form.name)
@@ -83,10 +96,16 @@ class LostMotion(Effect):
         )
 
 
+def _left(form: str, z: Floats) -> Floats:
+    """Share of the lost motion that is left after a travel of z lengths, shape of z."""
+    return np.asarray(np.exp(-z) if form == EXPONENTIAL else 1.0 - np.tanh(z), dtype=np.float64)
+
+
 def shown_amount(term: Term) -> tuple[Estimate, float]:
     """The amount, µm, and the travel since the reversal that it is stated for, mm: 0, or the shortest of the rows."""
     nearest = term.form.constants.get("shortest_mm", 0.0)
-    whole, seen = (term.at({"since_reversal_mm": s, "direction": 1.0}) for s in (0.0, nearest))
+    wound = {"direction": 1.0, "stroke_mm": LONG_STROKE_MM}
+    whole, seen = (term.at({"since_reversal_mm": s, **wound}) for s in (0.0, nearest))
     if seen.value / (whole.value or 1.0) >= SEEN_FROM and whole.std <= MOST_UNSURE * abs(whole.value):
         return whole, 0.0
     return seen, nearest

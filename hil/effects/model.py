@@ -21,6 +21,7 @@ from drivers.errors import InputError
 from hil.effects import ALL, Effect, Term, term_from_json
 from hil.effects.history import complete
 from hil.effects.reading import numbers
+from hil.records.files import parse_json
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
@@ -143,9 +144,10 @@ class Model:
     def from_json(cls, text: str, path: str | Path = "model", effects: Sequence[Effect] = ALL) -> Model:
         """Read a model file's text. Raises InputError naming path, key and what was expected."""
         try:
-            obj = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"is not a model file: {error.msg}", path=path, line=error.lineno) from error
+            obj = parse_json(text)
+        except ValueError as error:
+            line = error.lineno if isinstance(error, json.JSONDecodeError) else None
+            raise InputError(f"is not a model file: {getattr(error, 'msg', error)}", path=path, line=line) from error
         try:
             return cls._parse(obj, effects)
         except InputError as error:

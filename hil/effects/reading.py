@@ -29,7 +29,7 @@ def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
     if set(obj) != expected:
         raise InputError(f"{where} has the keys {sorted(obj)}, expected {sorted(expected)}")
     known = {effect.id: effect for effect in (*NEVER_SEARCHED, *effects)}
-    if obj["effect"] not in known:
+    if not isinstance(obj["effect"], str) or obj["effect"] not in known:
         raise InputError(
             f"{where} names the effect {obj['effect']!r}, which is not loaded; one of your own needs {LOADED_BY}"
         )

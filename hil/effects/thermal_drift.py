@@ -39,6 +39,7 @@ class ThermalDrift(Effect):
     id: ClassVar[str] = "thermal_drift"
     title: ClassVar[str] = "thermal drift of the origin"
     action: ClassVar[Action] = Action.COMPENSATE
+    slow: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival(
             "beam_drift",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
+import numpy as np
+
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import seed
 from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
 from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.diagnosis.loop.next_run import means_of_measurement
-from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign
+from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign, repeats_of
 from hil.diagnosis.next.design import design, plan_minutes
 from hil.diagnosis.next.planned_run import Means, Point
 from hil.diagnosis.next.plans import to_plan
@@ -53,7 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     check = jobs.add_parser(
         "check",
         help="list what a campaign cannot show",
-        description="Too few repeats, targets in step with a pitch, effects that hide in the table or go together, missing columns.",
+        description="Too few repeats, targets in step with a pitch, effects that a table holds or that look alike, missing columns.",
         epilog="example:\n  hil campaign check records.csv --axis X.toml",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -108,11 +110,11 @@ def means_of_axis(axis: AxisConfig) -> Means:
 
 def plan_facts(points: tuple[Point, ...], minutes: float) -> dict[str, float | int]:
     """Figures of a plan: runs, rows, repeats, minutes."""
-    targets = {(point.target_mm, point.direction, point.run) for point in points}
+    target_mm, direction = np.array([(point.target_mm, float(point.direction)) for point in points]).reshape(-1, 2).T
     return {
         "runs": len({point.run for point in points}),
         "rows": len(points),
-        "repeats": len(points) - len(targets),
+        "repeats": repeats_of(target_mm, direction),
         "minutes": round(minutes, 1),
     }
 
@@ -126,7 +128,7 @@ def print_check(check: CampaignCheck) -> None:
         }
     )
     if check.gaps:
-        print_table(["gap", ("what it cannot show", "left")], [[gap.kind, gap.what] for gap in check.gaps])
+        print_table(["gap", ("what these rows cannot show", "left")], [[gap.kind, gap.what] for gap in check.gaps])
 
 
 def _minutes(text: str) -> float:

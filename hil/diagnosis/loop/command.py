@@ -17,8 +17,10 @@ from hil.app.terminal.axis_options import (
 )
 from hil.app.terminal.measuring_options import (
     add_in_motion_options,
+    add_limit_option,
     add_recording_options,
     feeds,
+    limited,
     machine_of,
     passes_of,
     recording_name,
@@ -26,10 +28,12 @@ from hil.app.terminal.measuring_options import (
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import add_effects_option, read_effects
-from hil.app.terminal.summary import print_findings, print_stages
-from hil.axis.axis_file import AxisConfig, load_axis
+from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
+from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration
+from hil.calibration.job import run_verification
 from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
+from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
 from hil.diagnosis.loop.next_run import runs_of
 from hil.diagnosis.loop.procedure import MOST_RUNS, Consent, Loop, Turn, Turning
 from hil.diagnosis.next.planned_run import PlannedRun
@@ -51,7 +55,8 @@ Where two causes fit the residual, the measurement that separates them best for 
 where the axis can, after asking where a person has to help. With --feeds, a second turn is made in motion, for effects that cannot
 be seen at rest; the drive must take set-points in its cycle. Where the axis file does not state the instrument's latency
 (latency_s), it is measured before. Exit status 1: structure remains that no effect of the
-catalogue explains, a measurement waits for a person, or the axis did not improve.
+catalogue explains, a measurement waits for a person, the axis did not improve, or the accuracy A at other targets, measured last,
+fails its limit or is undecided.
 """
 
 
@@ -70,6 +75,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--warm-up", metavar="S", type=float, default=240.0, help="mean seconds of strokes, or rest, between runs"
     )
+    parser.add_argument(
+        "--without-proof",
+        action="store_true",
+        help="do not measure A of ISO 230-2 afterwards; `hil verify` does it later",
+    )
+    add_limit_option(parser)
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     parser.add_argument(
         "--plan", metavar="PLAN.csv", help="explore by this plan (`hil campaign design`) instead of --runs and --rows"
@@ -94,7 +105,7 @@ def _add_in_motion(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Returns 0: the residual is within the noise or explained; 1: not. Raises what `run_loop` raises."""
-    axis = load_axis(args.axis)
+    axis = limited(load_axis(args.axis), args.limit)
     effects = read_effects(args.effects)
     plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
     if args.dry_run:
@@ -130,10 +141,19 @@ def run(args: argparse.Namespace) -> int:
     ):
         tell_zero(args, machine)
         loop = run_loop(machine, store, turning, listener, resume=args.resume, recording=recording_name(args))
+        proof = None
+        if store is not None and not (args.record or args.without_proof):
+            proof = run_verification(machine, machine.session.compensation, listener)
+    found = None if proof is None else accuracy_of(axis, proof.records, corrected=True)
     if store is None:
         print("nothing is stored: this was a recording")
     stages = loop_stages(loop)
-    print_stages(stages)
+    if found is not None:
+        print_accuracy(found)
+    else:
+        print(f"verified: not yet (hil verify {args.axis})")
+    print_stages({STAGE_LABELS[name]: figures for name, figures in stages.items()})
+    print(LABELS_EXPLAINED)
     print_findings(loop.turn.diagnosis)
     print_runs(loop.turn)
     if loop.in_motion is not None:
@@ -144,16 +164,18 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         from hil.diagnosis.loop.report import loop_report  # noqa: PLC0415  (plots are slow to import)
 
-        replace_file(args.report, loop_report(axis, loop).encode())
-    good = loop_is_good(loop)
+        replace_file(args.report, loop_report(axis, loop, proof=proof).encode())
+    good = loop_is_good(loop) and (found is None or found.good)
     if args.json:
         write_json(
             args.json,
             {
                 "axis": axis.name,
+                "accuracy": None if found is None else found.as_json(),
                 "stages": stages,
                 "diagnosis": loop.turn.follow.to_json(),
                 "further": [run.describe() for run in loop.turn.further],
+                "withdrawn": [turn is not None and turn.withdrawn for turn in (loop.turn, loop.in_motion)],
                 "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
                 "latency": _measured_latency(loop),
                 "good": good,
@@ -201,7 +223,11 @@ def _consent(person: str | None) -> Consent | None:
 
 
 def print_runs(turn: Turn) -> None:
-    """Prints the further measurements of the loop, the undecided rivals, and what would decide between them."""
+    """Prints whether the correction stayed in force, the further measurements of the loop, the undecided rivals, and what would
+    decide between them.
+    """
+    if turn.withdrawn:
+        print("the extended correction is withdrawn, since the axis measured worse with it: the one before is in force")
     for run in turn.further:
         print(f"measured to tell causes apart: {run.describe()}")
     follow = turn.follow

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.pieces import Latest, Reading, Table
+from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, measured_checks
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
@@ -21,17 +21,23 @@ FIGURES = ("rms_um", "peak_um", "A_um", "R_um", "B_um", "M_um")
 
 
 def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> Refresh:
-    """Draws settings, start, live plot and the figures of each stage; returns their refresh."""
-    with view.card("loop.title", name="loop").classes("w-full"):
-        ui.markdown(view.t("loop.steps"))
-        messages = view.messages("loop.messages")
-        buttons = _draw_buttons(view, axis, kept)
-        step = view.value("loop.step", small=True)
-        with ui.element("div").classes("hil-grid wide"):
-            x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
-            live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True, as_one=_as_one)
-            stages = _draw_stages(view, kept)
-
+    """Draws verdict, step, settings, start, live plot and the figures of each stage; returns their refresh."""
+    t = view.t
+    messages = view.messages("loop.messages")
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            parts = [
+                _draw_verdict(view, kept),
+                draw_where(view, "loop", lambda: view.desk.last(CLOSE_LOOP), progress=True),
+                _draw_buttons(view, axis, kept),
+            ]
+        with ui.element("div").classes("hil-main"):
+            steps = Steps(view, "loop", ("measure", "round", "before", "diagnose", "after"))
+            with view.card("loop.rows_live", name="loop.live.card"):
+                x, y = t("calibrate.plot_x"), t("calibrate.plot_y")
+                live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True, as_one=_as_one)
+            parts += [_draw_stages(view, kept), live.refresh]
+            view.how("loop.title", "loop.steps")
     measured = [""]
 
     def refresh() -> None:
@@ -41,10 +47,9 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
             measured[0] = now
             kept.again()
         messages.show(job)
-        step.set_text(view.stage(job))
-        buttons()
-        stages()
-        live.refresh()
+        steps.follow(job)
+        for part in parts:
+            part()
 
     return refresh
 
@@ -57,15 +62,17 @@ def _as_one(series: str) -> str:
 
 def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> Refresh:
     t, desk, usual = view.t, view.desk, Exploration()
-    with ui.row().classes("items-end"):
-        runs = ui.number(t("loop.runs"), value=usual.runs, min=2, max=100, precision=0).style("width: 12rem")
-        rows = ui.number(t("loop.rows"), value=usual.rows, min=8, max=1000, precision=0).style("width: 12rem")
-        warm = ui.number(t("loop.warm_up"), value=usual.warm_up_s, min=0, max=86_400).style("width: 14rem")
-        feeds = ui.input(t("loop.feeds"), placeholder=t("loop.at_rest")).style("width: 24rem")
+    ready = draw_ready(view, "loop", *measured_checks(view), builder=True)
+    with ui.element("div").classes("hil-buttons"):
+        start_button = view.button("loop.start", lambda: start(False)).classes("hil-go")
+        resume_button = view.button("loop.resume", lambda: start(True))
+    with view.fold("loop.more"):
+        runs = ui.number(t("loop.runs"), value=usual.runs, min=2, max=100, precision=0)
+        rows = ui.number(t("loop.rows"), value=usual.rows, min=8, max=1000, precision=0)
+        warm = ui.number(t("loop.warm_up"), value=usual.warm_up_s, min=0, max=86_400)
+        feeds = ui.input(t("loop.feeds"), placeholder=t("loop.at_rest"))
         for field, name in ((runs, "runs"), (rows, "rows"), (warm, "warm_up"), (feeds, "feeds")):
             view.named(field, f"loop.{name}")
-        start_button = view.button("loop.start", lambda: start(False))
-        resume_button = view.button("loop.resume", lambda: start(True))
         zero = ZeroSwitches(view, "loop")
 
     async def start(resume: bool) -> None:
@@ -83,31 +90,58 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
 
     def refresh() -> None:
         store = desk.rights.store
-        can = view.can_start and view.is_builder and store is not None and store.builder_key is not None
-        start_button.set_enabled(can)
+        writable = store is not None and store.builder_key is not None
+        why_not = view.why_not(builder=True) or ("" if writable else t("why.tables"))
+        start_button.allow(why_not)
+        ready()
         zero.refresh()
-        resume_button.set_enabled(can)
+        resume_button.allow(why_not)
         resume_button.set_visibility(kept.value is not None and kept.value.unfinished is not None)
 
     return refresh
 
 
-def _draw_stages(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
-    """Figures of the axis after each stage of the last loop, from its files."""
+def _draw_verdict(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
+    """How the last loop ended, what is left after its last stage, and of when it is."""
     t = view.t
-    with ui.element("div"):
-        verdict = view.value("loop.verdict", small=True)
+    with view.card("loop.verdict", name="loop.verdict.card"):
+        verdict = view.named(ui.label("–").classes("hil-headline"), "loop.verdict")
+        with ui.element("div").classes("hil-lines"):
+            before = view.value("loop.before", "µm", small=True)
+            after = view.value("loop.after", "µm", small=True)
         of = view.named(ui.label().classes("hil-name"), "loop.of")
+    latest = Latest()
+
+    def refresh() -> None:
+        screen = kept.value
+        loop = None if screen is None else screen.loop
+        if screen is None or loop is None or not latest.is_new(loop):
+            return
+        outcome = "not_ended" if loop.good is None else "good" if loop.good else "not_good"
+        verdict.set_text(t(f"loop.{outcome}"))
+        verdict.classes(replace=f"hil-headline {'hil-good' if loop.good else '' if loop.good is None else 'hil-bad'}")
+        rms_um = [figures.get("rms_um") for figures in loop.stages.values()]
+        before.set_text(t.number(rms_um[0], 2))
+        after.set_text(t.number(rms_um[-1] if len(rms_um) > 1 else None, 2))
+        begun = [one.begun for one in screen.choices if one.key.startswith(f"{loop.place}/")]
+        of.set_text(t("loop.of", date=min(begun).strftime("%Y-%m-%d %H:%M")) if begun else "")
+
+    return refresh
+
+
+def _draw_stages(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
+    """Figures of the axis after each stage of the last loop, from its files; hidden before the first."""
+    t = view.t
+    with view.card("loop.figures", name="loop.stages.card").classes("hil-small") as card:
         table = Table(view, "loop.stages", ["loop.head.stage", *(f"loop.head.{name}" for name in FIGURES)])
+    card.set_visibility(False)
     latest = Latest()
 
     def refresh() -> None:
         loop = None if kept.value is None else kept.value.loop
         if loop is None or not latest.is_new(loop):
             return
-        outcome = "loop.not_ended" if loop.good is None else "loop.good" if loop.good else "loop.not_good"
-        verdict.set_text(t(outcome))
-        of.set_text(loop.place)
+        card.set_visibility(True)
         table.show(
             [
                 [

@@ -27,7 +27,7 @@ from hil.calibration.in_motion import InMotion, check_passes, measure_in_motion,
 from hil.calibration.latency import dated
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet
-from hil.diagnosis import Diagnosis, diagnose
+from hil.diagnosis import Diagnosis, Figures, diagnose
 from hil.diagnosis.follow_up import FollowUp, diagnosed, follow_up, ruled_out
 from hil.diagnosis.loop.next_run import means_of, measure_run
 from hil.diagnosis.next.planned_run import PlannedRun
@@ -134,6 +134,7 @@ class Turn:
     """One turn of the loop.
 
     before: explored with the old compensation in force; after: explored again with the extended one
+    extended: in force at the end: where it measured worse than the old one, that is the old one again (`withdrawn`)
     diagnosed: the rows of the diagnosis, those before and those of the further runs
     further: runs made to separate causes; follow: the last diagnosis with the remaining rivals and what would separate
     them; latency: of the instrument, where it was measured for this turn
@@ -146,6 +147,7 @@ class Turn:
     diagnosed: Records
     further: tuple[PlannedRun, ...] = ()
     latency: Latency | None = None
+    withdrawn: bool = False
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -201,21 +203,40 @@ def turn_loop(
     """Explores, diagnoses, extends, and explores again, on a prepared session with a compensation in force.
 
     The whole machine is fitted (measured - command), so that the new compensation replaces the old one. It is put into
-    force only when the diagnosis recommends it, that is, not where it would make left-out runs worse. Raises
-    CorrectionBoundError for one beyond the axis's bound, before it is stored.
+    force only when the diagnosis recommends it, that is, not where it would make left-out runs worse, and stays there only where the
+    axis then measures no worse than before. Raises CorrectionBoundError for one beyond the axis's bound, before it is stored.
     """
     how = turning or Turning()
+    old = session.compensation or Compensation(tables)
     runs = [how.plan or plan_runs(session, how.exploration, seed) for seed in (1, 2)]
     before = explore(session, campaign, "before", runs[0], listener)
     follow, rows, further = decide(session, campaign, before, how, listener)
     correction = correction_of(session, follow.diagnosis, rows, effects=how.effects, computing=how.computing)
-    extended = session.compensation or Compensation(tables)
+    extended = old
     if correction.recommended:
         extended = bounded(session, correction.extended, tables, rows)
         store(extended)
     session.compensation = extended
     after = explore(session, campaign, "after", runs[1], listener)
-    return Turn(before, follow, extended, after, rows, further)
+    turn = Turn(before, follow, extended, after, rows, further)
+    return turn if extended is old else proven(session, turn, old, store, listener)
+
+
+def proven(session: AxisSession, turn: Turn, old: Compensation, store: Store, listener: Listener) -> Turn:
+    """The turn, with the old compensation in force and stored again where the axis measured worse with the extended one."""
+    before_um, after_um = (Figures.of(rows.error_um).rms_um for rows in (turn.before, turn.after))
+    if measured_no_worse(before_um, after_um, turn.diagnosis.noise.within_run_um):
+        return turn
+    store(old)
+    session.compensation = old
+    worse = f"{after_um:.3g} µm RMS with the extended correction, {before_um:.3g} µm before"
+    listener(Event("diagnose", f"{worse}: it is withdrawn, and the one before is in force again", warning=True))
+    return replace(turn, extended=old, withdrawn=True)
+
+
+def measured_no_worse(before_um: float, after_um: float, noise_um: float) -> bool:
+    """Whether an axis measured no worse than before, or within the noise; RMS each, µm."""
+    return after_um <= max(before_um, 2 * noise_um)
 
 
 def turn_in_motion(
@@ -251,7 +272,8 @@ def turn_in_motion(
         store(extended)
     session.compensation = extended
     after = measure_in_motion(session, campaign, "motion-after", passes[1], how=how, listener=listener)
-    return Turn(before, follow, extended, after, before, latency=latency)
+    turn = Turn(before, follow, extended, after, before, latency=latency)
+    return turn if extended is compensation else proven(session, turn, compensation, store, listener)
 
 
 def unasked(follow: FollowUp) -> FollowUp:

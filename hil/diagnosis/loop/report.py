@@ -7,19 +7,30 @@ from dataclasses import replace
 
 from hil.app.report.data import NamedCampaign
 from hil.app.report.document import before_after_image, render_html
+from hil.app.report.views import diagnosed
 from hil.axis.axis_file import AxisConfig
-from hil.calibration.report import of_axis
+from hil.calibration.job import Verification
+from hil.calibration.report import of_axis, verified_campaign
+from hil.diagnosis.loop.jobs.stored import STAGE_LABELS
 from hil.diagnosis.loop.procedure import Loop, Turn
 from hil.diagnosis.pictures import with_plots
+from hil.diagnosis.report.diagnosis import opening
+
+BEFORE, AFTER = STAGE_LABELS["table, explored"], STAGE_LABELS["extended, explored"]
+"""The pair that says what the loop reached: terminal, report and picture show it under these names."""
 
 
-def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = ()) -> str:
-    """The whole loop as HTML, with the diagnosis and plots of its effects over the diagnosed rows."""
-    turn = loop.turn
+def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = (), proof: Verification | None = None) -> str:
+    """The whole loop as HTML, with the diagnosis and plots of its effects over the diagnosed rows. proof: made after it."""
+    turn, proven = loop.turn, () if proof is None else (verified_campaign(axis, proof),)
+    campaigns = loop_campaigns(loop)
+    found = with_plots(turn.diagnosis.to_json(), turn.diagnosis, turn.diagnosed)
+    before, after = (next(one for one in campaigns if one.label == label) for label in (BEFORE, AFTER))
     data = replace(
-        of_axis(axis, "Closed loop on", loop_campaigns(loop), turn.extended.tables),
-        diagnosis=with_plots(turn.diagnosis.to_json(), turn.diagnosis, turn.diagnosed),
-        diagnosed=NamedCampaign("diagnosed", turn.diagnosed.with_column("residual_um", turn.diagnosis.before_um)),
+        of_axis(axis, "Closed loop on", (*campaigns, *proven), turn.extended.tables),
+        opening=opening(found, before, after),
+        diagnosis=found,
+        diagnosed=diagnosed(NamedCampaign("diagnosed", turn.diagnosed), found),
         notes=(*notes, *_in_motion_notes(loop.in_motion)),
     )
     return render_html(data)
@@ -34,9 +45,9 @@ def loop_campaigns(loop: Loop) -> tuple[NamedCampaign, ...]:
     """The measured stages of a loop, named."""
     campaigns = [
         NamedCampaign("uncorrected", loop.calibration.before, "cold, no correction in force"),
-        NamedCampaign("table", loop.calibration.rounds[-1].records, "cold, at the table's own targets"),
-        NamedCampaign("table, explored", loop.turn.before, "other targets, warming and resting between runs"),
-        NamedCampaign("extended, explored", loop.turn.after, "the same kind of campaign anew, with what was found"),
+        NamedCampaign("tables at the calibrated targets", loop.calibration.rounds[-1].records, "cold", corrected=True),
+        NamedCampaign(BEFORE, loop.turn.before, "rows anywhere, warming and resting between runs", corrected=True),
+        NamedCampaign(AFTER, loop.turn.after, "the same kind of campaign anew, with what was found", corrected=True),
     ]
     if loop.in_motion is not None:
         campaigns += [

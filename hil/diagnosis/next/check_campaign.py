@@ -83,7 +83,7 @@ def check_campaign(
         records = records.where(np.arange(len(records)) % (-(-len(records) // MOST_ROWS)) == 0)
     with threadpool_limits(1, "blas"):
         campaign = prepare(records, pitches_mm)
-        repeats = repeats_of(campaign)
+        repeats = repeats_of(campaign.x, campaign.d)
         projection = _projection(campaign)
         parts = {effect.id: _parts(campaign, projection, effect) for effect in effects}
         visible = tuple(name for name, part in parts.items() if part is not None and part.share >= policy().blind)
@@ -98,9 +98,9 @@ def check_campaign(
     return CampaignCheck(len(campaign), campaign.runs, repeats, tuple(gaps), visible)
 
 
-def repeats_of(campaign: CampaignRows) -> int:
-    """Degrees of freedom for pure error: rows at a target and direction that were measured before."""
-    keys = np.round(campaign.x / NEAR_MM) * campaign.d + 1e-3 * campaign.d
+def repeats_of(target_mm: Floats, direction: Floats) -> int:
+    """Degrees of freedom for pure error: rows at a target and direction, (n,) each, that were measured before."""
+    keys = np.round(target_mm / NEAR_MM) * direction + 1e-3 * direction
     return len(keys) - len(np.unique(keys))
 
 
@@ -190,7 +190,9 @@ def _blind_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
     shares = {name: part.share for name, part in parts.items() if part is not None and part.share < policy().blind}
     if not shares:
         return []
-    what = f"{', '.join(shares)}: at most {100 * max(shares.values()):.1g} % of each is left beside the table, which takes it in"
+    most = max(shares.values())
+    left = "nothing" if most < 1e-6 else f"at most {100 * most:.1g} %"  # 1e-6: rounding
+    what = f"{', '.join(shares)}: at these targets a table holds them; {left} of each would be left beside it"
     return [Gap("blind", tuple(shares), what, max(shares.values()))]
 
 
@@ -219,8 +221,8 @@ def _missing_gaps(campaign: CampaignRows, effects: Sequence[Effect], parts: dict
 
 def _why(campaign: CampaignRows, column: str) -> str:
     if column == MOTION and not np.any(np.nan_to_num(campaign.columns.get(MOTION, np.zeros(1)))):
-        return "every row was captured at rest"
-    return f"{column} never changed" if column in campaign.columns else f"{column} was not written down"
+        return "every row was taken at rest"
+    return f"{column} never changed" if column in campaign.columns else f"there is no column {column}"
 
 
 def _alike_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
@@ -235,6 +237,6 @@ def _alike_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
             if correlation > closest:
                 closest, names = correlation, (form_a.name, form_b.name)
         if closest > ALIKE:
-            what = f"{first} ({names[0]}) and {second} ({names[1]}) go together: canonical correlation {closest:.3f}"
+            what = f"{first} ({names[0]}) looks like {second} ({names[1]}) (canonical correlation {closest:.3f})"
             gaps.append(Gap("alike", (first, second), what, min(closest, 1.0)))
     return gaps

@@ -18,7 +18,7 @@ from pathlib import Path
 from drivers.drive import DriveLimits
 from drivers.errors import InputError
 from hil.diagnosis.next.planned_run import Point
-from hil.records.files import read_text
+from hil.records.files import read_text, split_lines
 from hil.records.rows import parse_number, shown
 
 REQUIRED = ("run", "direction", "target_mm")
@@ -47,7 +47,7 @@ def read_plan(path: str | Path, limits: DriveLimits) -> tuple[Point, ...]:
     """The rows of a plan file, each inside the limits with its reversal. Raises InputError naming file, line and
     value.
     """
-    lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
+    lines = [(number, line) for number, line in enumerate(split_lines(read_text(path)), start=1)]
     lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise InputError(f"holds no plan, expected a header with {', '.join(REQUIRED)}", path=path)

@@ -18,7 +18,7 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import block as blocks
 from hil.diagnosis.remainder import scan as waves
 from hil.diagnosis.remainder.block import Block
-from hil.diagnosis.remainder.hits import hit_rows
+from hil.diagnosis.remainder.hits import every_so_many, hit_rows
 from hil.diagnosis.remainder.null import Null
 from hil.diagnosis.remainder.one_run import in_one_run
 from hil.diagnosis.remainder.scan import Group, Scan, Variable
@@ -77,7 +77,7 @@ def left_over(
         if scanned.score >= policy().scan_fires_at or best is not None:
             carried = _carried(null, columns, scanned, best, d)
         elif x is not None and not found:
-            carried = in_one_run(null, searcher.raw, x, d)
+            carried = in_one_run(null, searcher.raw, x, d) or every_so_many(null, x, d)
         if carried is None:
             break
         probability = min(10.0**-scanned.score, math.exp(-max(carried.evidence, 0.0)))

@@ -133,7 +133,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     weight = (1.0 / null.scale).astype(np.float32)
     for groups, design in _batches(columns, d):
         tested += len(groups)
-        scores = -_log10_probability(null.best, np.multiply(design, weight, out=design))
+        scores = -log10_probability(null.best, np.multiply(design, weight, out=design))
         top = np.argsort(-scores)[:RESCORED]
         found.extend((float(scores[i]), groups[i]) for i in top)
         found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
@@ -146,12 +146,12 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         designs = [found[i][1].design(campaign.d) / null.scale[:, None] for i in mine]
         stacked = np.stack([design.T for design in designs]).astype(np.float32)
         for projection in null.nearly_as_good:
-            scores[mine] = np.minimum(scores[mine], -_log10_probability(projection, stacked))
+            scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked))
     best = [(group, float(score) - known) for (_, group), score in zip(found, scores, strict=True)]
     return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tested)
 
 
-def _log10_probability(projection: Projection, design: Singles) -> Floats:
+def log10_probability(projection: Projection, design: Singles) -> Floats:
     """Log10 of the probability in noise of as much as each group (G, w, n) explains, shape (G,)."""
     count, width, n = design.shape
     flat = design.reshape(count * width, n)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import FigureBase
 
 from hil.app.report import markup, plots
@@ -27,6 +28,7 @@ from hil.app.report.data import NamedCampaign
 from hil.app.report.svg import Ground, Theme
 from hil.app.report.views import View, finding_view, list_of, object_of, objects_of, position_view, value_of
 from hil.diagnosis.report import left_over
+from hil.figures.verdict import FITTED_PLUS_MINUS
 
 ACTIONS = {
     "compensate": "compensate in the machine",
@@ -39,6 +41,8 @@ def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, al
     """The blocks of the part. all_plots: with the extended model's residual, even where nothing is unexplained."""
     findings = objects_of(diagnosis.get("findings"))
     parts: list[Block] = [Heading("What is left, and why"), *_summary(diagnosis)]
+    if any("±" in str(one.get("explanation")) for one in findings):
+        parts.append(said(f"{FITTED_PLUS_MINUS}.", "muted"))
     if diagnosis.get("unexplained"):
         parts.append(_unexplained(diagnosis))
     elif not findings:
@@ -52,6 +56,56 @@ def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, al
     if blind:
         parts += [Heading("What this campaign cannot show", 3), Bullets(blind, "remarks")]
     return [*parts, Bullets(tuple(map(str, list_of(diagnosis.get("notes")))), "remarks")]
+
+
+def opening(diagnosis: Mapping[str, Any], before: NamedCampaign, after: NamedCampaign) -> str:
+    """The loop in one sentence: what was found, how large, how sure, and the error in the two campaigns."""
+    found = [_in_short(one) for one in objects_of(diagnosis.get("findings"))]
+    what = (
+        f"Found (± is U, k = 2, about 95 %): {'; '.join(found)}."
+        if found
+        else "No effect was found beyond the declared model."
+    )
+    if diagnosis.get("unexplained"):
+        what += " More is left that nothing in the catalogue explains."
+    floor = value_of(diagnosis, "noise_floor_um")
+    noise = "" if floor is None else f" (noise {markup.number(floor)} µm)"
+    rms = [float(np.sqrt(np.mean(one.records.error_um**2))) for one in (before, after)]
+    sizes = [markup.number(one) for one in rms]
+    verb = "did not change:" if sizes[0] == sizes[1] else "fell" if rms[1] < rms[0] else "grew"
+    return (
+        f"{what} The error {verb} from {sizes[0]} µm RMS ({before.label}, {len(before.records)} rows) to {sizes[1]} µm RMS"
+        f" ({after.label}, {len(after.records)} rows measured anew){noise}."
+    )
+
+
+def _in_short(finding: Mapping[str, Any]) -> str:
+    """An effect, its first parameters with twice their standard errors (k = 2), and how sure it is."""
+    sizes = []
+    for name, form in object_of(finding.get("parameters")).items():
+        value, std = value_of(form, "value"), value_of(form, "std")
+        if value is not None and std:  # 0: a bound, not a fitted value
+            word, unit = with_unit(name)
+            spread = f"{markup.significant(value)} ± {markup.significant(2.0 * std, 2)}"
+            sizes.append(f"{word} {spread}" + (f" {unit}" if unit != "1" else ""))
+    sure = value_of(finding, "confidence")
+    told = [*sizes[:2], *([] if sure is None else [f"confidence {percent(sure)}"])]
+    return f"{finding.get('effect')}" + (f" ({', '.join(told)})" if told else "")
+
+
+_ENDINGS = {
+    "_ppm_per_k": "ppm/K", "_ppm_k": "ppm/K", "_ppm": "ppm", "_um": "µm", "_mm": "mm", "_s": "s", "_c": "°C", "_urad": "µrad",
+    "_rad": "rad", "_deg": "°", "_percent": "%", "_kg": "kg", "_um_per_c": "µm/°C",
+}  # fmt: skip
+
+
+def with_unit(parameter: str) -> tuple[str, str]:
+    """A parameter's name in words, and the unit that its name ends in, "1" for none; a phase is in rad. The longest ending decides."""
+    if parameter == "phase":
+        return "phase", "rad"
+    endings = sorted(_ENDINGS, key=len, reverse=True)
+    ending = next((one for one in endings if parameter.endswith(one)), "")
+    return parameter.removesuffix(ending).replace("_", " "), _ENDINGS.get(ending, "1")
 
 
 def _unexplained(diagnosis: Mapping[str, Any]) -> Paragraph:
@@ -71,7 +125,7 @@ def _carrier(form: Mapping[str, Any]) -> str:
     rms, spread = value_of(form, "rms_um"), value_of(form, "rms_std_um")
     if rms is None or spread is None:
         return names
-    return f"{names} ({markup.significant(rms, 3)} ± {markup.significant(spread, 2)} µm RMS)"
+    return f"{names} ({markup.significant(rms, 3)} ± {markup.significant(2.0 * spread, 2)} µm RMS, k = 2)"
 
 
 def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
@@ -84,10 +138,11 @@ def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
     facts = []
     if (floor := value_of(diagnosis, "noise_floor_um")) is not None:
         spread = value_of(diagnosis, "noise_floor_std_um")
-        plus = f" ± {markup.number(spread)}" if spread is not None else ""
+        plus = f" ± {markup.number(2.0 * spread)}" if spread is not None else ""
         dof = value_of(diagnosis, "noise_floor_dof")
         freedom = f" ({dof:.0f} degrees of freedom)" if dof else ""
-        facts.append(f"Noise floor from repeats: {markup.number(floor)}{plus} µm{freedom}.")
+        known = ", k = 2" if plus else ""
+        facts.append(f"Noise floor from repeats: {markup.number(floor)}{plus} µm{freedom}{known}.")
     elif (within := value_of(object_of(diagnosis.get("noise")), "within_run_um")) is not None:
         facts.append(f"No true repeats; the model's noise within a run is {markup.number(within)} µm.")
     if declared := list_of(diagnosis.get("declared")):
@@ -110,7 +165,10 @@ def _residual(diagnosed: NamedCampaign, findings: list[Mapping[str, Any]]) -> li
     view = position_view(diagnosed.records, findings)
     columns = {"run": diagnosed.records.run, "direction": view.direction, "target_mm": view.x}
     columns |= {"residual_um": view.residual_um, "laid_over_um": view.over_um}
-    caption = f"Residual of {diagnosed.label} against position; laid over: {view.over}."
+    caption = f"Residual of the declared model against position; laid over: {view.over}. Their difference is the residual with"
+    caption += " the effects found: the table above has the figures of both."
+    if "explained_um" not in diagnosed.records:
+        caption = f"Residual of {diagnosed.label} against position; laid over: {view.over}."
     return [
         Drawing("residual", "residual", _drawer(view), "Residual against position", caption),
         DataTable("data-residual", "Data of this drawing", columns),
@@ -121,7 +179,7 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
     effect = str(finding.get("effect", "unnamed"))
     action = str(finding.get("action", ""))
     confidence = value_of(finding, "confidence")
-    sure = f" · confidence {_percent(confidence)}" if confidence is not None else ""
+    sure = f" · confidence {percent(confidence)}" if confidence is not None else ""
     parts: list[Block] = [
         Heading(f"{index}. {effect}", 3, ACTIONS.get(action, action or "no action stated")),
         Paragraph((Span(str(finding.get("explanation", ""))), Span(sure, "muted"))),
@@ -131,10 +189,10 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
         for name, value in object_of(finding.get("parameters")).items()
     )
     if rows:
-        parts.append(Table(("parameter", "value", "standard error"), rows, "numbers"))
+        parts.append(Table(("parameter", "value", "standard uncertainty (k = 1)"), rows, "numbers"))
     for rival in objects_of(finding.get("rivals")):
         share = value_of(rival, "confidence")
-        weight = f" ({_percent(share)})" if share is not None else ""
+        weight = f" ({percent(share)})" if share is not None else ""
         apart = f"{weight}. To tell them apart: {rival.get('separate_by', 'not stated')}"
         parts.append(Paragraph((Span("Rival: "), Span(str(rival.get("effect")), "strong"), Span(apart))))
     if (view := finding_view(finding, diagnosed, alone=alone)) is not None:
@@ -144,7 +202,7 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
             "residual_um": view.residual_um,
             "laid_over_um": view.over_um,
         }
-        caption = f"Residual against {view.label[0].lower() + view.label[1:]}; laid over: {view.over}."
+        caption = f"{view.of} against {view.label[0].lower() + view.label[1:]}; laid over: {view.over}."
         parts += [
             Drawing(f"finding{index}", f"finding-{index}", _drawer(view), f"Residual and {effect}", caption),
             DataTable(f"data-finding-{index}", f"Data of this drawing (x is {view.label})", columns),
@@ -152,7 +210,7 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
     return Finding(tuple(parts))
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """A probability in percent; never rounded to 0 or 100."""
     if 0.9995 <= share <= 1:
         return "above 99.9 %"

@@ -19,6 +19,7 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates, enumerate_candidates, score
 from hil.diagnosis.search.fit import Choice, JointFit, Known, Setting, start_noise, static_part
 from hil.diagnosis.search.judge import FoldJudge, FoldStructureSearch, Hit, NullJudge, StructureSearch
+from hil.diagnosis.search.rank import settled
 from hil.diagnosis.search.searcher import FULL, LIGHT, Searcher
 from hil.diagnosis.search.select import Selected, select
 from hil.diagnosis.search.structure import Catalogue, static_structures, structures
@@ -54,7 +55,7 @@ class Problem:
 
 def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Model | None, seed: int) -> Problem:
     """Computes everything that is needed once per campaign."""
-    candidates = enumerate_candidates(campaign, effects)
+    candidates = enumerate_candidates(campaign, [effect for effect in effects if not effect.is_table])
     catalogue = structures(campaign)
     n = len(campaign)
     linear = LinearCampaign(campaign)
@@ -63,7 +64,8 @@ def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Mode
     plain = fit_noise(linear, error, Extra.none(n), start_noise(campaign), correlations=((0.0, 0.0),))
     projection = linear.projection(plain, error)
     share = score(projection, candidates.stack(projection.whitened)).visible
-    visible = {name: float(np.max(share[candidates.effect == i])) for i, name in enumerate(candidates.effects)}
+    visible = {effect.id: 0.0 for effect in effects if effect.is_table and effect.forms(campaign.survey)}
+    visible |= {name: float(np.max(share[candidates.effect == i])) for i, name in enumerate(candidates.effects)}
     if declared is None:
         free = Setting(linear, error, Known.none(n))
         return Problem(campaign, free, candidates, catalogue, plain, visible, seed)
@@ -132,6 +134,16 @@ def choose(problem: Problem) -> Chosen:
     second = select(searcher, structure_search, judge, first.noise, first.choices)
     fit = second.searcher.fit(second.choices, second.noise)
     return Chosen((first, second), fit, (critical, Critical(judge.critical(), structure_search.critical)))
+
+
+def settle(chosen: Chosen) -> Chosen:
+    """The choice with the parameters of all its effects refined together."""
+    last = chosen.last
+    choices = settled(last.searcher, last.choices, last.noise)
+    last.searcher.limit_outliers(choices, last.noise)
+    kept = {term.effect.id for term in chosen.fit.found}
+    fit = last.searcher.fit([choice for choice in choices if choice.effect.id in kept], last.noise)
+    return replace(chosen, selections=(*chosen.selections[:-1], replace(last, choices=tuple(choices))), fit=fit)
 
 
 def choose_without(problem: Problem, out: Mask, whole: Chosen) -> Chosen:

@@ -26,6 +26,10 @@ Floats = NDArray[np.float64]
 
 
 ROUNDS = 6
+ALONG = ("target_mm", "direction")
+"""Columns of the way itself: what follows them follows no other one as well."""
+SWEEPS = 2
+"""Times that the parameters of each of several choices are refined beside the others."""
 FIRST = 0.6
 """First step, as a share of the grid spacing."""
 OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}
@@ -89,6 +93,58 @@ def refine(projection: Projection, choices: Sequence[Choice], rounds: int = ROUN
                 best[i], gains[i] = trials[top], found[top]
             steps[i] = [s if at_edge else s * 0.4 for s, at_edge in zip(steps[i], edge, strict=True)]
     return [(choice, float(gain)) for choice, gain in zip(best, gains, strict=True)]
+
+
+def settled(searcher: Searcher, choices: Sequence[Choice], noise: Noise, *, columns: bool = True) -> list[Choice]:
+    """The choices with parameters, and the column with `columns`, of each refined beside all others: those of the first were found
+    before the others were. Uncertainties are linearised about these values, and so hold only at the maximum.
+    """
+    current = list(choices)
+    for i in list(range(len(current))) * SWEEPS:
+        others = [*current[:i], *current[i + 1 :]]
+        if current[i].steps:
+            current[i] = refine(searcher.projection(noise, searcher.extra(others)), [current[i]])[0][0]
+        if columns:
+            current[i] = by_column(searcher, others, current[i], noise)[0].choice
+    return current
+
+
+def judged(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> float:
+    """Best evidence of the choices over the grid of noise models, less what lowers the weight of each."""
+    worth, _ = searcher.profiled_evidence(choices, noise)
+    for i, choice in enumerate(choices):
+        others = ConditionalSearch(searcher, [*choices[:i], *choices[i + 1 :]])
+        worth -= _penalty(choice, others, noise) + (0.0 if choice.form.scan else policy().richer)
+    return worth
+
+
+def by_column(searcher: Searcher, others: Sequence[Choice], choice: Choice, noise: Noise) -> list[Ranked]:
+    """The effect of a choice beside some others by each of the columns that it may follow, at its best form, best first.
+
+    A machine has several temperatures, and they rise together: which of them an effect follows is a choice of its own.
+    """
+    conditional = ConditionalSearch(searcher, others)
+    projection, base = conditional.projection(noise), conditional.base(noise)
+    survey = searcher.linear.campaign.survey
+    own = choice.form.inputs[0] if choice.form.inputs else ""
+    forms: dict[str, list[Form]] = {}
+    for form in choice.effect.forms(survey) if own in survey.varying - {*ALONG, survey.time_column} else ():
+        if form.inputs[0] != survey.time_column and not form.shrunk:
+            forms.setdefault(form.inputs[0], []).append(form)
+
+    def ranked(one: Choice, gain: float) -> Ranked:
+        penalty = _penalty(one, conditional, noise) + (0.0 if one.form.scan else policy().richer)
+        return Ranked(one, base + gain - penalty, noise)
+
+    found = {own: ranked(*refine(projection, [choice], 1)[0])}
+    if len(forms) > 1:
+        grid = [one for same in forms.values() for form in same for one in grid_choices(choice.effect, form)]
+        for one, gain in refine(projection, _best_of_each_form(projection, grid)):
+            trial = ranked(one, gain)
+            name = one.form.inputs[0]
+            if name not in found or trial.evidence > found[name].evidence:
+                found[name] = trial
+    return sorted(found.values(), key=lambda r: -r.evidence)
 
 
 def _around(choice: Choice, steps: Sequence[float], *, centre: bool) -> list[tuple[float, ...]]:

@@ -15,15 +15,18 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.noise.evidence import Noise, bayes_factor
 from hil.diagnosis.policy import policy
+from hil.diagnosis.search.candidates import Blocks
 from hil.diagnosis.search.fit import Choice
-from hil.diagnosis.search.rank import Ranked, rank
+from hil.diagnosis.search.rank import Ranked, judged, rank, settled
 from hil.diagnosis.search.searcher import Searcher
 
 MOST_TERMS = 5
 """Most terms that one search adds."""
 EXCHANGES = 2
+PAIRS = 6
+"""Pairs of slow effects that are refined."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,13 @@ def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
 
 
 def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice] = ()) -> Selection:
-    """Forward selection with exchange, from some choices and the noise model with them.
+    """Forward selection with exchange, from some choices and the noise model with them; then all pairs of slow effects compete."""
+    found = _stepwise(searcher, noise, judge, start)
+    return slow_pair(searcher, found, len(start)) if searcher.effort.correlations else found
+
+
+def _stepwise(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice]) -> Selection:
+    """Forward selection with exchange.
 
     An effect flexible enough to represent several causes at once (a drift in time) is taken only where several effects
     do not fit better.
@@ -82,13 +91,101 @@ def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choic
     searcher.excluded = frozenset(flexible)
     other = _forward(searcher, noise, judge, start)
     searcher.excluded = frozenset()
-    several = len(other.choices) > len(found.choices)
+    # several terms of one effect are not several effects, unless a machine has that effect more than once
+    several = len(set(map(_cause, other.choices))) > len(set(map(_cause, found.choices)))
     worth, _ = searcher.profiled_evidence(found.choices, found.noise)
     if several and searcher.profiled_evidence(other.choices, other.noise)[0] > worth:
         more = _forward(searcher, other.noise, judge, other.choices)
         return replace(more, stages=(*other.stages, *more.stages))
     searcher.restore(*kept)
     return found
+
+
+def slow_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection:
+    """The selection with the best pair of slow effects in place of those found, where that fits better.
+
+    Temperatures and air change together, so that one effect about a wrong place, by a wrong sensor, stands for two of them, and a
+    selection step by step does not leave it again. fixed: choices at the beginning that are not replaced
+    """
+    mine = [choice for choice in found.choices[fixed:] if choice.effect.slow]
+    if not mine:
+        return found
+    rest = [choice for choice in found.choices if choice not in mine]
+    worth = judged(searcher, found.choices, found.noise)
+    least = worth + (policy().exchange if len(mine) > 1 else policy().replace)
+    best: tuple[float, list[Choice]] | None = None
+    for pair in _best_pairs(searcher, rest, found.noise, least - policy().refinement):
+        trial = settled(searcher, [*rest, *pair], found.noise, columns=False)
+        if _is_implausible(
+            searcher, trial, found.noise
+        ):  # an expansion about a point far away is an offset that cancels the other
+            continue
+        value = judged(searcher, trial, found.noise)
+        if value > least and (best is None or value > best[0]):
+            best = value, trial
+    if best is None:
+        return found
+    choices = best[1]
+    noise = searcher.fit_noise(choices, found.noise)
+    contests = []
+    for i in range(len(rest), len(choices)):
+        others = [*choices[:i], *choices[i + 1 :]]
+        before, _ = searcher.profiled_evidence(others, noise)
+        contests.append(Stage(before, rank(searcher, others, noise), True, choices[i].effect.id))
+    return Selection(tuple(choices), noise, (*contests, *found.stages))
+
+
+def _is_implausible(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> bool:
+    fit = searcher.fit(choices, noise, uncertain=False)
+    return any(term.effect.slow and term.effect.implausible(term) for term in fit.found)
+
+
+def _best_pairs(searcher: Searcher, rest: Sequence[Choice], noise: Noise, least: float) -> list[tuple[Choice, Choice]]:
+    """The pairs of different slow effects of highest evidence beside some choices, at grid points, one of each two forms, of more than
+    a least evidence.
+    """
+    slow = [choice for choice in searcher.candidates.choices if choice.effect.slow]
+    projection = searcher.projection(noise, searcher.extra(rest))
+    blocks = Blocks.of_choices(slow, searcher.linear.campaign)
+    normal, b = projection.normal(blocks.columns)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    normal, b = normal / np.outer(size, size) + 1e-9 * np.eye(len(b)), b / size
+    kinds = {name: k for k, name in enumerate(dict.fromkeys(choice.effect.id for choice in slow))}
+    kind = np.array([kinds[choice.effect.id] for choice in slow])
+    prior = np.array([choice.log_prior for choice in slow])
+    first, second = np.triu_indices(len(slow), 1)
+    other = kind[first] != kind[second]
+    first, second = first[other], second[other]
+    value = np.full(len(first), -np.inf)
+    for widths in set(zip(blocks.width[first].tolist(), blocks.width[second].tolist(), strict=True)):
+        which = np.flatnonzero((blocks.width[first] == widths[0]) & (blocks.width[second] == widths[1]))
+        index = np.hstack(
+            [
+                blocks.first[one[which]][:, None] + np.arange(width)
+                for one, width in ((first, widths[0]), (second, widths[1]))
+            ]
+        )
+        right = b[index]
+        solved = np.linalg.solve(normal[index[:, :, None], index[:, None, :]], right[:, :, None])[:, :, 0]
+        explained = np.sum(right * solved, axis=1)
+        rows = projection.rows
+        value[which] = bayes_factor(explained, np.asarray(projection.rss), projection.dof, index.shape[1], rows)
+    value += prior[first] + prior[second] + searcher.evidence(rest, noise)
+    found: dict[tuple[str, ...], tuple[Choice, Choice]] = {}
+    for at in np.argsort(-value):
+        if value[at] <= least or len(found) == PAIRS:
+            break
+        pair = slow[first[at]], slow[second[at]]
+        found.setdefault((*_form_of(pair[0]), *_form_of(pair[1])), pair)
+    return list(found.values())
+
+
+def _form_of(choice: Choice) -> tuple[str, ...]:
+    return (choice.form.name, *choice.form.inputs)
+
+
+def _cause(choice: Choice) -> tuple[object, ...]:
+    return (choice.effect.id, choice.theta if choice.effect.several else ())
 
 
 def _forward(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice]) -> Selection:

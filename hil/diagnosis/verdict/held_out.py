@@ -47,6 +47,7 @@ class HeldOut:
     structure: the same of unexplained structure, where the choice without the fold finds any
     structure_term_um: prediction of that structure, as a term of a model, for each row, (n,); structure_term_gain: its reduction of
     squared error in each fold
+    fold: in which each row was left out, (n,)
     """
 
     before: Floats
@@ -56,7 +57,15 @@ class HeldOut:
     structure: Floats
     structure_term_um: Floats
     structure_term_gain: Floats
+    fold: NDArray[np.int64]
     how: str
+
+    @property
+    def usual_um(self) -> float:
+        """RMS of `setup` without the worst fold, µm: an effect of time has no beginning without the first run."""
+        squares = [self.setup[self.fold == number] ** 2 for number in np.unique(self.fold)]
+        worst = max(range(len(squares)), key=lambda i: float(np.mean(squares[i])))
+        return float(np.sqrt(np.mean(np.concatenate([one for i, one in enumerate(squares) if i != worst]))))
 
 
 def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
@@ -84,7 +93,6 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
     structure, structure_term_gain = np.zeros(count), np.zeros(count)
     for index in range(count):
         out, left = fold == index, fold_of_all == index
-        columns = {name: values[left] for name, values in rows.columns.items()}
         chosen = choose_without(problem, out, whole)
         if problem.declared is not None:
             base = problem.declared
@@ -93,19 +101,19 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
             noise = plain.fit_noise((), problem.plain)
             plain.limit_outliers((), noise)
             base = plain.fit((), noise, uncertain=False).extended
-        before[left] = y[left] - base.error_um(columns)
-        setup[left] = y[left] - chosen.fit.whole.error_um(columns)
-        after[left] = y[left] - chosen.fit.extended.error_um(columns)
+        before[left] = y[left] - base.error_um(rows.columns)[left]  # of all rows: a sensor's lag does not begin anew
+        setup[left] = y[left] - chosen.fit.whole.error_um(rows.columns)[left]
+        after[left] = y[left] - chosen.fit.extended.error_um(rows.columns)[left]
         last = chosen.last
         for found in structure_estimates(last.searcher, chosen.hits, last.choices, last.noise):
-            carries[left] += found.error_um(columns)
+            carries[left] += found.error_um(rows.columns)[left]
         structure_term_gain[index] = float(np.sum(setup[left] ** 2) - np.sum((setup[left] - carries[left]) ** 2))
         for effect, fall in gains_without(problem, whole.last, out).items():
             gain.setdefault(effect, []).append(fall)
         kept = setup[rows.kept[out]]
         structure[index] = float(np.sum(kept**2) - np.sum((kept - chosen.fit.nuisance_um[out]) ** 2))
     by_effect = {name: np.array(values) for name, values in gain.items()}
-    return HeldOut(before, after, setup, by_effect, structure, carries, structure_term_gain, how)
+    return HeldOut(before, after, setup, by_effect, structure, carries, structure_term_gain, fold_of_all, how)
 
 
 def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:
@@ -116,7 +124,6 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
     few runs an effect is hardly chosen again without one of them; this tests whether it predicts that run.
     """
     campaign = problem.campaign
-    columns = {name: values[out] for name, values in campaign.columns.items()}
     whole = selected.searcher
     searcher = Searcher(whole.setting, whole.candidates, out, LIGHT)
     searcher.nuisance = whole.nuisance
@@ -129,7 +136,7 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
 
     def left(choices: Sequence[Choice]) -> float:
         model = searcher.fit(choices, selected.noise, uncertain=False).whole
-        rest = campaign.error_um[out] - model.error_um(columns)
+        rest = (campaign.error_um - model.error_um(campaign.columns))[out]
         if once:
             rest = rest - run @ np.linalg.lstsq(run, rest, rcond=None)[0]
         return float(np.sum(rest**2))
@@ -208,6 +215,8 @@ def unproven_choice(problem: Problem, chosen: Chosen) -> Choice | None:
         effect = ranked.choice.effect
         if ranked.evidence - stage.before < policy().likely:
             break
+        if effect.static:
+            break  # a shape along the travel that is no finding is noise: it is there in every run of the same targets
         if effect.action is not Action.COMPENSATE or effect.id in ONCE or ranked.choice.form.shrunk:
             continue
         fold, _ = folds(problem.campaign.run)

@@ -70,8 +70,9 @@ def _reason(diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_
         doubted = [finding.effect for finding in diagnosis.findings if finding.doubtful]
         if doubted:
             return f"what is left is corrected already as {' and '.join(doubted)}, whose name is in doubt"
-        hangs = "what is left hangs together from row to row and follows no column"
-        return "what is left is no smooth function of its columns" if formless else hangs
+        hangs = "hangs together from row to row and follows no column"
+        how = hangs if diagnosis.carriers else "does not repeat from run to run"
+        return f"what is left {'is no smooth function of its columns' if formless else how}"
     unknown = {name for structure in structures for name in structure.columns} & AFTERWARDS
     if unknown:
         return f"{' and '.join(sorted(unknown))} is not known when a command is issued"

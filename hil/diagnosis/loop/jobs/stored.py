@@ -12,6 +12,7 @@ from drivers.errors import InputError
 from hil.app.jobs.figures import error_figures
 from hil.app.report.views import object_of, value_of
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
+from hil.diagnosis.loop.procedure import measured_no_worse
 from hil.diagnosis.stored import STORED, measurement_of, read_stored
 from hil.figures.history import Pass, read_campaign
 from hil.records.journal import FINISHED
@@ -26,6 +27,18 @@ STAGES = {
     "in motion, extended": "motion-after",
 }
 """Stage -> the measurement that it is of, in the order of time."""
+STAGE_LABELS = {
+    "uncorrected": "uncorrected",
+    "table": "tables at the calibrated targets",
+    "table, explored": "table, at other targets",
+    "extended, explored": "extended, at other targets",
+    "in motion": "in motion",
+    "in motion, extended": "in motion, extended",
+}
+"""Stage -> its name in terminal, report and picture."""
+LABELS_EXPLAINED = (
+    "table: the tables alone; extended: with what was found; other targets: anywhere, warmed up and rested by turns"
+)
 TURNS = {"before": ("table, explored", "extended, explored"), "motion-before": ("in motion", "in motion, extended")}
 """Diagnosed measurement -> the stages before and after the correction that followed from it."""
 
@@ -57,8 +70,8 @@ def stored_loop(directory: Path) -> StoredLoop | None:
 
 
 def turn_is_good(before_um: float, after_um: float, noise_um: float, *, unexplained: bool) -> bool:
-    """Everything is explained, and the axis measured no worse than before, or within the noise; RMS each, µm."""
-    return not unexplained and after_um <= max(before_um, 2 * noise_um)
+    """Everything is explained, and the axis measured no worse than before; RMS each, µm."""
+    return not unexplained and measured_no_worse(before_um, after_um, noise_um)
 
 
 def _measured(passes: tuple[Pass, ...]) -> dict[str, Records]:

@@ -59,8 +59,23 @@ def test_a_design_confounds_nothing_and_repeats_some() -> None:
 
 
 def test_too_few_minutes_are_refused_with_what_it_takes() -> None:
-    with pytest.raises(InputError, match=r"5 min are too short .* expected at least \d+ min"):
+    with pytest.raises(InputError, match=r"5 min are too short .* expected at least \d+"):
         design(MEANS, 5.0)
+
+
+@pytest.mark.parametrize("minutes", [25.0, 26.0, 33.0, 47.0, 61.0])
+def test_a_design_keeps_its_word(minutes: float) -> None:
+    planned = plan_minutes(design(MEANS, minutes), MEANS)
+    assert 0.85 * minutes <= planned <= minutes
+
+
+def test_the_time_named_for_the_smallest_is_enough() -> None:
+    with pytest.raises(InputError) as refused:
+        design(MEANS, 1.0)
+    least = float(str(refused.value).split("at least ")[1].split(" min")[0])
+    assert plan_minutes(design(MEANS, least), MEANS) <= least
+    with pytest.raises(InputError):
+        design(MEANS, least - 0.2)
 
 
 def test_targets_in_step_with_the_pitch_and_effects_in_the_table_are_named() -> None:
@@ -87,6 +102,7 @@ def test_columns_that_go_together_are_named_together() -> None:
 def test_one_run_one_way_has_no_repeats_and_position_stands_for_time() -> None:
     columns = {name: values[:12] for name, values in standard(38.7, targets=12).items()}
     check = check_campaign(measured(columns))
-    assert check.repeats == repeats_of(prepare(measured(columns))) == 0
+    rows = prepare(measured(columns))
+    assert check.repeats == repeats_of(rows.x, rows.d) == 0
     assert gaps(check, "repeats")
     assert gaps(check, "order")

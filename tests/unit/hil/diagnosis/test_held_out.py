@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
+from support.workshop import Floats, workshop
 
+from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.search.choose import Chosen, choose, choose_without, problem_of
-from hil.diagnosis.verdict.held_out import folds, improves_held_out
+from hil.diagnosis.verdict.held_out import HeldOut, folds, improves_held_out
 from hil.effects import Effect
 from hil.effects.load_deflection import LoadDeflection
 from hil.effects.velocity_lag import VelocityLag
@@ -106,3 +108,28 @@ def test_one_fold_that_likes_it_does_not_speak_for_all() -> None:
 )
 def test_an_effect_helps_with_all_runs_or_without_the_best_and_the_worst(gain: list[float], helps: bool) -> None:
     assert improves_held_out(np.array(gain)) is helps
+
+
+def behind_the_screw(c: dict[str, Floats]) -> Floats:
+    """A drift that follows the screw through a lag of 600 s, from the first row on as warm as the screw then was."""
+    out, at = np.empty(len(c["time_s"])), c["temp_screw_c"][0]
+    for row, step_s in enumerate(np.diff(c["time_s"], prepend=c["time_s"][0])):
+        at += (c["temp_screw_c"][row] - at) * -np.expm1(-step_s / 600.0)
+        out[row] = at
+    return out
+
+
+def test_a_sensors_lag_does_not_begin_anew_in_the_rows_left_out() -> None:
+    records, noise_um = workshop(12, behind_the_screw, ratio=2.0, warm_s=3000.0)
+    found = diagnose(records)
+    (finding,) = found.findings
+    assert finding.effect == "thermal_drift"
+    later = records["run"] > records["run"].min()  # nothing but the first run shows where the drift began
+    left_um = float(np.sqrt(np.mean(found.after_um[later] ** 2)))
+    assert left_um < 1.4 * float(np.std(noise_um)), "begun anew in each run it is 2 to 8 times the noise"
+
+
+def test_the_worst_run_left_out_is_not_what_usually_remains() -> None:
+    none = np.zeros(4)
+    left = HeldOut(none, none, np.array([1.0, 1.0, 9.0, 9.0]), {}, none, none, none, np.array([0, 0, 1, 1]), "")
+    assert left.usual_um == pytest.approx(1.0)

@@ -159,7 +159,7 @@ def test_it_is_drawn_where_something_is_unexplained_and_elsewhere_when_asked() -
     assert np.sum(tables["data-left-over-means"]["rows"]) == 3 * N, "each row in each of three drawings"
     assert set(tables["data-spectrum"]) == {"period_mm", "amplitude_um"}
     words = " ".join(block.text for block in walk(blocks) if isinstance(block, Paragraph))
-    assert "It shows along: time_s (1.23 ± 0.056 µm RMS). Nothing was compensated for it." in words
+    assert "It shows along: time_s (1.23 ± 0.11 µm RMS, k = 2). Nothing was compensated for it." in words
 
 
 def test_where_a_table_at_just_these_targets_took_it_all_there_is_no_spectrum() -> None:

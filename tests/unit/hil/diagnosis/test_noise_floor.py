@@ -11,7 +11,7 @@ from support.workshop import workshop
 
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import CampaignRows, prepare
-from hil.diagnosis.diagnose import beyond_noise
+from hil.diagnosis.diagnose import beyond_noise, predicted_um
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.noise.repeats import pure_error
@@ -221,13 +221,16 @@ def test_more_than_noise_memory_and_offsets_explain_is_never_silent() -> None:
     columns, error_um = repeats(0.0)
     floor = pure_error(columns, error_um)
     parts = NoiseParts(0.4, 0.2, 2.0, 0.1)
-    explained = math.hypot(0.4, 0.2, 0.1)
-    assert list(beyond_noise(floor, parts, 1.1 * explained, 300, 20.0)) == []
-    (said,) = beyond_noise(floor, parts, 1.9 * explained, 300, 20.0)
+    explained = predicted_um(None, parts, 300, 20.0)
+    assert explained == pytest.approx(math.hypot(0.4, 0.2, 0.1) * math.sqrt(1.0 + 40.0 / 280.0)), (
+        "a table predicts no better"
+    )
+    assert list(beyond_noise(floor, parts, 1.1 * explained, explained, 300)) == []
+    (said,) = beyond_noise(floor, parts, 1.9 * explained, explained, 300)
     assert "left out" in said
-    (said,) = beyond_noise(floor, NoiseParts(0.8, 0.0, 0.0, 0.0), 0.5, 300, 20.0)
+    (said,) = beyond_noise(floor, NoiseParts(0.8, 0.0, 0.0, 0.0), 0.5, explained, 300)
     assert "repeats differ" in said
-    (said,) = beyond_noise(None, parts, 1.9 * explained, 300, 20.0)
+    (said,) = beyond_noise(None, parts, 1.9 * explained, explained, 300)
     assert "left out" in said
 
 

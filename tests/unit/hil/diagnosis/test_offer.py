@@ -89,7 +89,9 @@ def a_diagnosis(*, unexplained: bool = True) -> tuple[Diagnosis, HeldOut]:
     said = Diagnosis(
         None, noise, model, model, (), unexplained, carriers, (), one, one, one, one, "leave-one-run-out", True
     )
-    return said, HeldOut(one, one, one, {}, np.ones(4), 0.9 * one, np.array([9.0, 8.0, 9.0, 10.0]), "leave-one-run-out")
+    return said, HeldOut(
+        one, one, one, {}, np.ones(4), 0.9 * one, np.array([9.0, 8.0, 9.0, 10.0]), np.arange(4), "leave-one-run-out"
+    )
 
 
 def test_where_everything_is_explained_there_is_none_and_no_word_of_it() -> None:

@@ -12,17 +12,30 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.diagnose import exceeds_repeats, is_between_runs
+from hil.diagnosis.diagnose import exceeds_repeats
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.remainder import LeftOver, left_over
 from hil.diagnosis.remainder.hits import hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import scan, variables
-from hil.diagnosis.result import NoiseParts
+from hil.diagnosis.result import Carrier, Finding, NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
-from hil.effects import Estimate
+from hil.diagnosis.search.select import Selected
+from hil.diagnosis.verdict.rivals import (
+    SENSORS,
+    beside_unseen_causes,
+    beside_what_is_left,
+    is_between_runs,
+    is_refuted_by,
+    is_unsure,
+    not_told_apart,
+    unrecorded,
+    with_rivals,
+)
+from hil.effects import ALL, Estimate, Form, Term
+from hil.effects.survey import survey_of
 from hil.records.rows import Records
 
 NOISE_UM = 0.5
@@ -152,6 +165,16 @@ def test_rows_hit_at_random_are_noticed_with_their_size() -> None:
     assert found[0].rms.value == pytest.approx(2.0 * NOISE_UM, rel=0.25)
 
 
+def every_seventh_row(c: dict[str, Floats]) -> Floats:
+    return (np.arange(len(c["target_mm"])) % 7 == 3) * np.sin(2 * np.pi * 1.4 * c["target_mm"] / TRAVEL_MM)
+
+
+def test_rows_hit_again_and_again_are_noticed_at_half_the_noise() -> None:
+    found = rest_of(workshop(31, every_seventh_row, ratio=0.6, noise_um=NOISE_UM)[0])
+    assert [set(one.columns) - {"direction"} for one in found] == [{"row_order", "target_mm"}]
+    assert found[0].rms.value == pytest.approx(0.6 * NOISE_UM, rel=0.3)
+
+
 @pytest.mark.parametrize("draws", ["signs", "cauchy"])
 def test_large_rows_of_random_sign_are_noise(draws: str) -> None:
     """Heavy tails alone: of fifty campaigns hardly one may be taken for more."""
@@ -206,11 +229,175 @@ def test_a_cause_outside_the_catalogue_is_never_silent() -> None:
     assert said.to_json()["carried_by"][0]["rms_std_um"] > 0.0
 
 
-def test_an_effect_that_runs_left_out_do_not_prove_is_named_with_doubt_where_its_rest_would_be_unexplained() -> None:
-    """An offset that follows a temperature by far later: from run to run it cannot be told from the offsets of the runs."""
+def test_an_offset_that_follows_a_temperature_far_later_is_proven_by_runs_left_out() -> None:
     said = diagnose(Records.of(draw("weak", 100_034).fit.records))
     (finding,) = said.findings
     assert finding.effect == "thermal_drift"
+    by_air = sum(rival.confidence for rival in finding.rivals if rival.effect == "dead_path")
+    assert finding.confidence + by_air > 0.9, "the air was not logged, and there is no other rival"
+    assert finding.confidence > by_air
+    assert not said.unexplained
+
+
+def test_an_effect_that_runs_left_out_do_not_prove_is_named_with_doubt_where_its_rest_would_be_unexplained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    records, _ = workshop(11, lambda c: c["load_kg"] * (c["target_mm"] / TRAVEL_MM - 0.5), ratio=3.0, noise_um=NOISE_UM)
+    (sure,) = diagnose(records).findings
+    assert (sure.effect, sure.confidence > 0.9) == ("load_deflection", True)
+    monkeypatch.setitem(diagnose.__globals__, "improves_held_out", lambda gain: False)
+    monkeypatch.setattr(Selected, "beyond", lambda self, log_odds: set())
+    said = diagnose(records)
+    (finding,) = said.findings
+    assert finding.effect == "load_deflection"
     assert 0.5 < finding.confidence < 0.7
     assert "unexplained" in {rival.effect for rival in finding.rivals}
     assert not said.unexplained
+
+
+def finding_of(effect: str, column: str) -> Finding:
+    known = {one.id: one for one in ALL}[effect]
+    form = Form(effect, "offset", (column,))
+    return Finding(Term(known, form, (), (1.0,), ((0.01,),)), 0.99, (), 1.0, 0.1, 2.0)
+
+
+def test_what_the_torque_cannot_tell_apart_where_speed_or_load_is_not_recorded_stays_a_rival() -> None:
+    by_torque, by_load = finding_of("load_deflection", "torque_percent"), finding_of("load_deflection", "load_kg")
+    lag = finding_of("velocity_lag", "velocity_mm_s")
+    whole = ("torque_percent", "load_kg", "velocity_mm_s")
+    assert not_told_apart([by_torque], ("torque_percent", "load_kg")) == {"load_deflection": ("velocity_lag",)}
+    assert not_told_apart([by_torque], whole) == {}
+    assert not_told_apart([by_load, lag], whole) == {}
+    assert not_told_apart([by_load, lag], ("load_kg", "velocity_mm_s")) == {"velocity_lag": ("load_deflection",)}
+    assert not_told_apart([by_torque, lag], ("torque_percent", "velocity_mm_s")) == {
+        "velocity_lag": ("load_deflection",)
+    }
+    assert not_told_apart([lag], ("velocity_mm_s", "load_kg")) == {}
+    assert not_told_apart([lag], ("velocity_mm_s",)) == {"velocity_lag": ("load_deflection",)}
+    doubted = beside_unseen_causes(by_torque, ("velocity_lag",))
+    assert doubted.confidence == pytest.approx(0.99 / (1.0 + 0.99 * np.exp(-0.5)))
+    assert [rival.effect for rival in doubted.rivals] == ["velocity_lag"]
+    assert doubted.confidence + doubted.rivals[0].confidence == pytest.approx(1.59 / 1.6, rel=0.01)
+
+
+def test_a_cause_whose_sensor_nobody_recorded_is_a_rival_of_what_is_in_doubt() -> None:
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    bare = survey_of({name: campaign.columns[name] for name in ("run", "direction", "target_mm", "time_s")})
+    assert set(unrecorded(ALL, bare, ())) == {
+        *("abbe", "air_index", "dead_path", "load_deflection", "cross_axis", "thermal_expansion", "thermal_drift"),
+    }, "a speed that was not recorded is rest"
+    assert unrecorded(ALL, bare, SENSORS) == (), "what was recorded and did not vary is no rival"
+    assert set(unrecorded(ALL, bare, set(SENSORS) - {"yaw_urad"})) == {"abbe"}
+    doubted = beside_unseen_causes(finding_of("load_deflection", "load_kg"), ("unexplained", "abbe"))
+    weights = {rival.effect: rival.confidence for rival in doubted.rivals}
+    assert weights["abbe"] == pytest.approx(weights["unexplained"])
+    assert 0.5 < doubted.confidence < 0.7
+
+
+def test_a_name_is_as_sure_as_it_is_large_beside_what_is_left_unexplained() -> None:
+    sure = finding_of("load_deflection", "load_kg")  # 1 µm, 0.99
+    assert beside_what_is_left(sure, 0.0) == sure
+    doubted = beside_what_is_left(sure, 0.5)
+    assert doubted.confidence == pytest.approx(0.99 * 0.8)
+    assert [(rival.effect, pytest.approx(rival.confidence)) for rival in doubted.rivals] == [("unexplained", 0.2)]
+    assert beside_what_is_left(sure, 0.1).confidence > 0.97, "a tenth of it is hardly the cause of all"
+
+
+def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_them() -> None:
+    by_load, drift = finding_of("load_deflection", "load_kg"), finding_of("thermal_drift", "temp_bed_c")
+    angles = ("pitch_urad", "yaw_urad")
+    whole = (*angles, "load_kg", "torque_percent", "velocity_mm_s", "air_temp_c")
+    assert not_told_apart([by_load, drift], whole) == {}
+    without_yaw = [name for name in whole if name != "yaw_urad"]
+    assert not_told_apart([by_load, drift], without_yaw) == {"load_deflection": ("abbe",), "thermal_drift": ("abbe",)}
+    assert not_told_apart([by_load], without_yaw) == {}, "a deflection alone is one cause as it is"
+    without_air = [name for name in whole if name != "air_temp_c"]
+    assert not_told_apart([drift], without_air) == {"thermal_drift": ("dead_path",)}
+    settling = finding_of("thermal_drift", "time_s")
+    assert not_told_apart([settling], without_air) == {}, "air does not settle from the start of a campaign"
+    growing = finding_of("thermal_expansion", "temp_bed_c")  # 1 ppm/K, which no material has
+    assert not_told_apart([growing], without_air) == {"thermal_expansion": ("air_index",)}
+    steel = replace(growing, term=replace(growing.term, coefficients=(11.5,)))
+    assert not_told_apart([steel], without_air) == {}
+
+
+@pytest.mark.parametrize(
+    ("effect", "column", "left", "refuted"),
+    [
+        ("abbe", "pitch_urad", ("pitch_urad", "target_mm"), True),
+        ("abbe", "pitch_urad", ("pitch_urad",), False),  # another form of the same cause
+        ("abbe", "pitch_urad", ("load_kg", "target_mm"), False),  # another cause beside it
+        ("thermal_drift", "temp_bed_c", ("target_mm", "temp_screw_c"), True),  # they rise together
+        ("lost_motion", "since_reversal_mm", ("since_reversal_mm", "stroke_mm", "direction"), False),
+        ("lost_motion", "since_reversal_mm", ("since_reversal_mm", "pitch_urad"), True),
+    ],
+)
+def test_a_name_is_refuted_by_what_is_left_along_its_column_and_another(
+    effect: str, column: str, left: tuple[str, ...], refuted: bool
+) -> None:
+    finding = finding_of(effect, column)
+    carrier = Carrier(left, Estimate(0.1, 0.01), 1e-6)
+    assert is_refuted_by(finding, carrier) is refuted
+    (told,) = with_rivals([finding], (), (), SENSORS, [carrier])
+    assert (told.confidence < 0.7) is refuted, "however small it is"
+    assert ("unexplained" in {rival.effect for rival in told.rivals if rival.confidence > 0.3}) is refuted
+
+
+def test_the_time_that_a_lag_reads_is_no_column_of_the_effect() -> None:
+    drift = finding_of("thermal_drift", "temp_bed_c")
+    lagged = Form("thermal_drift", "lagged temperature", ("temp_bed_c", "time_s"))
+    carrier = Carrier(("target_mm", "time_s"), Estimate(0.1, 0.01), 1e-6)
+    assert not is_refuted_by(replace(drift, term=replace(drift.term, form=lagged)), carrier)
+    assert is_refuted_by(finding_of("thermal_drift", "time_s"), carrier), "a course of the time itself"
+
+
+def test_a_jump_beside_a_course_that_wanders_is_unsure() -> None:
+    records, _ = workshop(31, noise_um=NOISE_UM)
+    campaign = prepare(records)
+    form = Form("datum_step", "step", ("time_s",))
+    middle = float(np.mean(campaign.columns["time_s"][(campaign.run == 1).nonzero()[0][10:12]]))  # within a run
+    step = replace(
+        finding_of("datum_step", "time_s"),
+        term=replace(finding_of("datum_step", "time_s").term, form=form, theta=(middle,)),
+    )
+    wandering = finding_of("beam_drift", "time_s")
+    wandering = replace(wandering, term=replace(wandering.term, form=replace(form, effect="beam_drift", shrunk=True)))
+    assert not is_unsure(step, [step], campaign)
+    assert is_unsure(step, [step, wandering], campaign)
+    assert is_unsure(wandering, [wandering], campaign)
+
+
+def test_a_course_along_the_travel_that_no_logged_temperature_shows_is_unsure() -> None:
+    records, _ = workshop(31, noise_um=NOISE_UM)
+    campaign = prepare(records)
+    assert campaign.survey.temperatures
+    grown = finding_of("thermal_expansion", "time_s")
+    by_time = replace(
+        grown,
+        term=replace(grown.term, form=Form("thermal_expansion", "warming since the start", ("time_s", "target_mm"))),
+    )
+    through = ("temp_screw_c", "time_s", "target_mm")
+    by_sensor = replace(grown, term=replace(grown.term, form=Form("thermal_expansion", "lagged temperature", through)))
+    assert is_unsure(by_time, [by_time], campaign)
+    assert not is_unsure(by_sensor, [by_sensor], campaign)
+    bare = {name: values for name, values in records.columns.items() if not name.startswith("temp_")}
+    assert not is_unsure(by_time, [by_time], prepare(Records.of(bare))), "without a temperature it is the best there is"
+
+
+def test_of_two_sensors_that_fit_alike_both_are_named_and_the_uncertainty_holds_both() -> None:
+    records, _ = workshop(3, lambda c: 4e-3 * c["target_mm"] * (c["temp_screw_c"] - 20.0), noise_um=NOISE_UM)
+    alike = 20.0 + 0.5 * (records["temp_screw_c"] - 20.0)  # a sensor that sees half of it
+    rng = np.random.default_rng(4)
+    columns = dict(records.columns)
+    columns["temp_screw_c"] = records["temp_screw_c"] + rng.normal(0.0, 0.02, len(records))
+    columns["temp_bed_c"] = alike + rng.normal(0.0, 0.01, len(records))
+    (finding,) = diagnose(Records.of(columns)).findings
+    assert finding.effect == "thermal_expansion"
+    assert {term.needs[0] for term, _ in finding.follows} == {"temp_screw_c", "temp_bed_c"}
+    found = finding.parameters["coefficient_ppm_per_k"]
+    assert 4.0 < found.value < 8.0
+    assert found.std > 1.0, "4 by the one, 8 by the other"
+    assert "do not tell which it follows: " in finding.explanation
+    told = diagnose(records).findings[0]
+    assert told.follows == ()
+    assert "which it follows" not in told.explanation

@@ -159,7 +159,7 @@ def test_parts_of_what_is_said_are_said_too() -> None:
 def test_figures_to_so_many_digits() -> None:
     de, en = Texts("de"), Texts("en")
     assert (de.significant(-1234.56), de.significant(12345.6), de.significant(1.2e-5)) == ("−1235", "12350", "0,000012")
-    assert de.estimate(0.5, 0.012, "µm") == "0,5 ± 0,012 µm"
+    assert de.estimate(0.5, 0.012, "µm") == "0,5 ± 0,024 µm"  # expanded, k = 2
     assert en.estimate(0.5, None) == "0.5"
     assert en.estimate(0.5, float("nan"), "mm") == "0.5 mm"
     assert en.estimate(None, None) == "–"

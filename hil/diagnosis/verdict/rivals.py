@@ -1,0 +1,224 @@
+"""The rivals of each finding: causes that fit as well, causes whose columns nobody recorded, and what is left unexplained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.policy import policy
+from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
+from hil.diagnosis.search.choose import Chosen
+from hil.diagnosis.search.fit import grid_choices
+from hil.diagnosis.search.rank import by_column, score_choices
+from hil.diagnosis.verdict.held_out import ONCE
+from hil.effects import Effect, Survey, Term
+from hil.effects.survey import TEMPERATURE
+from hil.effects.warming import is_about_a_point, is_since_start
+
+Floats = NDArray[np.float64]
+
+SENSORS = (
+    *("load_kg", "torque_percent", "pitch_urad", "yaw_urad", "pos_y_mm"),
+    *("air_temp_c", "air_pressure_hpa", "air_humidity_percent", "temp_screw_c"),
+)
+"""Columns that a cause may follow; through one that was not recorded it can only be a rival."""
+
+FORCES = frozenset({"load_kg", "torque_percent"})
+ANGLES = ("pitch_urad", "yaw_urad")
+SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
+"""Effects that are an offset in the course of time."""
+WAY = ("since_reversal_mm", "stroke_mm")
+"""Columns of the way to the target."""
+
+
+def courses_as_good(chosen: Chosen) -> Iterator[tuple[str, str]]:
+    """Each effect that follows a measured temperature where a course of the time since the start fits as well, with a note."""
+    last = chosen.last
+    kept = chosen.kept
+    survey = last.searcher.linear.campaign.survey
+    for i, choice in enumerate(kept):
+        name = choice.form.inputs[0] if choice.form.inputs else ""
+        courses = [
+            course
+            for form in choice.effect.forms(survey)
+            if name in survey.temperatures
+            and is_since_start(form)
+            and is_about_a_point(form) == is_about_a_point(choice.form)
+            for course in grid_choices(choice.effect, form)
+        ]
+        if not courses:
+            continue
+        projection = last.searcher.projection(last.noise, last.searcher.extra([*kept[:i], *kept[i + 1 :]]))
+        gains, _ = score_choices(projection, [choice, *courses])
+        behind = float(gains[0]) - choice.form.log_odds - float(np.max(gains[1:] - courses[0].form.log_odds))
+        if behind < policy().as_well:
+            yield (
+                choice.effect.id,
+                f"{choice.effect.id} follows {name}, and a course of the time since the start fits these rows as well (log odds"
+                f" {behind:.1f}): the correction follows the temperature, which was measured; another warm-up tells the two apart",
+            )
+
+
+def columns_as_good(chosen: Chosen, term: Term, noise: Noise) -> tuple[tuple[Term, float], ...]:
+    """The effect of a term by each column that it may follow, with its share among them; none where no other has any."""
+    last, kept = chosen.last, list(chosen.kept)
+    place = next(i for i, choice in enumerate(kept) if (choice.form, choice.theta) == (term.form, term.theta))
+    ranked = by_column(last.searcher, [*kept[:place], *kept[place + 1 :]], kept[place], last.noise)
+    raw = [math.exp(max((one.evidence - ranked[0].evidence) / policy().temperature, -40.0)) for one in ranked]
+    shares = [value / sum(raw) for value in raw]
+    found = []
+    for one, share in zip(ranked, shares, strict=True):
+        if share > policy().least_confidence:
+            fit = last.searcher.fit([*kept[:place], one.choice, *kept[place + 1 :]], noise)
+            found.append((fit.found[place], share))
+    return tuple(found) if len(found) > 1 else ()
+
+
+def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
+    """Weight of each effect at the stage at which this one was taken, best first; 'unexplained' for a cause outside the
+    catalogue.
+    """
+    for selected in chosen.selections:
+        for stage in selected.stages:
+            if stage.taken and stage.ranking and effect in (stage.about, stage.ranking[0].effect):
+                top = stage.ranking[0].evidence
+                odds = {r.effect: r.evidence - top for r in stage.ranking}
+                if effect in selected.foreign:
+                    odds[OUTSIDE] = selected.foreign[effect].log_odds
+                raw = {name: math.exp(max(value / policy().temperature, -40.0)) for name, value in odds.items()}
+                total = sum(raw.values())
+                return {name: value / total for name, value in raw.items()}
+    return {}
+
+
+def separating(effect: Effect, rival: str) -> str:
+    for known in effect.rivals:
+        if known.effect == rival:
+            return known.separate_by
+    return "a campaign in which the columns the two read vary apart"
+
+
+def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
+    """Whether a course of the rows (n,) is a jump from one run to the next: everything that was set there may have caused it."""
+    jumps = np.flatnonzero(np.diff(course_um))
+    return len(jumps) == 1 and bool(campaign.run[jumps[0]] != campaign.run[jumps[0] + 1])
+
+
+def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignRows) -> bool:
+    """Whether whatever nobody recorded looks like this: a jump from one run to the next, or beside a course that wanders, which is one
+    course with it; a course in time that follows nothing; one that differs along the travel while none of the temperatures that were
+    logged shows it.
+    """
+    survey, needs = campaign.survey, set(finding.term.needs)
+    if {survey.time_column, "target_mm"} <= needs and survey.temperatures and not needs & set(survey.temperatures):
+        return True
+    if finding.effect not in ONCE:
+        return False
+    wanders = any(one.term.form.shrunk for one in findings)
+    return wanders or is_between_runs(finding.term.error_um(campaign.columns), campaign)
+
+
+def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """By effect, the rival that follows one column nobody recorded, where that column goes with those that were recorded.
+
+    The motor's torque goes with speed, load and direction: a deflection by torque where the speed is not known may be a lag; a lag
+    where neither load nor torque is known may be a deflection, and beside a deflection, where one of them is not, the rest of it. A
+    tilt goes with load and with temperature: a deflection beside a slow course may be both of it, an arm times an angle that was not
+    measured. The air of the shop warms with the machine: a drift with a temperature may be that of a dead path, and a growth that no
+    material has that of the air's index.
+    """
+    found = {finding.effect: finding.term for finding in findings}
+    out: dict[str, tuple[str, ...]] = {}
+    deflection = found.get("load_deflection")
+    if deflection is not None and "torque_percent" in deflection.needs and "velocity_mm_s" not in recorded:
+        out["load_deflection"] = ("velocity_lag",)
+    elif "velocity_lag" in found and len(FORCES - set(recorded)) > (deflection is None):
+        out["velocity_lag"] = ("load_deflection",)
+    slow = SLOW & set(found)
+    if deflection is not None and slow and not set(ANGLES) <= set(recorded):
+        out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
+    if "air_temp_c" not in recorded:
+        for name, by_air in (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index")):
+            term = found.get(name)
+            if term is None or not any(TEMPERATURE.fullmatch(column) for column in term.needs):
+                continue
+            if name == "thermal_drift" or term.effect.implausible(term):
+                out[name] = (*out.get(name, ()), by_air)
+    return out
+
+
+def with_rivals(
+    findings: Sequence[Finding],
+    doubted: Collection[str],
+    unseen: Sequence[str],
+    recorded: Collection[str],
+    carriers: Sequence[Carrier],
+) -> tuple[Finding, ...]:
+    """The findings beside what is left, those of the effects in doubt beside the causes that nobody recorded."""
+    by_one_column = not_told_apart(findings, recorded)
+    out = []
+    for finding in findings:
+        names = (OUTSIDE, *(name for name in unseen if name != finding.effect)) if finding.effect in doubted else ()
+        names = by_one_column.get(finding.effect, names)
+        refuted = any(is_refuted_by(finding, carrier) for carrier in carriers)
+        if refuted:
+            names = tuple(dict.fromkeys((*names, OUTSIDE)))
+        beside = beside_unseen_causes(finding, names) if names else finding
+        left_um = max((carrier.rms.value for carrier in carriers), default=0.0)
+        out.append(beside if refuted else beside_what_is_left(beside, left_um))
+    return tuple(out)
+
+
+def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
+    """Whether what is left follows a column of the effect together with another one: then the machine has a function of that column
+    which is not the effect's, and all of it may be that. In the effect's own columns alone it is another form of the same cause.
+    """
+    own = {_kind(name) for term in finding.terms for name in term.needs} - {"target_mm", "direction"}
+    if "temperature" in own:  # a sensor's lag reads the time, and nothing else follows it
+        own -= {"time_s", "row_order"}
+    columns = {_kind(name) for name in carrier.columns if name != "direction"}
+    return bool(columns & own) and not columns <= own
+
+
+def _kind(column: str) -> str:
+    """What a column is of: a hysteresis follows all of the way to the target, and the temperatures of a machine rise together."""
+    return "way" if column in WAY else "temperature" if TEMPERATURE.fullmatch(column) else column
+
+
+def unrecorded(effects: Sequence[Effect], survey: Survey, recorded: Collection[str]) -> tuple[str, ...]:
+    """Effects that could show in columns nobody recorded. A speed that was not recorded is rest."""
+    absent = {name for name in SENSORS if name not in recorded}
+    wider = replace(survey, varying=survey.varying | absent, mean={**dict.fromkeys(absent, 1.0), **survey.mean})
+    return tuple(effect.id for effect in effects if any(absent & set(form.inputs) for form in effect.forms(wider)))
+
+
+def beside_unseen_causes(finding: Finding, names: Sequence[str]) -> Finding:
+    """The finding with rivals that nobody recorded, together nearly as likely as itself."""
+    other = finding.confidence * math.exp(-policy().unseen / policy().temperature)
+    share = 1.0 / (1.0 + other)
+    known = {rival.effect: rival.confidence for rival in finding.rivals}
+    known |= {name: known.get(name, 0.0) + other / len(names) for name in names}
+    return _weighed(finding, share, {name: weight * share for name, weight in known.items()})
+
+
+def beside_what_is_left(finding: Finding, left_um: float) -> Finding:
+    """The finding with what is left unexplained as a rival, by its share of the power of both: the cause of it may have caused all."""
+    if finding.doubtful or left_um <= 0.0:
+        return finding
+    share = finding.rms_um**2 / (finding.rms_um**2 + left_um**2)
+    known = {rival.effect: rival.confidence * share for rival in finding.rivals}
+    known[OUTSIDE] = known.get(OUTSIDE, 0.0) + 1.0 - share
+    return _weighed(finding, share, {name: one for name, one in known.items() if one > policy().least_confidence})
+
+
+def _weighed(finding: Finding, share: float, rivals: Mapping[str, float]) -> Finding:
+    """The finding with this share of its confidence, beside rivals of these weights."""
+    apart = (RivalFound(name, weight, separating(finding.term.effect, name)) for name, weight in rivals.items())
+    ordered = tuple(sorted(apart, key=lambda rival: -rival.confidence))
+    return replace(finding, confidence=finding.confidence * share, rivals=ordered)
