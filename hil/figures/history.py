@@ -18,8 +18,9 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.figures.iso230 import Iso230, iso230
-from hil.records.files import read_bytes
+from hil.records.files import read_bytes, split_lines
 from hil.records.journal import BEGUN, CHAINED, MARKER, checksums, grew_from, read_purpose
+from hil.records.row_chain import order_written
 from hil.records.rows import Records, concatenate, parse_csv
 
 REPLAY = "replay"
@@ -107,7 +108,11 @@ def read_campaign(directory: Path) -> FoundCampaign:
     purpose = read_purpose(directory)
     sums = checksums(directory)
     passes = [read_pass(path, sums.get(path.name)) for path in directory.glob("*.csv")]
-    return FoundCampaign(directory, purpose, tuple(sorted(passes, key=lambda one: (one.begun.timestamp(), one.name))))
+    chained = all(any(note.startswith(BEGUN) and note.endswith(CHAINED) for note in one.notes) for one in passes)
+    # the chain grew as they were measured; dates alone would turn them round where the computer's clock was set back
+    place = {name: at for at, name in enumerate(order_written(directory) if chained else ())}
+    passes.sort(key=lambda one: (place.get(one.path.name, len(place)), one.begun.timestamp(), one.name))
+    return FoundCampaign(directory, purpose, tuple(passes))
 
 
 def read_pass(path: Path, closed_as: str | None) -> Pass:
@@ -118,7 +123,7 @@ def read_pass(path: Path, closed_as: str | None) -> Pass:
     sha256 = hashlib.sha256(data).hexdigest()
     whole = data[: data.rfind(b"\n") + 1]
     text = whole.decode("utf-8", "replace")
-    notes = tuple(line.removeprefix("#").strip() for line in text.splitlines() if line.startswith("#"))
+    notes = tuple(line.removeprefix("#").strip() for line in split_lines(text) if line.startswith("#"))
     if whole != data:
         state = "torn"
     elif sha256 == closed_as:

@@ -34,6 +34,20 @@ FIGURES: Mapping[str, str] = MappingProxyType(
 )
 """Name of each figure of an axis, in the order of display, and the standard's term for it."""
 
+MEASURED_AT_A_REVERSAL: Mapping[str, str] = MappingProxyType(
+    {
+        "B": "reversal value B: what the instrument reads at rest, corrected: mean of direction + less mean of direction − at one"
+        " target, each after a run past it; the largest of all targets",
+        "backlash": "measured here: travel of the motor from a turn until its torque has risen to that of sliding, without an"
+        " instrument; it lacks what the load still lags behind then",
+        "lost_motion": "measured here: by the instrument, uncorrected, the error of a place soon after a turn less that after a"
+        " whole stroke; the amount is that after the longest travel",
+    }
+)
+"""What each of the three figures of a reversal measures. They differ on one axis, and none of them is wrong."""
+
+OTHER_REVERSAL_FIGURES = "backlash, lost motion and B are three quantities: hil help reading_the_figures"
+
 TARGET_RESOLUTION_MM = 1e-6
 """Targets closer than this are the same target (far below any instrument, far above float64 noise at 10 m)."""
 

@@ -20,6 +20,8 @@ With U_L² the sum of the first four squared, and u = U_EVE:
     R↑ R↓: 2u                     R: √(4u² + 2u²/n)      A↑ A↓ A: √(U_E² + 4u²)
 
 The figures are those of the runs that were made; how they would scatter in a repeated campaign is not included.
+
+Against a limit they are decided by the rule of ISO 14253-1: `conformity`.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -109,6 +112,14 @@ def budget(inputs: UncertaintyInputs, figures: Iso230, records: Records) -> Budg
     return Budget(1000.0 * length_m, (*stretch, variation), known)
 
 
+def budget_um(inputs: UncertaintyInputs | None, figures: Iso230, records: Records) -> Mapping[str, float]:
+    """Expanded uncertainty (k = 2) of each figure by name, µm; empty where the inputs, or the temperatures they need, are missing."""
+    try:
+        return {} if inputs is None else budget(inputs, figures, records).figures_um
+    except InputError:
+        return {}
+
+
 def _stretching(inputs: UncertaintyInputs, length_m: float, records: Records) -> tuple[Contribution, ...]:
     deviation_c = farthest_from_reference_c(records) if inputs.deviation_c is None else inputs.deviation_c
     if deviation_c is None and inputs.expansion_range_um_per_m_c:
@@ -144,3 +155,35 @@ def farthest_from_reference_c(records: Records) -> float | None:
     values = [records[name][np.isfinite(records[name])] for name in places if name in records]
     deviations = [float(np.max(np.abs(value - REFERENCE_C))) for value in values if len(value)]
     return max(deviations, default=None)
+
+
+class Conformity(StrEnum):
+    """What a measured value and its uncertainty prove against a limit."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    UNDECIDED = "undecided"
+
+
+CONFORMITY_RULE = (
+    "ISO 14253-1: pass where value + U ≤ limit, fail where value - U > limit, undecided between; U at k = 2"
+)
+"""The rule of `conformity`, as outputs state it. The guard band is U at k = 2 as in the editions of 1998 and 2013, wider than the
+1.65 u which is enough for the 95 % that ISO 14253-1:2017 asks of one limit: a wrong pass has a probability of at most 2.3 %."""
+
+
+def conformity(value: float, expanded: float | None, limit: float) -> Conformity:
+    """Decision on a value that has an upper limit, by `CONFORMITY_RULE`. All three in one unit.
+
+    expanded: U at k = 2; None where it is not known and 0 where nothing was stated of instrument and room: nothing is proven then.
+    Raises InputError for numbers that are not finite and for a negative U.
+    """
+    if not (
+        math.isfinite(value) and math.isfinite(limit) and math.isfinite(expanded or 0.0) and (expanded or 0.0) >= 0.0
+    ):
+        raise InputError(f"{value:g} with U = {expanded} against {limit:g}, expected finite numbers and U ≥ 0")
+    if not expanded:
+        return Conformity.UNDECIDED
+    if value + expanded <= limit:
+        return Conformity.PASS
+    return Conformity.FAIL if value - expanded > limit else Conformity.UNDECIDED

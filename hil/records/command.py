@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,9 @@ from hil.figures.history import (
     usual_pass,
 )
 from hil.figures.iso230 import FIGURES, Iso230
+from hil.figures.reading import RULE
 from hil.records.files import naming, replace_file
-from hil.records.journal import check_rows
+from hil.records.journal import CHAINED, check_rows
 from hil.records.rows import read_csv, to_csv
 
 EXAMPLE = """\
@@ -102,7 +104,10 @@ def _list(args: argparse.Namespace) -> int:
         for one in campaigns
     ]
     heads: list[str | tuple[str, Align]] = ["begun", ("axis", "left"), ("kind", "left"), "passes", "rows"]
-    print_table([*heads, ("campaign", "left"), ("state", "left")], rows)
+    if rows:
+        print_table([*heads, ("campaign", "left"), ("state", "left")], rows)
+    else:
+        print(f"no campaign below {', '.join(map(str, args.places))}")
     for one in campaigns:
         if said := resume_command(one).sentence():
             print(f"{one.directory}: {said}")
@@ -119,10 +124,12 @@ def _inspect(args: argparse.Namespace) -> int:
         facts["instrument"] = str(instrument.get("kind", "?"))
     print_facts(facts)
     columns: list[str | tuple[str, Align]] = ["pass", ("begun", "left"), "rows", "runs", "A", "R", "B"]
-    print_table([*columns, ("as it was left", "left")], [_pass_row(one) for one in campaign.passes])
-    for one in campaign.passes:
-        for note in one.notes:
-            print(f"{one.name}: {note}")
+    print_table([*columns, ("unchanged", "left")], [_pass_row(one) for one in campaign.passes])
+    notes = [(one.name, note) for one in campaign.passes for note in one.notes if not _BEGUN.fullmatch(note)]
+    for name, note in notes:
+        print(f"{name}: {_read_aloud(note)}")
+    if any(RULE in note for _, note in notes):
+        print(RULE)
     if said := resume_command(campaign).sentence():
         print(f"unfinished, {said}")
     chain, good = _chain(campaign)
@@ -135,6 +142,15 @@ def _inspect(args: argparse.Namespace) -> int:
     return 1 if bad or good is False else 0
 
 
+_BEGUN = re.compile(rf"begun \S+({CHAINED})?")  # in the table
+_DIGEST = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
+
+
+def _read_aloud(note: str) -> str:
+    """A note of a pass for people: digests by their first 16 digits, the rule of readings left out once for all, µm."""
+    return _DIGEST.sub(r"\1…", note.replace(f" ({RULE})", "").replace(" um", " µm"))
+
+
 def _chain(campaign: FoundCampaign) -> tuple[str, bool | None]:
     """The result of checking the chain, in words, and whether the rows are as they were written; None without a
     chain.
@@ -144,9 +160,9 @@ def _chain(campaign: FoundCampaign) -> tuple[str, bool | None]:
     except InputError as error:
         return f"NO: {error}", False
     if found is None:
-        return "not chained: whether they are as they were written is not known", None
+        return "not chained: whether they were changed is not known", None
     left = "".join(f"; the last line of {name} was not confirmed, resuming drops it" for name in found.unconfirmed)
-    return f"as they were written, {sum(found.lines.values())} lines by their chain{left}", True
+    return f"unchanged ({sum(found.lines.values())} lines held against rows.chain){left}", True
 
 
 def _has_data(one: Pass) -> bool:
@@ -241,12 +257,12 @@ def _history(args: argparse.Namespace) -> int:
         ["begun", ("campaign", "left"), ("pass", "left"), *names, "°C"], [_moment_row(one, names) for one in moments]
     )
     if others := sorted(found - set(passes)):
-        print(f"passes named {', '.join(passes)}; there are others (--pass): {', '.join(others)}")
+        print(f"shown: passes named {', '.join(passes)}; others, for --pass: {', '.join(others)}")
     days = np.array([one.at.begun.timestamp() / 86400.0 for one in moments])
     trends = {name: trend(days, np.array([one.figures_um[name] for one in moments])) for name in names}
     for name, line in trends.items():
         if line is not None:
-            print(f"{name}: {line.slope_um:+.2f} ± {2 * line.std_um:.2f} µm in 30 days")
+            print(f"{name}: {line.slope_um:+.2f} ± {2 * line.std_um:.2f} µm (k = 2) in 30 days")
     if args.out or args.png:
         from hil.app.report.history import history_image, render_history  # noqa: PLC0415  (plots are slow to import)
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import json
 import os
+import re
 import socket
 import stat
 import sys
@@ -16,7 +18,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from drivers.errors import InputError, StateError
 
@@ -48,6 +50,42 @@ def read_text(path: str | Path) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(f"byte {data[error.start]:02X}h is not UTF-8 text", path=path, line=line) from error
+
+
+MOST_DIGITS = 64
+"""Most digits of a whole number in JSON: those of 64 bits written in binary. A float holds whole numbers of up to 309 digits."""
+DEEPEST = 64
+"""Most levels of brackets in JSON; what this program writes has at most eight."""
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text. Raises ValueError for any other text, a number of too many digits, and too deep a nesting."""
+    try:
+        value = json.loads(text, parse_int=_whole)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    level, depth = [value], 0
+    while level := [each for each in level if isinstance(each, dict | list)]:
+        depth += 1
+        if depth > DEEPEST:
+            raise ValueError("nested too deeply")
+        level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
+    return value
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise ValueError("a number of too many digits")
+    return int(digits)
+
+
+_LINE_END = re.compile(r"\r\n|\r|\n")
+
+
+def split_lines(text: str) -> list[str]:
+    """The lines of a text without their ends, which are LF, CR or both: `str.splitlines` also ends one at VT, FF, NEL or U+2028."""
+    lines = _LINE_END.split(text)
+    return lines if lines[-1] else lines[:-1]
 
 
 @contextmanager

@@ -21,13 +21,23 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from hil.records.files import AppendedFile, append_durably, read_bytes, read_text, replace_file, sync_directory
+from hil.records.files import (
+    AppendedFile,
+    append_durably,
+    parse_json,
+    read_bytes,
+    read_text,
+    replace_file,
+    sync_directory,
+)
 from hil.records.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
 from hil.records.rows import WITHDRAWN, Records, format_row, parse_csv, parse_rows
 
 CHECKSUMS = "SHA256SUMS"
 FINISHED = "finished"
 """Name of the empty file that marks a campaign whose job is complete; one without it can be resumed."""
+DISCARDED = "discarded"
+"""Name of the empty file that marks a campaign that somebody gave up: its rows stay, and it cannot be resumed."""
 BEGUN = "begun "
 """Start of the comment line with the time at which a pass was begun."""
 CHAINED = ", rows chained"
@@ -170,6 +180,8 @@ class Campaign:
         if resume:
             if not marker.exists():
                 raise InputError("holds no campaign to resume", path=directory)
+            if (directory / DISCARDED).exists():
+                raise InputError("was discarded, expected a new measurement", path=directory)
             _check_same(directory, json.loads(text))
             self.warning = _check_rows(directory)
             return
@@ -255,12 +267,17 @@ class Campaign:
             path for path in begun if path.name.removeprefix(f"{kind}-").isdecimal() and any(path.glob("*.csv"))
         ]
         last = max(with_rows, key=lambda path: int(path.name.rpartition("-")[2]), default=None)
-        if last is None or (last / FINISHED).exists():
+        if last is None or (last / FINISHED).exists() or (last / DISCARDED).exists():
             return None
         try:
             return Unfinished(last, read_purpose(last))
         except InputError:
             return None
+
+    @staticmethod
+    def discard(directory: Path) -> None:
+        """Give up a campaign that was broken off. Its rows stay. Raises InputError when that cannot be written."""
+        replace_file(directory / DISCARDED, b"")
 
     def columns(self, name: str) -> tuple[str, ...] | None:
         """The columns of a pass that was begun, else None."""
@@ -376,12 +393,39 @@ def read_purpose(directory: Path) -> dict[str, Any]:
     """The purpose of the campaign in this directory. Raises InputError where it cannot be read."""
     marker = directory / MARKER
     try:
-        purpose = json.loads(read_text(marker))
-    except (ValueError, RecursionError) as error:
+        purpose = parse_json(read_text(marker))
+    except ValueError as error:
         raise InputError("is not JSON, expected what the campaign was started for", path=marker) from error
     if not isinstance(purpose, dict):
         raise InputError("does not say what the campaign was started for", path=marker)
     return purpose
+
+
+def stated_targets_mm(path: str | Path) -> tuple[float, ...]:
+    """Targets of the axis's tables, mm, as the campaign of this record file states them; () where it states none or there is none."""
+    directory = Path(path).parent
+    if not (directory / MARKER).exists():
+        return ()
+    measurement = read_purpose(directory).get("measurement")
+    targets = measurement.get("targets_mm") if isinstance(measurement, dict) else None
+    numbers = isinstance(targets, list) and all(isinstance(one, int | float) for one in targets)
+    return tuple(map(float, targets)) if isinstance(targets, list) and numbers else ()
+
+
+def check_as_measured(path: str | Path, axis: str) -> str:
+    """Refuses rows of another axis and rows that are not as they were written, by the campaign that the file lies in.
+
+    Returns what could not be checked, "" for nothing. Raises InputError.
+    """
+    path = Path(path)
+    if not (path.parent / MARKER).exists():
+        return f"{path.name} lies outside its campaign: nothing shows whose rows they are, and that they are as they were written"
+    if (stated := read_purpose(path.parent).get("axis")) != axis:
+        raise InputError(f"was measured on axis {stated}, and the axis file is of axis {axis}", path=path)
+    found = check_resumable(path.parent)
+    if found is None or path.name not in found.lines:
+        return f"{path.name} is not chained: whether its rows are as they were written is not known"
+    return ""
 
 
 def _check_same(directory: Path, purpose: Mapping[str, Any]) -> None:

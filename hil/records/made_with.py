@@ -14,7 +14,7 @@ from typing import Any
 
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError, InputError, StateError
-from hil.records.files import read_text, replace_file
+from hil.records.files import parse_json, read_text, replace_file
 
 FILE = "made_with.json"
 """In a campaign's folder: what its rows were measured with."""
@@ -80,7 +80,7 @@ def read_made_with(path: Path) -> MadeWith | None:
     if not path.exists():
         return None
     try:
-        return MadeWith.from_json(json.loads(read_text(path)))
+        return MadeWith.from_json(parse_json(read_text(path)))
     except ValueError as error:
         raise InputError("does not say which parameters the drive had", path=path) from error
 

@@ -82,6 +82,17 @@ def check_chain(directory: Path, origin: bytes) -> Chained | None:
     return Chained(lines, _unconfirmed(directory, lines, latest), latest, digest, size)
 
 
+def order_written(directory: Path) -> list[str]:
+    """Names of a campaign's record files in the order of their first chained lines, as far as the chain can be read; nothing is
+    checked.
+    """
+    path = directory / CHAIN
+    lines = read_bytes(path).split(b"\n") if path.exists() else []
+    return list(
+        dict.fromkeys(match[2].decode("utf-8", "replace") for line in lines if (match := _ENTRY.fullmatch(line)))
+    )
+
+
 def _entries(data: bytes, path: Path) -> list[tuple[str, str]] | None:
     """Checksums and names; None where not even the first line was written. An invalid last line is incomplete and
     ignored.

@@ -238,13 +238,15 @@ def _check_header(cells: list[str], path: str | Path, line: int) -> list[str]:
         raise InputError(
             f"header {found} lacks {', '.join(missing)}; expected at least {','.join(REQUIRED)}", path=path, line=line
         )
+    seen: set[str] = set()
     for number, name in enumerate(cells, start=1):
         if not name:
             raise InputError(f"header has no name for column {number} of {len(cells)}", path=path, line=line)
         if not name.isprintable():
             raise InputError(f"header names column {number} {shown(name)}, expected a name", path=path, line=line)
-        if cells.count(name) > 1:
+        if name in seen:
             raise InputError(f"header names column {shown(name)} twice", path=path, line=line)
+        seen.add(name)
     return cells
 
 

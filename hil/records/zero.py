@@ -19,7 +19,7 @@ from typing import Any
 
 from drivers.drive import DriveZero, ServoDrive
 from drivers.errors import InputError, StateError
-from hil.records.files import read_text, replace_file
+from hil.records.files import parse_json, read_text, replace_file
 
 FILE = "zero.json"
 """A campaign's copy of the zero in which its rows were measured."""
@@ -147,8 +147,8 @@ def read_zero(path: Path) -> Zero | None:
     if not path.exists():
         return None
     try:
-        return Zero.from_json(json.loads(read_text(path)))
-    except (ValueError, RecursionError) as error:
+        return Zero.from_json(parse_json(read_text(path)))
+    except ValueError as error:
         raise InputError("does not say what zero the axis has", path=path) from error
 
 
@@ -324,7 +324,7 @@ class ZeroKeeper:
         """Whether the axis has rows from before its zero was kept."""
         for marker in self.path.parent.glob("*/campaign.json"):
             try:
-                mine = json.loads(read_text(marker)).get("axis") == self.axis
+                mine = parse_json(read_text(marker)).get("axis") == self.axis
             except (InputError, ValueError, AttributeError):
                 mine = True
             if mine and any(marker.parent.glob("*.csv")):

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from hil.app.terminal.output import add_json_option, number, print_table, write_json
-from hil.figures.iso230 import FIGURES, Iso230, iso230
+from hil.figures.iso230 import FIGURES, MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES, Iso230, iso230
+from hil.figures.verdict import accuracy
 from hil.records.files import naming
 from hil.records.rows import read_csv
 
@@ -38,18 +41,24 @@ def run(args: argparse.Namespace) -> int:
     them.
     """
     with naming(args.records):
-        figures = iso230(read_csv(args.records))
+        records = read_csv(args.records)
+        figures = iso230(records)
+    print(accuracy(records, None, None, None))
     print_figures(figures)
     if args.json:
         write_json(args.json, {"records": str(args.records), **figures.as_json()})
     return 0
 
 
-def print_figures(figures: Iso230) -> None:
-    """Prints the figures of the axis and of each target, µm, on standard output."""
-    rows = [[_label(name), number(value), FIGURES[name]] for name, value in figures.figures().items()]
+def print_figures(figures: Iso230, expanded_um: Mapping[str, float] = MappingProxyType({})) -> None:
+    """Prints the figures of the axis and of each target, µm, on standard output. expanded_um: uncertainty (k = 2) of each, {} for
+    none."""
+    rows = [
+        [_label(name), number(value), *([number(expanded_um.get(name))] if expanded_um else []), FIGURES[name]]
+        for name, value in figures.figures().items()
+    ]
     print_table(
-        ["figure", "µm", ("meaning", "left")],
+        ["figure", "µm", *(["U, k = 2, µm"] if expanded_um else []), ("meaning", "left")],
         rows,
         title=f"ISO 230-2:2014 — {figures.m} targets, {figures.n} runs per direction",
     )
@@ -72,6 +81,8 @@ def print_figures(figures: Iso230) -> None:
         ),
         title="per target, µm",
     )
+    if figures.B is not None:
+        print(f"{MEASURED_AT_A_REVERSAL['B']} ({OTHER_REVERSAL_FIGURES})")
     for note in figures.notes:
         print(f"note: {note}")
 

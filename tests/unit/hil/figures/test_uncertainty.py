@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from drivers.errors import InputError
 from hil.figures.iso230 import iso230
-from hil.figures.uncertainty import UncertaintyInputs, budget, farthest_from_reference_c
+from hil.figures.uncertainty import Conformity, UncertaintyInputs, budget, conformity, farthest_from_reference_c
 from hil.records.rows import Records
 
 TARGETS = np.array([0.0, 103.0, 199.0, 310.0, 402.0, 500.0])
@@ -154,3 +155,40 @@ def test_what_is_stated_holds_for_95_of_100_campaigns() -> None:
     assert len(inside) == 12
     for name, hits in inside.items():
         assert np.mean(hits) >= 0.95 - 2 * np.sqrt(0.95 * 0.05 / CAMPAIGNS), (name, np.mean(hits))
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "decided"),
+    [
+        (3.0, 0.5, Conformity.PASS),
+        (4.5, 0.5, Conformity.PASS),  # on the edge: value + U is the limit
+        (4.6, 0.5, Conformity.UNDECIDED),
+        (5.0, 0.5, Conformity.UNDECIDED),
+        (5.5, 0.5, Conformity.UNDECIDED),  # value - U is the limit: not above it
+        (5.6, 0.5, Conformity.FAIL),
+        (1.0, None, Conformity.UNDECIDED),
+        (9.0, None, Conformity.UNDECIDED),
+        (1.0, 0.0, Conformity.UNDECIDED),
+    ],
+)
+def test_a_limit_of_5_um_is_decided_by_the_rule_of_iso_14253_1(
+    value: float, expanded: float | None, decided: Conformity
+) -> None:
+    assert conformity(value, expanded, 5.0) is decided
+
+
+def test_a_wrong_pass_and_a_wrong_fail_are_at_most_2_3_percent() -> None:
+    """The specific risk at the edges (JCGM 106, normal distribution): ILAC-G8:09/2019 gives < 2.5 % for a guard band U."""
+    limit, u = 5.0, 0.4
+    edges = np.arange(2.0, 8.0, 0.001)
+    verdicts = [conformity(float(value), 2 * u, limit) for value in edges]
+    last_pass = max(value for value, verdict in zip(edges, verdicts, strict=True) if verdict is Conformity.PASS)
+    first_fail = min(value for value, verdict in zip(edges, verdicts, strict=True) if verdict is Conformity.FAIL)
+    assert stats.norm.sf(limit, last_pass, u) == pytest.approx(0.02275, abs=2e-4)
+    assert stats.norm.cdf(limit, first_fail, u) == pytest.approx(0.02275, abs=2e-4)
+
+
+@pytest.mark.parametrize(("value", "expanded"), [(float("nan"), 1.0), (1.0, float("nan")), (1.0, -0.1)])
+def test_what_is_not_a_number_or_no_uncertainty_is_refused(value: float, expanded: float) -> None:
+    with pytest.raises(InputError, match="expected finite numbers"):
+        conformity(value, expanded, 5.0)

@@ -15,6 +15,7 @@ import pytest
 from hil.app.terminal.main import main
 from hil.correction.formats import wide_iso
 from hil.figures.history import find_campaigns, history, trend
+from hil.figures.reading import RULE
 from hil.records.journal import CHECKSUMS, MARKER, Campaign
 from hil.records.row_chain import CHAIN, adopt
 from hil.records.rows import read_csv
@@ -77,7 +78,7 @@ def test_inspect_names_the_first_line_that_its_chain_does_not_know(
 ) -> None:
     measured(place / "c", 5.0)
     assert main(["records", "inspect", "c"]) == 0
-    assert "rows: as they were written, 14 lines by their chain" in capsys.readouterr().out
+    assert "rows: unchanged (14 lines held against rows.chain)" in capsys.readouterr().out
     path = place / "c" / "verify.csv"
     text = path.read_text()
     path.write_text(text.replace("1,+1,100.0,", "1,+1,100.5,", 1))
@@ -119,6 +120,21 @@ def test_an_interrupted_pass_and_one_from_before_checksums(place: Path) -> None:
     (place / "c" / CHECKSUMS).unlink()
     assert {one.state for one in find_campaigns(["."])[0].passes} == {"open"}
     assert main(["records", "inspect", "c"]) == 0
+
+
+def test_notes_are_said_as_one_would(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    campaign = measured(place / "c", 5.0)
+    digest = "2835ac1583ab20e0" + 48 * "f"
+    for name in ("second", "third"):
+        with campaign.rows(name, COLUMNS, f"tables {digest}") as journal:
+            journal.append(dict(zip(COLUMNS, (1, 1, 0.0, 0.0, 0.0, 20.0), strict=True)))
+            journal.note(f"1 average: standard deviation of a reading 0.03 um ({RULE})")
+    assert main(["records", "inspect", "c"]) == 0
+    said = capsys.readouterr().out
+    assert said.count(RULE) == 1
+    assert said.count("second: ") == 2
+    assert "second: tables 2835ac1583ab20e0…\n" in said
+    assert "third: 1 average: standard deviation of a reading 0.03 µm\n" in said
 
 
 def test_list_is_by_date(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -188,7 +204,7 @@ def test_an_axis_over_months_and_its_trend(place: Path, capsys: pytest.CaptureFi
         measured(place / "X" / f"verify-{month:03d}", 4.0 + month, begun=start + timedelta(days=30 * month))
     argv = ["records", "history", "X", "--figure", "E", "--figure", "B", "--out", "h.html", "--png", "h.png"]
     assert main([*argv, "--json", "h.json"]) == 0
-    assert "E: +1.00 ± 0.00 µm in 30 days" in capsys.readouterr().out
+    assert "E: +1.00 ± 0.00 µm (k = 2) in 30 days" in capsys.readouterr().out
     form = json.loads(Path("h.json").read_text())
     assert [moment["E"] for moment in form["moments"]] == pytest.approx([5.0, 6.0, 7.0, 8.0, 9.0, 10.0])
     assert form["per_30_days"]["B"]["slope_um"] == pytest.approx(0.0, abs=1e-6)
@@ -230,7 +246,7 @@ def test_like_is_compared_with_like(place: Path, capsys: pytest.CaptureFixture[s
         measured(place / f"verify-{number}", 4.0)
     measured(place / "calibrate-1", 40.0, name="measure")
     assert main(["records", "history", ".", "--figure", "E", "--json", "h.json"]) == 0
-    assert "passes named verify; there are others (--pass): measure" in capsys.readouterr().out
+    assert "shown: passes named verify; others, for --pass: measure" in capsys.readouterr().out
     assert len(json.loads(Path("h.json").read_text())["moments"]) == 3
     argv = ["records", "history", ".", "--figure", "E", "--pass", "measure", "--pass", "verify", "--json", "h.json"]
     assert main(argv) == 0
