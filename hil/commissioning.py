@@ -3,7 +3,7 @@
 Nothing is defined here: what the verbs call is what a script calls.
 """
 
-from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
+from hil.axis.axis_file import AxisConfig, DriveAxis, accuracy_of, iso_targets, load_axis, load_drive_axis
 from hil.axis.backlash import BacklashConfig, default_backlash
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.backlash.procedure import TorqueBacklash, measure_backlash
@@ -12,10 +12,9 @@ from hil.backlash.settings import backlash_settings
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.explore import warm_up
 from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
-from hil.calibration.job import enter_backlash
+from hil.calibration.job import Verification, enter_backlash, verify
 from hil.calibration.latency import measure_latency
 from hil.calibration.straightness import measure_straightness
-from hil.calibration.verify import Verification, verify
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_manual_tables, read_straightness
 from hil.correction.sealed import load_private_key, load_public_key, new_key, save_private_key, save_public_key
@@ -30,6 +29,7 @@ from hil.drive_table.change import held_table, zero_note
 from hil.drive_table.change import remember_zero as remember_table_zero
 from hil.drive_table.proof import Proof, prove_by_drive, prove_by_instrument
 from hil.figures.iso230 import Iso230, iso230
+from hil.figures.verdict import Accuracy
 from hil.lost_motion.circle.figures import Circle
 from hil.lost_motion.circle.procedure import CircleRun, drive_circle
 from hil.lost_motion.circle.procedure import prepare as prepare_axes
@@ -51,6 +51,7 @@ from hil.records.rows import Records, read_csv, to_csv
 from hil.records.zero import read_zero
 
 __all__ = [
+    "Accuracy",
     "AxisConfig",
     "BacklashConfig",
     "Band",
@@ -85,6 +86,7 @@ __all__ = [
     "TorqueBacklash",
     "Turning",
     "Verification",
+    "accuracy_of",
     "backlash_settings",
     "calibrate",
     "centre_bore",

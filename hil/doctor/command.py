@@ -96,9 +96,11 @@ def run(args: argparse.Namespace) -> int:
             checks.append(_latency(args, machine))
     if (beam := axis.instrument.alignment) is not None:
         checks.append(beam_check(beam))
-    rows = [[check.name, "good" if check.good else "NOT GOOD", check.detail] for check in checks]
+    rows = [[check.name, check.verdict, check.detail] for check in checks]
     print_table(["check", ("verdict", "left"), ("found", "left")], rows)
     good = all(check.good for check in checks)
+    if risks := sum(check.good and check.risk for check in checks):
+        print(f"{risks} of {len(checks)} are no failure but a risk: read them before the axis moves")
     if args.json:
         write_json(args.json, {"axis": axis.name, "good": good, "checks": [vars(check) for check in checks]})
     return 0 if good else 1

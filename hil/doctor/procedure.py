@@ -60,11 +60,17 @@ RATIO_TOLERANCE = 0.02
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check. detail: one sentence."""
+    """Result of one check. detail: one sentence; risk: it does not fail, but a person has to look at it."""
 
     name: str
     good: bool
     detail: str
+    risk: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """In a word or two."""
+        return "NOT GOOD" if not self.good else "RISK" if self.risk else "note" if self.name == "note" else "good"
 
 
 def doctor(session: AxisSession, *, move: bool = True, trust_file: bool = False, home: bool = False) -> list[Check]:
@@ -105,7 +111,11 @@ def _description(session: AxisSession) -> list[Check]:
 def _not_homed(session: AxisSession) -> list[Check]:
     if "homing" not in session.drive.unproven():
         return []
-    return [Check("homing", True, "what its description says of homing is not proven yet: hil doctor AXIS.toml --home")]
+    return [
+        Check(
+            "homing", True, "what its description says of homing is not proven yet: hil doctor AXIS.toml --home", True
+        )
+    ]
 
 
 def reach_mm(limits: DriveLimits) -> float:
@@ -140,7 +150,12 @@ def _scaling(session: AxisSession, trust_file: bool) -> Check:
     except RemoteError as error:
         return Check("scaling", False, f"the drive's own units cannot be read: {error}")
     if trust_file and not verdict.agrees:
-        return Check("scaling", True, f"{verdict.detail}; the axis file is trusted as asked, the move decides")
+        return Check(
+            "scaling",
+            True,
+            f"{verdict.detail}; the axis file is trusted as asked, the move decides",
+            not verdict.agrees,
+        )
     return Check("scaling", verdict.agrees, verdict.detail)
 
 
@@ -165,7 +180,12 @@ def _zero(session: AxisSession) -> list[Check]:
     """Source of the zero. A homing method that depends on the present position is a risk, but not a failure."""
     if not session.how.home:
         return [
-            Check("zero", True, "the axis is not homed ([measurement] home): its drive has to keep its zero by itself")
+            Check(
+                "zero",
+                True,
+                "the axis is not homed ([measurement] home): its drive has to keep its zero by itself",
+                True,
+            )
         ]
     try:
         zero = session.drive.zero()
@@ -175,7 +195,7 @@ def _zero(session: AxisSession) -> list[Check]:
     named = describe_homing(True, zero.method, zero.home_position_mm)
     if explained := explain_homing(zero.method, zero.home_position_mm):
         named = f"{named}, {explained}"
-    return [Check("zero", True, named if risk is None else f"RISK: {named}: {risk}")]
+    return [Check("zero", True, named if risk is None else f"{named}: {risk}", risk is not None)]
 
 
 def _own_table(session: AxisSession) -> list[Check]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from hil.parameters.compare import Comparison, compare
 from hil.parameters.download import Target, download
 from hil.parameters.formats import FORMATS, read_any, write_any
 from hil.parameters.journal import Download, Journal
+from hil.parameters.outcome import BackedUp, keep_outcome
 from hil.parameters.recover import Unfinished, recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import Ask
@@ -163,20 +164,13 @@ def unfinished(axis: DriveAxis) -> Download | None:
     return journal_of(axis).unfinished()
 
 
+_STAMP, _BACKUP = "%Y%m%d-%H%M%S", ".params.toml"
+
+
 # -- for the desk: one axis ----------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class BackedUp:
-    """A backup's file, its number of parameters, and the number of parameters that could not be read."""
-
-    path: Path
-    parameters: int
-    unreadable: int
-
-
 def backup_job(axis: DriveAxis) -> Job:
     """Job that returns a BackedUp: a new file in the axis's folder, named by the time. Its work raises StateError on failure."""
-    stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
-    path = axis.path.resolve().parent / f"{axis.name}-{stamp}.params.toml"
+    path = axis.path.resolve().parent / f"{axis.name}-{datetime.now().astimezone().strftime(_STAMP)}{_BACKUP}"
 
     def work(place: Workplace) -> BackedUp:
         (backup,) = back_up_axes([axis], [path], progress=_progress_events(place), waiting=place.waiting)
@@ -185,6 +179,17 @@ def backup_job(axis: DriveAxis) -> Job:
         return BackedUp(path, len(backup.contents.entries), len(backup.unreadable or {}))
 
     return _job(axis, BACKUP, [Write("file", str(path))], work, locked=False)
+
+
+def backed_up_at(axis: DriveAxis, path: Path) -> datetime | None:
+    """When a file was written by `backup_job`, by its name; None for any other file."""
+    start = f"{axis.name}-"
+    if not (path.name.startswith(start) and path.name.endswith(_BACKUP)):
+        return None
+    try:
+        return datetime.strptime(path.name.removeprefix(start).removesuffix(_BACKUP), _STAMP).astimezone()
+    except ValueError:
+        return None
 
 
 def compare_job(axis: DriveAxis, contents: ParameterSet, kind: str = COMPARE) -> Job:
@@ -254,7 +259,14 @@ def _job(
     axis: DriveAxis, kind: str, writes: Sequence[Write], work: Callable[[Workplace], object], *, locked: bool = True
 ) -> Job:
     plan = Plan(axis.name, axis.drive.backend, writes=tuple(writes), locked=locked)
-    return Job(kind, plan, work, connects=True)
+
+    def work_and_keep(place: Workplace) -> object:
+        result = work(place)
+        with suppress(OSError):  # the job is done all the same
+            keep_outcome(axis, result)
+        return result
+
+    return Job(kind, plan, work_and_keep, connects=True)
 
 
 def _progress_events(place: Workplace) -> Progress:

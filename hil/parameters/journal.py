@@ -17,7 +17,7 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
-from hil.records.files import read_bytes, sync_directory
+from hil.records.files import parse_json, read_bytes, sync_directory
 
 
 class Phase(Enum):
@@ -178,7 +178,7 @@ def _read(path: Path) -> Download | None:
     if not lines:
         return None
     try:
-        forms = [json.loads(line) for line in lines]
+        forms = [parse_json(line) for line in lines]
         first = forms[0]
         phases = tuple(Phase(form["phase"]) for form in forms)
         if phases[0] is not Phase.BEGIN:

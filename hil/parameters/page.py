@@ -4,51 +4,76 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from nicegui import events, ui
 
+from drivers.errors import InputError
 from hil.app.jobs.job import Job
 from hil.app.panel.pieces import Reading, Table
 from hil.app.panel.view import View
+from hil.axis.axis_file import DriveAxis
 from hil.parameters import job as parameters
-from hil.parameters.job import LARGEST_BYTES, keep_set, require_size, set_files
+from hil.parameters.compare import Comparison
+from hil.parameters.job import LARGEST_BYTES, backed_up_at, keep_set, require_size, set_files
 from hil.parameters.journal import Download
-from hil.parameters.page_data import ParameterRow, parameters_screen
+from hil.parameters.outcome import BackedUp, Outcome, ParameterRow, kept_outcome
+from hil.parameters.page_data import ParametersScreen, parameters_screen
 from hil.parameters.set_file import ParameterSet
+from hil.parameters.wiring import journal_of
 
 Refresh = Callable[[], None]
 COLUMNS = ("address", "name", "held", "wanted", "unit", "outcome")
 FIGURES = ("held", "wanted")
+KINDS = ".toml,.dcf,.cdcf"
+"""Ends of the names of files that may be brought."""
+MOST_CHANGES = 12
+"""Changes named in a question; the table below names all."""
 
 
 @dataclass(frozen=True)
 class Stored:
-    """Contents of the axis's folder: files with sets, and an interrupted download."""
+    """Contents of the axis's folder: files with sets, an interrupted download, whether a download can be taken back, and the outcome
+    of the last job."""
 
     sets: tuple[Path, ...]
     cut_off: Download | None
+    downloaded: bool
+    outcome: Outcome | None
+
+
+def _stored(axis: DriveAxis) -> Stored:
+    downloaded = journal_of(axis).last_change() is not None
+    return Stored(set_files(axis), parameters.unfinished(axis), downloaded, kept_outcome(axis))
 
 
 def draw(view: View) -> None:
-    """Draw the page."""
-    with view.card("parameters.instructions"):
-        ui.markdown(view.t("parameters.steps"))
+    """Draw the page: outcome, step, set and buttons beside the parameters that differ."""
     messages = view.messages("parameters.messages")
-    stored = Reading(view, lambda: Stored(set_files(view.desk.axis), parameters.unfinished(view.desk.axis)))
+    stored = Reading(view, partial(_stored, view.desk.axis))
     parts = [_draw_interrupted(view, stored)]
-    with view.card("parameters.set"):
-        choice = _draw_choice(view, stored)
-        parts.append(_draw_buttons(view, choice))
-    parts += [_draw_outcome(view), _draw_differences(view)]
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            parts += [_draw_outcome(view, stored), _draw_progress(view)]
+            with view.card("parameters.set"):
+                choice = _draw_choice(view, stored)
+            parts.append(_draw_buttons(view, choice, stored))
+        with ui.element("div").classes("hil-main"):
+            parts.append(_draw_differences(view, stored))
+            view.how("parameters.instructions", "parameters.steps")
 
     def refresh() -> None:
-        shown = parameters_screen(view.desk)
+        shown = _shown(view, stored)
         messages.show(shown.job, "\n".join(map(view.t.said, shown.warnings)))
         for part in parts:
             part()
 
     view.every(refresh)
+
+
+def _shown(view: View, stored: Reading[Stored]) -> ParametersScreen:
+    return parameters_screen(view.desk, None if stored.value is None else stored.value.outcome)
 
 
 def _draw_interrupted(view: View, stored: Reading[Stored]) -> Refresh:
@@ -67,7 +92,7 @@ def _draw_interrupted(view: View, stored: Reading[Stored]) -> Refresh:
         if cut_off is not None:
             note.set_text(view.t("parameters.unfinished", name=cut_off.set_name, began=cut_off.began))
         for button in (finish, take_back):
-            button.set_enabled(view.can_start and view.is_builder)
+            button.allow(view.why_not(builder=True))
 
     return refresh
 
@@ -79,9 +104,9 @@ async def _recover(view: View, *, forward: bool) -> None:
 def _draw_choice(view: View, stored: Reading[Stored]) -> ui.select:
     """Choice of the file with the set: a stored one, or an upload."""
     axis = view.desk.axis
-    with ui.row().classes("items-center hil-fields"):
-        choice = ui.select({}, label=view.t("parameters.file")).style("min-width: 26rem")
-        view.named(choice, "parameters.file")
+    with ui.element("div").classes("hil-set"):
+        choice = ui.select({}, label=view.t("parameters.file")).props("dense options-dense")
+        view.named(choice.classes("w-full"), "parameters.file")
         brought: list[str] = []
 
         async def bring(event: events.UploadEventArguments) -> None:
@@ -90,16 +115,32 @@ def _draw_choice(view: View, stored: Reading[Stored]) -> ui.select:
                 require_size(event.file.name, event.file.size())
                 brought[:] = [str(keep_set(axis, event.file.name, await event.file.read()))]
 
+            choice.set_value(None)  # until the file is there: what was chosen before is not meant any more
             await view.attempt(keep)
             stored.again()
 
+        def refused() -> None:
+            limit = view.t.number(LARGEST_BYTES / 1e6, 1)
+            view.show_error(InputError(view.t("parameters.refused", kinds=KINDS, megabytes=limit)))
+
         upload = ui.upload(
-            label=view.t("parameters.bring"), on_upload=bring, auto_upload=True, max_file_size=LARGEST_BYTES
+            label=view.t("parameters.bring"),
+            on_upload=bring,
+            on_rejected=refused,
+            auto_upload=True,
+            max_file_size=LARGEST_BYTES,
         )
-        view.named(upload.classes("hil-upload").props("flat accept=.toml,.dcf,.cdcf"), "parameters.bring")
+        view.named(upload.classes("hil-upload").props(f"flat accept={KINDS}"), "parameters.bring")
+
+    taken = [0]  # the last backup whose file was chosen
 
     def offer() -> None:
-        found = {} if stored.value is None else {str(path): path.name for path in stored.value.sets}
+        backup = view.desk.last(parameters.BACKUP)
+        if backup is not None and backup.number != taken[0] and isinstance(backup.result, BackedUp):
+            taken[0] = backup.number
+            brought[:] = [str(backup.result.path)]
+            stored.again()
+        found = {} if stored.value is None else {str(path): _set_words(view, path) for path in stored.value.sets}
         if found != choice.options:
             choice.set_options(found, value=choice.value if choice.value in found else None)
         if brought and brought[0] in found:
@@ -109,21 +150,28 @@ def _draw_choice(view: View, stored: Reading[Stored]) -> ui.select:
     return choice
 
 
-def _draw_buttons(view: View, choice: ui.select) -> Refresh:
+def _set_words(view: View, path: Path) -> str:
+    """A set by its file's name; a backup by its date."""
+    at = backed_up_at(view.desk.axis, path)
+    return path.name if at is None else view.t("parameters.backup_of", date=at.strftime("%Y-%m-%d %H:%M:%S"))
+
+
+def _draw_buttons(view: View, choice: ui.select, stored: Reading[Stored]) -> Refresh:
     """Buttons of the jobs. Those that write to the drive need the builder's role."""
     axis = view.desk.axis
 
     def chosen() -> ParameterSet:
         return parameters.load_set(str(choice.value), axis)
 
-    def with_set(make: Callable[[ParameterSet], Job]) -> Callable[[], Awaitable[bool]]:
-        return lambda: view.ask_and_run(make(chosen()))
+    def with_set(make: Callable[[ParameterSet], Job]) -> Callable[[], Awaitable[None]]:
+        return lambda: _ask_with_changes(view, chosen(), make)
 
     def looking(kind: str) -> Callable[[], None]:
         return lambda: view.desk.run(view.token, parameters.compare_job(axis, chosen(), kind))
 
-    with ui.row():
+    with ui.element("div").classes("hil-buttons"):
         backup = view.button("parameters.backup", lambda: view.ask_and_run(parameters.backup_job(axis)))
+        backup.classes("hil-go")
         comparing = [
             view.button("parameters.compare", looking(parameters.COMPARE)),
             view.button("parameters.verify", looking(parameters.VERIFY)),
@@ -132,59 +180,94 @@ def _draw_buttons(view: View, choice: ui.select) -> Refresh:
             view.button("parameters.download", with_set(lambda contents: parameters.download_job(axis, contents))),
             view.button("parameters.store", with_set(lambda contents: parameters.store_job(axis, contents))),
         ]
-        restore = view.button("parameters.restore", lambda: view.ask_and_run(parameters.restore_job(axis)))
+        restore = view.button("parameters.restore", lambda: _restore(view))
 
     def refresh() -> None:
-        can, builder, there = view.can_start, view.is_builder, bool(choice.value)
-        backup.set_enabled(can)
-        restore.set_enabled(can and builder)
+        no_file = "" if choice.value else view.t("why.no_file")
+        backup.allow(view.why_not())
+        downloaded = stored.value is not None and stored.value.downloaded
+        restore.allow(view.why_not(builder=True) or ("" if downloaded else view.t("why.nothing_downloaded")))
         for button in comparing:
-            button.set_enabled(can and there)
+            button.allow(view.why_not() or no_file)
         for button in writing:
-            button.set_enabled(can and there and builder)
+            button.allow(view.why_not(builder=True) or no_file)
 
     return refresh
 
 
-def _draw_outcome(view: View) -> Refresh:
-    """Progress and outcome of the job."""
+async def _ask_with_changes(view: View, contents: ParameterSet, make: Callable[[ParameterSet], Job]) -> None:
+    """Compare the drive with the set, and ask with what differs: parameter, old and new value, unit."""
+    job = make(contents)
+    compared = await view.finished(parameters.compare_job(view.desk.axis, contents))
+    if compared is None or not isinstance(compared.result, Comparison):
+        return  # the error is shown on the page
+    rows = parameters_screen(view.desk).rows
+    changes = [
+        view.change(f"{row.address} {row.name}".strip(), row.held, row.wanted, row.unit) for row in rows[:MOST_CHANGES]
+    ]
+    if len(rows) > MOST_CHANGES:
+        changes.append(view.t("parameters.more_changes", count=len(rows) - MOST_CHANGES))
+    await view.ask_and_run(job, changes=changes or [view.t("parameters.no_change")])
+
+
+async def _restore(view: View) -> None:
+    axis = view.desk.axis
+    await _ask_with_changes(view, parameters.set_before_last(axis), lambda _contents: parameters.restore_job(axis))
+
+
+def _draw_outcome(view: View, stored: Reading[Stored]) -> Refresh:
+    """The outcome of the last job, and the numbers of parameters."""
     t = view.t
-    with ui.element("div").classes("hil-grid"):
-        with view.card("parameters.drive"):
-            outcome = view.value("parameters.outcome", small=True)
-            backup = view.named(ui.label().classes("hil-name"), "parameters.backed_up")
-        with view.card("parameters.differences", name="parameters.counts"):
-            differing = view.value("parameters.differing")
+    with view.card("parameters.outcome", name="parameters.outcome.card"):
+        outcome = view.named(ui.label("–").classes("hil-headline"), "parameters.outcome")
+        with ui.element("div").classes("hil-lines"):
+            differing = view.value("parameters.differing", small=True)
             same = view.value("parameters.same", small=True)
-        with view.card("parameters.progress", name="parameters.progress.card"):
-            step = view.value("parameters.step", small=True)
-            bar = ui.linear_progress(value=0.0, show_value=False).props("size=24px rounded")
-            view.named(bar, "parameters.progress")
+        backup = view.named(ui.label().classes("hil-name"), "parameters.backed_up")
+        before = view.named(ui.label().classes("hil-name"), "parameters.kept")
 
     def refresh() -> None:
-        shown = parameters_screen(view.desk)
-        job, kept = shown.job, shown.backup
+        shown = _shown(view, stored)
+        kept, at = shown.backup, shown.at
         outcome.set_text(t(f"parameters.outcomes.{shown.outcome}") if shown.outcome else "–")
-        figures = {} if kept is None else {"count": kept.parameters, "path": kept.path, "left": kept.unreadable}
+        figures = {} if kept is None else {"count": kept.parameters, "left": kept.unreadable}
         backup.set_text("" if kept is None else t("parameters.backed_up", **figures))
+        before.set_text("" if at is None else t("parameters.kept", date=at.astimezone().strftime("%Y-%m-%d %H:%M")))
         differing.set_text("–" if shown.differing is None else str(shown.differing))
         same.set_text("–" if shown.same is None else str(shown.same))
-        step.set_text(view.stage(job))
-        bar.set_value(0.0 if job is None or not job.total else round(job.done / job.total, 3))
 
     return refresh
 
 
-def _draw_differences(view: View) -> Refresh:
+def _draw_progress(view: View) -> Refresh:
+    """The step of the running job, and how far it is."""
+    with view.card("parameters.progress", name="parameters.progress.card"):
+        step = view.named(ui.label("–"), "parameters.step")
+        bar = ui.linear_progress(value=0.0, show_value=False, size="12px", color=None)
+        view.named(bar, "parameters.progress")
+
+    def refresh() -> None:
+        job = parameters_screen(view.desk).job
+        step.set_text(view.stage(job))
+        bar.set_value(0.0 if job is None else round(job.share, 3))
+
+    return refresh
+
+
+def _draw_differences(view: View, stored: Reading[Stored]) -> Refresh:
     with view.card("parameters.differences"):
         heads, figures = ([f"parameters.head.{name}" for name in names] for names in (COLUMNS, FIGURES))
         table = Table(view, "parameters.table", heads, figures=figures, tall=True)
-    drawn: list[tuple[int, object]] = []  # the job whose rows are there, and how far it was
+        none = view.named(ui.label().classes("hil-empty"), "parameters.none")
+    drawn: list[object] = []  # the job whose rows are there, and how far it was; else the outcome of before
 
     def refresh() -> None:
-        shown = parameters_screen(view.desk)
-        if shown.job is not None and drawn != [(shown.job.number, shown.job.phase)]:
-            drawn[:] = [(shown.job.number, shown.job.phase)]
+        shown = _shown(view, stored)
+        none.set_visibility(not shown.rows)
+        none.set_text(view.t("parameters.none_differ" if shown.same is not None else "parameters.not_compared"))
+        now = shown.at if shown.job is None else (shown.job.number, shown.job.phase)
+        if drawn != [now]:
+            drawn[:] = [now]
             table.show([_cells(view, row) for row in shown.rows])
 
     return refresh

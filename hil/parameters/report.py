@@ -18,11 +18,11 @@ _SLOW, _SLOW_S = 5.0, 0.002
 class Ending(Enum):
     """What the drive holds after a job."""
 
-    UNCHANGED = "it held everything already, nothing was written"
+    UNCHANGED = "the drive held everything already; nothing was written"
     WRITTEN = "written, and read back"
-    PUT_BACK = "put back: it holds what it held before"
+    PUT_BACK = "put back: the drive holds what it held before"
     REFUSED = "refused, nothing was written"
-    UNFINISHED = "unfinished: what it holds is not known"
+    UNFINISHED = "unfinished: what the drive holds is not known"
 
     @property
     def good(self) -> bool:
@@ -80,6 +80,28 @@ class JobReport:
         reached = self.ending is Ending.PUT_BACK if self.meant_back else self.ending.good
         return reached and not self.error and self.audited is not False
 
+    @property
+    def kept(self) -> str:
+        """What is known of the drive's memory, as a sentence; "" where nothing was stored.
+
+        A drive that acknowledges a store may still have kept a part only: nothing but a restart shows it.
+        """
+        if not self.stored:
+            return ""
+        if self.audited:
+            return "stored, and proven: after its restart it still holds all of it"
+        if self.audited is None:
+            return (
+                "stored, as the drive says; not proven: only a restart shows whether it kept all of it (`--audit`, or"
+                " `hil params verify` after switching it off and on)"
+            )
+        if not self.lost:
+            return "stored, as the drive says; not proven: the restart that was to show it did not succeed (`hil params verify`)"
+        return (
+            f"NOT kept, although the drive confirmed it. Different after the restart ({len(self.lost)}): {', '.join(self.lost[:8])};"
+            " `hil params restore --store --audit` puts back the values before this download"
+        )
+
     def as_json(self) -> dict[str, Any]:
         """As `--json` writes it; bytes as hexadecimal digits."""
         return {
@@ -87,6 +109,7 @@ class JobReport:
             "good": self.good,
             "ending": self.ending.name.lower(),
             "stored": self.stored,
+            "kept": self.kept,
             "audited": self.audited,
             "lost": list(self.lost),
             "error": self.error,

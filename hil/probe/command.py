@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
+from hil.app.terminal.output import add_json_option, print_facts, print_table, times, write_json
 from hil.app.terminal.passwords import KEY, READING, password
 from hil.app.terminal.progress import terminal_progress
 from hil.machine.events import Listener
 from hil.probe import job as probe
 from hil.probe.machine_file import MODES, ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasurement, on_schedule, ways
-from hil.probe.runout import CorrectionCode, RunOut
+from hil.probe.runout import CorrectionCode, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
 from hil.probe.wiring import before_feature
 from hil.records.files import replace_file
@@ -45,20 +45,34 @@ def print_measured(
     print_table(["turn", "N0, mm", "N90, mm", "N180, mm", "N270, mm", "closure, µm"], rows)
     facts = {
         "run-out": run_out_text(measured.run_out),
+        "±": _uncertainty_text(config, measured),
         "z": approach_text(config, config.block.z_mm),
-        "machine time": f"{measured.seconds:.1f} s, by {measured.mode}",
+        "machine time": f"{measured.seconds:.1f} s, contacts by {measured.mode}",
     }
     if bench is not None:
         stylus = bench.probe.parameters.stylus
         x_um, y_um = (1000 * offset for offset in stylus.offset_mm)
         facts["simulated"] = f"Δx {x_um:+.2f} µm, Δy {y_um:+.2f} µm, tip radius {stylus.radius_mm:.4f} mm"
-    facts["verdict"] = f"in force, {path}" if refusal is None else f"refused: {refusal}"
+    facts["verdict"] = f"stored and in force: {path}" if refusal is None else f"refused: {refusal}"
     print_facts(facts)
+
+
+def _moment(when: str) -> str:
+    """A stored moment (ISO 8601, UTC) to the second."""
+    return f"{when[:19].replace('T', ' ')} UTC"
 
 
 def run_out_text(found: RunOut) -> str:
     """The run-out in one line."""
     return f"Δx {1000 * found.x_mm:+.2f} µm, Δy {1000 * found.y_mm:+.2f} µm, tip radius {found.tip_radius_mm:.4f} mm"
+
+
+def _uncertainty_text(config: ProbeMachineConfig, measured: RunOutMeasurement) -> str:
+    """The uncertainty of a run-out; of one turn, that there is none."""
+    std_um = run_out_std_um(measured.turns, config.position_step_mm(measured.mode))
+    if std_um is None:
+        return "not known from one turn"
+    return f"{2.0 * std_um:.2f} µm in Δx and in Δy (k = 2, from the scatter of {len(measured.turns)} turns)"
 
 
 def measured_form(config: ProbeMachineConfig, measured: RunOutMeasurement, refusal: str | None) -> dict[str, Any]:
@@ -70,6 +84,7 @@ def measured_form(config: ProbeMachineConfig, measured: RunOutMeasurement, refus
         "mode": measured.mode,
         "seconds": measured.seconds,
         "run_out": asdict(measured.run_out),
+        "run_out_std_um": run_out_std_um(measured.turns, config.position_step_mm(measured.mode)),
         "turns": [{**asdict(turn), "closure_um": turn.closure_um} for turn in measured.turns],
     }
 
@@ -87,15 +102,15 @@ def print_measure_plan(config: ProbeMachineConfig, mode: str) -> None:
     print(
         f"would feed x by up to {block.search_mm:g} mm in {sign} direction at {probe.touch_mm_s:g} mm/s, contact by {by}, and back"
     )
-    print(f"would do so {block.turns} times with the spindle at each of 0, 90, 180 and 270°")
-    print(f"would write {config.store.directory}")
+    print(f"would do so {times(block.turns)} with the spindle at each of 0, 90, 180 and 270°")
+    print(f"would write to {config.store.directory}")
 
 
 def approach_text(config: ProbeMachineConfig, z_mm: float | None) -> str:
     """How Z gets to the height of a measurement."""
     heights_mm = config.heights_mm(z_mm)
     if heights_mm is None:
-        return "the operator's: not moved, as [machine] names no z axis; the ball has to be at the right height already"
+        return "not moved, as [machine] names no z axis: the operator jogs the ball to its height first"
     return f"at {heights_mm[0]:g} mm on the way, lowered to {heights_mm[1]:g} mm to measure"
 
 
@@ -103,8 +118,8 @@ def print_centre(config: ProbeMachineConfig, found: BoreCentre, bench: ProbeBenc
     """Prints a bore's centre and the correction made."""
     centring = found.centring
     facts = {
-        "half the travel": f"X {centring.middle_mm[0]:.4f} mm, Y {centring.middle_mm[1]:.4f} mm",
-        "centre": f"X {centring.centre_mm[0]:.4f} mm, Y {centring.centre_mm[1]:.4f} mm",
+        "middle of travel": f"X {centring.middle_mm[0]:.4f} mm, Y {centring.middle_mm[1]:.4f} mm",
+        "centre, corrected": f"X {centring.centre_mm[0]:.4f} mm, Y {centring.centre_mm[1]:.4f} mm",
         "diameter": f"{centring.diameter_mm:.4f} mm",
         "z": approach_text(config, config.require_bore().z_mm),
     }
@@ -118,8 +133,8 @@ def correction_facts(config: ProbeMachineConfig, done: Correction) -> dict[str, 
     """A correction as label -> text."""
     (x_um, y_um), (left_x, left_y) = ([1000 * mm for mm in pair] for pair in (done.driven_mm, done.counter_mm))
     return {
-        config.codes.name(done.code): f"driven by X {x_um:+.2f} µm, Y {y_um:+.2f} µm",
-        "counter": f"ends at X {left_x:+.2f} µm, Y {left_y:+.2f} µm",
+        config.codes.name(done.code): f"moved X by {x_um:+.2f} µm, Y by {y_um:+.2f} µm",
+        "left over": f"X {left_x:+.2f} µm, Y {left_y:+.2f} µm",
     }
 
 
@@ -264,7 +279,7 @@ def _measure(args: argparse.Namespace) -> int:
         if args.every is None:
             return 0 if once() is None else 1
         schedule = on_schedule(once, place.clock, SECONDS_PER_MINUTE * args.every, args.times, listener)
-    print(f"{schedule.done} measured, {schedule.refused} refused; history in {place.store.history_path}")
+    print(f"measurements: {schedule.done}, of them refused: {schedule.refused}; history in {place.store.history_path}")
     return 0 if not schedule.refused else 1
 
 
@@ -294,13 +309,20 @@ def _other(args: argparse.Namespace) -> int:
         x_mm, y_mm = before_feature(feature)
         print(f"machine {config.name}: would move x to {x_mm:g} mm and y to {y_mm:g} mm")
         print(f"z: {height}")
-        print(f"would feed by up to {feature.search_mm:g} mm, {len(ways(feature))} contacts")
+        print(f"would feed by up to {feature.search_mm:g} mm, {times(len(ways(feature)))}, until contact")
         return 0
     with probe.at_machine(config, store, feature=name) as place, terminal_progress() as listener:
         found = probe.measure_other(place, known, name, spindle_deg=args.spindle, mode=args.mode, listener=listener)
-    rows = [[key, _shown(key, value), _shown(key, found.uncorrected[key])] for key, value in found.corrected.items()]
-    print_table([name, "corrected", "as if it ran true"], rows)
-    facts = {"spindle": f"{found.spindle_deg:.2f}°", "run-out": f"{run_out_text(known)}, measured {when}", "z": height}
+    rows = [
+        [_heading(key), _shown(key, value), _shown(key, found.uncorrected[key])]
+        for key, value in found.corrected.items()
+    ]
+    print_table([name, "corrected", "not corrected"], rows)
+    facts = {
+        "spindle": f"{found.spindle_deg:.2f}°",
+        "run-out": f"{run_out_text(known)}, measured {_moment(when)}",
+        "z": height,
+    }
     if place.bench is not None:
         facts["simulated"] = "; ".join(map(_solid_text, place.bench.probe.parameters.solids))
     print_facts(facts)
@@ -323,6 +345,12 @@ def _solid_text(solid: Solid) -> str:
     return str(solid)
 
 
+def _heading(key: str) -> str:
+    """A result's name and unit, from its key: "width_x_mm" -> "width x, mm"."""
+    name, unit = key.rsplit("_", 1)
+    return f"{name.replace('_', ' ')}, {'°' if unit == 'deg' else 'µm' if unit == 'um' else unit}"
+
+
 def _shown(name: str, value: float) -> str:
     return f"{value:+.2f}" if name.endswith("_um") else f"{value:.5f}" if name.endswith("_deg") else f"{value:.4f}"
 
@@ -343,7 +371,7 @@ def _codes(args: argparse.Namespace) -> int:
             said = correction_facts(config, did)[handled.name]
             forms.append(correction_form(config, did))
         else:
-            said = f"run-out {run_out_text(did.run_out)}, in force"
+            said = f"run-out {run_out_text(did.run_out)}, stored and in force"
             forms.append({"code": handled.name, **measured_form(config, did, None)})
         print(f"{handled.name}: {said}; MFIN given", flush=True)
         if args.json:
@@ -376,14 +404,12 @@ def _correct(args: argparse.Namespace) -> int:
     known, when = store.load()
     if args.dry_run:
         x_um, y_um = (1000 * amount for amount in known.correction_mm(code))
-        print(f"run-out of {when}: {run_out_text(known)}")
-        print(
-            f"would drive x by {x_um:+.2f} µm and y by {y_um:+.2f} µm at spindle angle 0 (turned with the angle found)"
-        )
+        print(f"run-out {run_out_text(known)}, measured {_moment(when)}")
+        print(f"would move x by {x_um:+.2f} µm and y by {y_um:+.2f} µm at spindle angle 0°; at another, turned with it")
         return 0
     with probe.at_machine(config, store) as place, terminal_progress() as listener:
         done = probe.drive_correction(place, known, code, listener)
-    print_facts({"run-out": f"{run_out_text(known)}, measured {when}", **correction_facts(config, done)})
+    print_facts({"run-out": f"{run_out_text(known)}, measured {_moment(when)}", **correction_facts(config, done)})
     if args.json:
         write_json(args.json, {"machine": config.name, "measured": when, **correction_form(config, done)})
     return 0
@@ -400,7 +426,7 @@ def _centre(args: argparse.Namespace) -> int:
         print(f"z: {approach_text(config, bore.z_mm)}")
         corrected = config.codes.name(code)
         print(
-            f"would feed each by up to {bore.reach_mm:g} mm to both sides, and go to the middle, corrected by {corrected}"
+            f"would feed each by up to {bore.reach_mm:g} mm to both sides, and go to the centre, corrected by {corrected}"
         )
         return 0
     with probe.at_machine(config, store) as place, terminal_progress() as listener:

@@ -351,6 +351,10 @@ class ProbeMachineConfig:
         """Z between two places, and where something is touched; None where Z is the operator's."""
         return None if self.approach is None or z_mm is None else (self.approach.safe_mm, z_mm)
 
+    def position_step_mm(self, mode: str) -> float:
+        """Resolution of a contact's position, mm: the pulse of "step", else the drive's count."""
+        return self.probe.pulse_mm if mode == "step" else self.x.scaling.resolution_load_mm
+
     def require_feature(self, name: str) -> Feature:
         """What is to be measured. Raises InputError where the machine file lacks it, or the Y axis for it."""
         if name not in self.features:

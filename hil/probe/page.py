@@ -44,14 +44,13 @@ def draw(view: View) -> None:
         view.named(ui.label(view.t("probe.none")).classes("hil-note"), "probe.none")
         return
     at = ProbePage(view, view.probe)
-    with view.card("probe.instructions"):
-        ui.markdown(view.t("probe.steps"))
+    view.how("probe.instructions", "probe.steps")
     messages = view.messages("probe.messages")
     kept: Kept = Reading(view, lambda: probe_record(at.config, at.store))
     mode, settings = _draw_settings(at)
     parts = [settings]
     with ui.element("div").classes("hil-grid"):
-        parts += [_draw_where(view), _draw_run_out(at), _draw_in_force(at, kept)]
+        parts += [draw_where(view, "probe", lambda: last_at(view.desks)), _draw_run_out(at), _draw_in_force(at, kept)]
     with ui.element("div").classes("hil-grid wide"):
         parts += [_draw_contacts(at), _draw_drawing(at)]
     parts += [draw_corrections(at, kept, mode), draw_history(view, kept)]
@@ -88,7 +87,7 @@ def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
         machine = t("probe.machine", name=at.config.name, axes=names)
         view.named(ui.label(machine).classes("hil-name"), "probe.machine")
         mode = view.named(ui.select(modes, label=t("probe.mode"), value=at.config.probe.mode), "probe.mode")
-        start_button = view.button("probe.start", start)
+        start_button = view.button("probe.start", start).classes("hil-go")
         state = view.named(ui.label().classes("hil-name"), "probe.store")
         opening = view.button("probe.open", partial(_ask_passwords, at)).props("outline")
     needs = view.named(ui.label().classes("hil-note"), "probe.needs")
@@ -96,10 +95,10 @@ def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
 
     def refresh() -> None:
         store = at.store
-        start_button.set_enabled(at.can_start and writable(store))
+        start_button.allow(at.why_not() or ("" if writable(store) else t("why.run_out_store")))
         open_to = "not_opened" if store is None else "writable" if writable(store) else "readable"
         state.set_text(t(f"probe.stores.{open_to if sealed else 'plain'}"))
-        opening.set_enabled(view.in_control)
+        opening.allow("" if view.in_control else t("why.control"))
         missing = ", ".join(desk.name for desk in at.not_controlled)
         needs.set_text(t("probe.needs", axes=missing) if missing else "")
         needs.set_visibility(bool(missing))
@@ -111,19 +110,13 @@ async def _ask_passwords(at: ProbePage) -> None:
     """Asks for the reading password of the sealed run-out, and that of its builder's key for measuring."""
     view = at.view
     fields = ("probe.reading_password", "probe.key_password")
-    given = await view.ask_passwords(*fields, yes="probe.open.yes", why="probe.open_why")
+    given = await view.ask_passwords(*fields, yes="probe.open.yes", go="go.store", why="probe.open_why")
     if given is not None:
         token = view.token
         await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.open_probe(token, at.config, *given)))
 
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------
-def _draw_where(view: View) -> Refresh:
-    """Position of this page's axis, and the present step."""
-    with view.card("probe.where"):
-        return draw_where(view, "probe", lambda: last_at(view.desks))
-
-
 def _draw_contacts(at: ProbePage) -> Refresh:
     """The contacts as they are measured, and the closure."""
     view, t = at.view, at.view.t
@@ -155,9 +148,10 @@ def _draw_run_out(at: ProbePage) -> Refresh:
     view, t = at.view, at.view.t
     with view.card("probe.run_out"):
         size = view.value("probe.size", "µm")
-        fill = draw_values(view, "probe")
-        std = view.value("probe.std", "µm", small=True)
-        verdict = view.value("probe.verdict", small=True)
+        with ui.element("div").classes("hil-lines"):
+            fill = draw_values(view, "probe")
+            std = view.value("probe.std", "µm", small=True)
+            verdict = view.value("probe.verdict", small=True)
 
     def refresh() -> None:
         measured = measured_at(view.desks)
@@ -165,7 +159,7 @@ def _draw_run_out(at: ProbePage) -> Refresh:
         size.set_text(t.number(None if found is None else found.size_um, 2))
         fill(found)
         known_um = None if measured is None else std_um(at.config, measured.measurement)
-        std.set_text("–" if known_um is None else f"± {t.number(known_um, 2)}")
+        std.set_text("–" if known_um is None else t.number(known_um, 2))
         said = "refused" if measured is not None and measured.refusal is not None else "stored"
         verdict.set_text("–" if measured is None else t(f"probe.verdicts.{said}"))
 
@@ -212,7 +206,7 @@ def _draw_drawing(at: ProbePage) -> Refresh:
 def _draw_in_force(at: ProbePage, kept: Kept) -> Refresh:
     """The run-out in force, and since when."""
     view, t = at.view, at.view.t
-    with view.card("probe.in_force"):
+    with view.card("probe.in_force"), ui.element("div").classes("hil-lines"):
         since = view.value("probe.since", small=True)
         fill = draw_values(view, "probe.in_force")
     latest = Latest()

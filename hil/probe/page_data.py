@@ -220,8 +220,7 @@ def worst_closure_um(measurement: RunOutMeasurement) -> float:
 
 def std_um(config: ProbeMachineConfig, measurement: RunOutMeasurement) -> float | None:
     """Standard uncertainty of Δx and of Δy, µm; None of one turn."""
-    fine_mm = config.x.scaling.resolution_load_mm
-    return run_out_std_um(measurement.turns, config.probe.pulse_mm if measurement.mode == "step" else fine_mm)
+    return run_out_std_um(measurement.turns, config.position_step_mm(measurement.mode))
 
 
 def angle_deg(found: RunOut) -> float:

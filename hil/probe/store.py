@@ -21,9 +21,9 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from drivers.errors import InputError, StateError
-from hil.correction.sealed import open_sealed, require_strong_new, reseal, seal
+from hil.correction.sealed import check, check_seen, open_sealed, remember, require_strong_new, reseal, seal
 from hil.probe.runout import FourFeeds, RunOut
-from hil.records.files import held, naming, read_bytes, replace_file, sync_directory
+from hil.records.files import held, naming, parse_json, read_bytes, replace_file, sync_directory
 
 FORMAT = "hil-runout-1"
 HISTORY_COLUMNS = (
@@ -59,6 +59,11 @@ class RunOutStore:
         """File of the history."""
         return self.directory / "history.csv"
 
+    @property
+    def seen_path(self) -> Path:
+        """The note of the sealed file that was used last (`sealed.seen`); values measured with the builder's key replace it."""
+        return self.directory / "runout.seen.json"
+
     def save(self, run_out: RunOut, when: datetime) -> None:
         """Puts values into force. Raises StateError for a sealed store without the builder's key, InputError for a file
         that cannot be written.
@@ -67,7 +72,12 @@ class RunOutStore:
         data = (json.dumps(form, indent=1, allow_nan=False) + "\n").encode()
         self.directory.mkdir(parents=True, exist_ok=True)
         with held(self.directory, wait=True):
-            replace_file(self.path, data if self.sealing is None else self._sealed(self.sealing, data))
+            if self.sealing is None:
+                replace_file(self.path, data)
+            else:
+                sealed = self._sealed(self.sealing, data)
+                replace_file(self.path, sealed)
+                remember(self.seen_path, check(sealed, self.sealing.builder_public))
 
     def _sealed(self, sealing: Seal, data: bytes) -> bytes:
         if sealing.builder_key is None:
@@ -91,12 +101,13 @@ class RunOutStore:
             data = read_bytes(self.path)
             if self.sealing is not None:
                 name = f"{self.machine}.runout"
+                check_seen(self.seen_path, check(data, self.sealing.builder_public))
                 data = open_sealed(data, self.sealing.password, self.sealing.builder_public, names=[name])[name]
             return self._parse(data)
 
     def _parse(self, data: bytes) -> tuple[RunOut, str]:
         try:
-            form = json.loads(data)
+            form = parse_json(data)
         except ValueError as error:
             raise InputError("is not JSON, expected values that `hil probe measure` stored") from error
         if not isinstance(form, dict) or form.get("format") != FORMAT:

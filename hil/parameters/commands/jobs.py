@@ -9,7 +9,8 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.raw_parameters import WireTime
-from hil.app.terminal.output import Align, print_table, write_json
+from hil.app.terminal.axis_options import tell_bench
+from hil.app.terminal.output import Align, print_table, times, write_json
 from hil.axis.axis_file import DriveAxis
 from hil.parameters.commands.params import add_job, ask_person, load_axes, progress_bars, sets_of
 from hil.parameters.compare import Comparison, Side
@@ -38,10 +39,14 @@ _MOST_DIFFERENCES = 60
 def _add_reading(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     backup = add_job(jobs, "backup", "read every parameter that can be put back, into a file", _backup)
     backup.add_argument(
-        "--out", metavar="FILE", action="append", default=[], help="for each axis (default: <name>.params.toml)"
+        "--out",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="the file to write; given once for each axis (default: <name>.params.toml)",
     )
     backup.add_argument("--format", choices=FORMATS, help="default: by the file's name, else toml")
-    backup.add_argument("--all", action="store_true", dest="everything", help="also what is read only, to look at")
+    backup.add_argument("--all", action="store_true", dest="everything", help="also the read-only parameters")
     for name, what, run in (
         ("diff", "what the drive holds differently from a set", _diff),
         ("verify", "whether the drive holds a set", _verify),
@@ -78,7 +83,7 @@ def _outputs(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[Path]:
         suffix = args.format or "toml"
         return [axis.path.resolve().parent / f"{axis.name}.params.{suffix}" for axis in axes]
     if len(args.out) != len(axes):
-        raise InputError(f"--out is given {len(args.out)} times, expected once for each of {len(axes)} axes")
+        raise InputError(f"--out is given {times(len(args.out))}, expected once for each axis ({len(axes)})")
     return [Path(path) for path in args.out]
 
 
@@ -132,7 +137,7 @@ def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
     name = comparison.drive.name
     rows = [row for row in comparison.rows if row.side is not Side.SAME]
     same = len(comparison.rows) - len(rows)
-    print(f"{name}: {same} of {len(comparison.contents.entries)} parameters as in the set, {len(rows)} not")
+    print(f"{name}: as in the set: {same} of {len(comparison.contents.entries)} parameters; different: {len(rows)}")
     if rows:
         cells = [
             [row.address, row.name, shown(row.held), shown(row.wanted), row.unit, row.why or row.side.value]
@@ -153,12 +158,21 @@ def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
 def _add_writing(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = add_job(jobs, "download", "write a set to the drive: all or nothing, read back", _download, sets="the set")
     parser.add_argument(
-        "--dry-run", action="store_true", help="look at the set and the drive's file only, and predict; nothing is sent"
+        "--dry-run",
+        action="store_true",
+        help="check the set against the drive's file (EDS, map) and predict the time; nothing is sent",
     )
+    parser.set_defaults(own_plan=True)
     store = add_job(
-        jobs, "store", "have the drive keep what it was last told", _store, sets="what it must hold for that"
+        jobs,
+        "store",
+        "have the drive keep its parameters when it is switched off",
+        _store,
+        sets="what it must hold for that",
     )
-    restore = add_job(jobs, "restore", "as before the last download, or as a backup has it", _restore, sets="a backup")
+    restore = add_job(
+        jobs, "restore", "write back what was there before the last download, or a backup", _restore, sets="a backup"
+    )
     restore.add_argument("--factory", action="store_true", help="the maker's defaults instead (1011h), and a restart")
     for job in (parser, restore):
         job.add_argument("--store", action="store_true", help="have the drive keep it, after all of it was proven")
@@ -198,7 +212,11 @@ def _write_sets(
             other_eds=getattr(args, "other_eds", False),
             progress=progress,
         )
-    return print_reports(reports, args.json)
+    status = print_reports(reports, args.json)
+    if any(report.ending is not Ending.UNCHANGED for report in reports):
+        for axis in axes:
+            tell_bench(axis)
+    return status
 
 
 def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence[ParameterSet]) -> int:
@@ -212,16 +230,14 @@ def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence
             objections.append(against)
             omitted = left_out(drive, contents)
             notes.append([omitted] if omitted else [])
-            print(
-                f"{drive.name}: would look at {len(wanted)} parameters and write those that differ, then read them back"
-            )
+            print(f"{drive.name}: would read {len(wanted)} parameters, write those that differ, and read these back")
             for note in (*notes[-1], *notes_of_file(drive)):
                 print(f"{drive.name}: {note}")
             for objection in against:
                 print(f"{drive.name}: would be refused: {objection}")
     for prediction in predictions:
-        print_costs(prediction.drive, "looking", [prediction.look])
-        print_costs(prediction.drive, "writing all and reading back", [prediction.write])
+        print_costs(prediction.drive, "reading", [prediction.look])
+        print_costs(prediction.drive, "writing all of them and reading them back", [prediction.write])
     if len(predictions) > 1:
         print_costs("together", "all of it", [prediction.whole for prediction in predictions])
     if args.store:
@@ -244,8 +260,10 @@ def _store(args: argparse.Namespace) -> int:
         compared = compare_axes(axes, sets, any_version=args.any_version, progress=progress)
     differing = [each for each in compared if not each.same]
     for each in differing:
-        why = each.error or "; ".join(str(objection) for objection in each.objections) or "it holds other values"
-        print(f"{each.drive.name}: not stored, as it does not hold {each.contents.name}: {why} (`hil params diff`)")
+        why = each.error or "; ".join(str(objection) for objection in each.objections) or "other values"
+        print(
+            f"{each.drive.name}: not stored, as the drive does not hold the set '{each.contents.name}': {why} (`hil params diff`)"
+        )
     if differing:
         if args.json:
             write_json(args.json, {"good": False, "drives": [each.as_json() for each in compared]})
@@ -274,6 +292,8 @@ def _factory(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> int:
     ]
     for report in reports:
         print(f"{report.drive}: {report.error or 'holds its factory defaults, and was started anew'}")
+    for axis in axes:
+        tell_bench(axis)
     if args.json:
         write_json(args.json, {"good": not any(errors), "drives": [report.as_json() for report in reports]})
     return 1 if any(errors) else 0
@@ -285,7 +305,7 @@ def _add_recovering(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_job(
         jobs,
         "rollback",
-        "have everything as it was before a download that was cut off",
+        "take back a download that was cut off: everything as it was before",
         partial(_recover, forward=False),
     )
 
@@ -303,7 +323,7 @@ def _recover(args: argparse.Namespace, *, forward: bool) -> int:
 
 
 # -- output ------------------------------------------------------------------------------------------------------------
-_MOST_ROWS = 40  # of parameters that nothing became of
+_MOST_ROWS = 40  # of parameters, in the table of a report
 
 
 def print_reports(reports: Sequence[JobReport], json: str | None) -> int:
@@ -336,13 +356,12 @@ def _print_report(report: JobReport) -> None:
     for line in (report.error, *report.notes):
         if line:
             print(f"{report.drive}: {line}")
-    if report.stored:
-        print(f"{report.drive}: stored")
-    if report.audited is not None:
-        lost = f"{len(report.lost)} parameters differ after its restart: {', '.join(report.lost[:8])}"
-        print(f"{report.drive}: " + ("after its restart it still holds all of it" if report.audited else lost))
+    if report.kept:
+        print(f"{report.drive}: {report.kept}")
     if report.journal:
-        print(f"{report.drive}: `hil params resume` or `hil params rollback` finishes it ({report.journal})")
+        print(
+            f"{report.drive}: `hil params resume` finishes it, `hil params rollback` takes it back ({report.journal})"
+        )
     _print_slow(report)
 
 
@@ -361,11 +380,11 @@ def print_costs(who: str, what: str, costs: Sequence[WireTime], answer_s: float 
     total = sum(costs, WireTime())
     least, likely, most = seconds_together(costs, answer_s)
     print(
-        f"{who}: {what} takes {total.frames} frames, {total.bits_likely} bits ({total.bits_least} without stuffing, at most"
-        f" {total.bits_most}): {1e3 * likely:.1f} ms ({1e3 * least:.1f} to {1e3 * most:.1f})"
+        f"{who}: {what} takes {total.frames} frames, {total.bits_likely} bits ({total.bits_least} to {total.bits_most}, by"
+        f" bit stuffing): {1e3 * likely:.1f} ms ({1e3 * least:.1f} to {1e3 * most:.1f})"
         + (
-            f" with {1e3 * answer_s:.2f} ms of the drive's own for each answer"
+            f", with {1e3 * answer_s:.2f} ms that the drive takes for each answer"
             if answer_s
-            else " and what the drives take to answer"
+            else ", and the time that the drives take to answer"
         )
     )

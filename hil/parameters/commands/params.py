@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from drivers.errors import InputError
-from hil.app.terminal.output import add_json_option
+from hil.app.terminal.output import add_json_option, times
 from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.machine.events import Event
@@ -22,8 +22,8 @@ EXAMPLE = """\
 example:
   hil params backup X.toml                                  writes X.params.toml: every parameter that can be put back
   hil params diff X.toml --set X.params.toml                what the drive holds differently
-  hil params download X.toml --set new.toml --dry-run       what would be looked at, and how long it takes
-  hil params download X.toml --set new.toml --store --audit all or nothing, read back, kept, proven by a restart
+  hil params download X.toml --set new.toml --dry-run       what would be read and written, and how long it takes
+  hil params download X.toml --set new.toml --store --audit   also kept by the drive, proven by a restart
   hil params download X.toml Y.toml Z.toml --set new.toml   several drives at once: if one refuses, none is changed
   hil params verify X.toml --set new.toml                   read everything again
   hil params restore X.toml                                 as it was before the last download
@@ -83,7 +83,7 @@ def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[Paramet
     if not args.sets:
         raise InputError("--set FILE is missing, expected the set to work with")
     if len(args.sets) not in (1, len(axes)):
-        raise InputError(f"--set is given {len(args.sets)} times, expected once, or once for each of {len(axes)} axes")
+        raise InputError(f"--set is given {times(len(args.sets))}, expected once, or once for each axis ({len(axes)})")
     paths = args.sets * len(axes) if len(args.sets) == 1 else args.sets
     return [
         load_set(path, axis, signed=args.signed, pdos=not args.without_pdos)

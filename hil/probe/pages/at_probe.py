@@ -45,6 +45,11 @@ class ProbePage:
         idle = job is None or not job.running
         return self.view.can_start and idle and not self.not_controlled and all(one.live.connected for one in self.lent)
 
+    def why_not(self) -> str:
+        """Why no job of the probe can be started here, "" where it can."""
+        why, t = self.view.why_not(), self.view.t
+        return why or ("" if self.can_start else t("why.other_axes"))
+
     async def ask_and_run(self, job: Job) -> None:
         """Asks and runs as the view does, with the axes that have to be released."""
         await self.view.ask_and_run(job, self.lent)

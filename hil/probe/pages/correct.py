@@ -55,10 +55,16 @@ def _draw_correction(at: ProbePage, kept: Kept) -> Refresh:
         fill = _draw_driven(at, "probe")
 
     def refresh() -> None:
-        button.set_enabled(at.can_start and kept.value is not None and kept.value.in_force is not None)
+        button.allow(at.why_not() or _no_run_out(at, kept))
         fill(corrected_at(view.desks))
 
     return refresh
+
+
+def _no_run_out(at: ProbePage, kept: Kept) -> str:
+    """Why nothing can be corrected: no run-out is in force, or its store is not opened; "" where one is."""
+    there = kept.value is not None and kept.value.in_force is not None
+    return "" if there else at.view.t("why.no_run_out")
 
 
 def _draw_driven(at: ProbePage, name: str) -> Callable[[Correction | None], None]:
@@ -105,7 +111,7 @@ def _draw_bore(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
         return t("probe.pair", x=x, y=y)
 
     def refresh() -> None:
-        button.set_enabled(at.can_start and kept.value is not None and kept.value.in_force is not None)
+        button.allow(at.why_not() or _no_run_out(at, kept))
         found = centred_at(view.desks)
         centre.set_text("–" if found is None else pair(found.centring.centre_mm))
         middle.set_text("–" if found is None else pair(found.centring.middle_mm))
@@ -136,7 +142,7 @@ def _draw_others(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
     latest = Latest()
 
     def refresh() -> None:
-        button.set_enabled(at.can_start and kept.value is not None and kept.value.in_force is not None)
+        button.allow(at.why_not() or _no_run_out(at, kept))
         found = other_at(view.desks)
         if found is not None and latest.is_new(found):
             title, both = t(f"probe.features.{found.name}"), (found.corrected, found.uncorrected)

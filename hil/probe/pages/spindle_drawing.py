@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.app.panel.drawings import Options, angle_axis, inks
-from hil.app.panel.plots import COLOURS
+from hil.app.panel.drawings import Options, angle_axis
+from hil.app.panel.plots import PALETTES, inks
 from hil.app.panel.view import View
 from hil.probe.page_data import BallPositions
 
@@ -36,8 +36,8 @@ def around_the_spindle(view: View, shown: BallPositions, names: Mapping[str, str
         "data": [[0, _short(bearing_deg)], [_short(size_um), _short(bearing_deg)]],
         "symbol": ["none", "circle"],
         "showSymbol": False,
-        "lineStyle": {"color": COLOURS[1], "width": 5},
-        "itemStyle": {"color": COLOURS[1]},
+        "lineStyle": {"color": PALETTES[view.browser.dark][1], "width": 5},
+        "itemStyle": {"color": PALETTES[view.browser.dark][1]},
     }
     contacts = {
         "name": names["contacts"],
@@ -52,7 +52,7 @@ def around_the_spindle(view: View, shown: BallPositions, names: Mapping[str, str
             for angle, place in zip(shown.at, places, strict=True)
         ],
         "label": {"show": True, "color": ink, "fontSize": 16},
-        "itemStyle": {"color": COLOURS[5]},
+        "itemStyle": {"color": PALETTES[view.browser.dark][5]},
     }
     series: list[dict[str, Any]] = [{**one, "coordinateSystem": "polar"} for one in (circle, arrow, contacts)]
     label = "value => String(Number(value.toPrecision(3)))"
