@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import copy_context
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import BridgeError, LinkLostError, StateError
 from drivers.instrument import Reading
 from hil.app.desk.asking import Asking
-from hil.app.desk.live import RATE_HZ, Board, Live, of_sample
+from hil.app.desk.live import RATE_HZ, Board, Live, SignalLimits, of_sample
 from hil.app.desk.progress import JobLog, Phase
 from hil.app.desk.standstill import Standstill
 from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
@@ -25,6 +25,7 @@ from hil.machine.session import AxisSession
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import connected, connected_drive
+from hil.records.rows import UM_PER_MM
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,30 @@ def to_axis(axis: DriveAxis) -> Connect:
     return connect
 
 
+_OFF = 0xFFFF_FFFF
+"""Following error window that supervises nothing (CiA 402, 6065h)."""
+
+
+def limits_of(drive: ServoDrive) -> SignalLimits:
+    """What an open drive says that it allows, by its parameters `max_torque` (6072h) and `following_error_window` (6065h)."""
+
+    def read(name: str, units: Mapping[str, float]) -> float | None:
+        try:
+            per = units.get(drive.parameters.describe(name).unit)
+            value = drive.parameters.read(name)
+        except LinkLostError:
+            raise
+        except BridgeError:  # it has no parameters, not this one, or refuses it
+            return None
+        return per * value if per is not None and isinstance(value, int | float) and 0 < value < _OFF else None
+
+    um_per_count = UM_PER_MM / abs(drive.scaling.counts_per_load_mm)
+    return SignalLimits(
+        read("max_torque", {"0.1 %": 0.1, "%": 1.0, "percent": 1.0}),
+        read("following_error_window", {"counts": um_per_count}),
+    )
+
+
 RETRY_S = 2.0
 """Interval between two attempts to connect an axis, s."""
 CLOSING_S = 10.0
@@ -86,9 +111,11 @@ class AxisThread:
         self.board = Board()
         self.asking = Asking()
         self.errors = ErrorLog(axis.store.directory / ERRORS)
+        self.on_lost: Callable[[str], None] = lambda _said: None  # called in the thread when a connected axis is lost
         self._connect = connect
         self._pace = pace
         self._pacing = Pacing(self.stop)
+        self._limits = SignalLimits()
         self._lock = threading.Lock()
         self._asked: JobRequest | None = None
         self._borrowed: tuple[AxisThread, ...] = ()  # of the job that runs
@@ -144,6 +171,7 @@ class AxisThread:
                 continue
             try:
                 with self._connect(self._pacing) as connection:
+                    self._limits = limits_of(connection.drive)
                     self._watch(connection.drive, connection.session)
                     self._serve(connection)
                 self._run_connecting()
@@ -166,6 +194,8 @@ class AxisThread:
     def _lose(self, error: Exception) -> None:
         """The connection is lost: show the error, cancel a requested job, wait before the next attempt."""
         said = self.errors.line_of(error)
+        if self.board.live.connected:
+            self.on_lost(said)
         self.board.forget(said)
         self._cancel(Phase.FAILED, said)
         self.stop.rearm()  # the error may have come while a stop was carried out
@@ -269,7 +299,7 @@ class AxisThread:
         except StoppedByOperator:
             log.end(Phase.STOPPED)
         except Exception as error:  # noqa: BLE001  a program error in a job must not end the thread
-            log.end(Phase.FAILED, error=self.errors.line_of(error))
+            log.end(Phase.FAILED, error=self.errors.line_of(error), raised=error)
         finally:
             self._pacing.set_factor(1.0)
             self.stop.rearm()
@@ -290,7 +320,7 @@ class AxisThread:
 
         def looked(sample: DriveSample) -> None:
             self.standstill.look(sample)
-            live = of_sample(self.board.live, sample, drive.destination_load_mm)
+            live = replace(of_sample(self.board.live, sample, drive.destination_load_mm), limits=self._limits)
             self.board.publish(live if session is None else self._with_session(live, session))
 
         drive.on_look = looked

@@ -24,12 +24,22 @@ _KEPT = round(TRACE_S * RATE_HZ)
 
 
 @dataclass(frozen=True)
+class SignalLimits:
+    """What the drive allows, by its own parameters; None where it does not tell. torque_percent: of the rated torque;
+    following_error_um: at which it raises a fault."""
+
+    torque_percent: float | None = None
+    following_error_um: float | None = None
+
+
+@dataclass(frozen=True)
 class Live:
     """The axis at one moment, in its clock's time. Unknown values are None.
 
     position_load_mm: by the motor's encoder; remaining_mm: distance to the target of the present motion
     instrument_mm: load position where the instrument has a datum (`on_datum`), else in its own frame
     correction_um: correction in the last command; in_force: digest of the tables in force, "" for none
+    limits: what the drive allows, as read when it was connected
     trouble: why the axis is not connected, "" while it is
     """
 
@@ -53,12 +63,13 @@ class Live:
     correction_um: float | None = None
     in_force: str = ""
     environment: Environment | None = None
+    limits: SignalLimits = SignalLimits()
 
 
 @dataclass(frozen=True)
 class TracePoint:
     """One point of the live plots. number: consecutive, so that a reader can request new points; instrument_load_mm: None while the
-    instrument has no datum, as a curve is in one frame."""
+    instrument has no datum, as a curve is in one frame; mark: "target", "stop" or "fault" since the point before, "" for none."""
 
     number: int
     time_s: float
@@ -67,6 +78,7 @@ class TracePoint:
     velocity_mm_s: float | None
     torque_percent: float | None
     instrument_load_mm: float | None
+    mark: str = ""
 
 
 def of_sample(before: Live, sample: DriveSample, destination_load_mm: float | None) -> Live:
@@ -93,6 +105,19 @@ def of_sample(before: Live, sample: DriveSample, destination_load_mm: float | No
     )
 
 
+@dataclass(frozen=True)
+class Silence:
+    """Real time since each source was last heard, s; None for a source that is not connected or has not answered yet.
+
+    has_instrument: whether the connected axis has an instrument; good: whether its last reading has a usable signal
+    """
+
+    drive_s: float | None
+    instrument_s: float | None
+    has_instrument: bool
+    good: bool
+
+
 @dataclass
 class Board:
     """The published state of an axis: written by its thread, read by any."""
@@ -103,7 +128,10 @@ class Board:
     _trace: deque[TracePoint] = field(default_factory=lambda: deque(maxlen=_KEPT))
     _number: int = 0
     _due_s: float = 0.0  # when the next point of the plots is due
+    _mark: str = ""  # since the last point
     _reading: Reading | None = None
+    _drive_at_s: float | None = None  # real time of the last sample and of the last reading
+    _instrument_at_s: float | None = None
 
     # -- for the axis's thread -----------------------------------------------------------------------------------------
     def publish(self, live: Live) -> None:
@@ -111,15 +139,18 @@ class Board:
         samples."""
         now_s = self.monotonic_s()
         with self._lock:
+            self._mark = _mark(self._live, live) or self._mark
             self._live = live
+            self._drive_at_s = now_s if live.connected else None
             if live.connected and now_s >= self._due_s:
                 self._due_s = max(self._due_s + 1.0 / RATE_HZ, now_s - 1.0 / RATE_HZ)
                 self._number += 1
-                self._trace.append(_trace_point(self._number, live))
+                self._trace.append(_trace_point(self._number, live, self._mark))
+                self._mark = ""
 
     def forget(self, trouble: str = "") -> None:
         """Publish that the axis is not connected, without its old values. trouble: the reason."""
-        self._reading = None
+        self._reading = self._instrument_at_s = None
         self.publish(Live(trouble=trouble))
 
     def heard(self, readings: Sequence[Reading], position_of: Callable[[Reading], float | None]) -> None:
@@ -129,7 +160,7 @@ class Board:
         last = readings[-1]
         in_load_mm = position_of(last) if last.position_mm is not None else None
         with self._lock:
-            self._reading = last
+            self._reading, self._instrument_at_s = last, self.monotonic_s()
             self._live = replace(
                 self._live,
                 instrument_status=last.status,
@@ -148,6 +179,15 @@ class Board:
         with self._lock:
             return self._live
 
+    def silence(self) -> Silence:
+        """How long ago drive and instrument were last heard, by the real clock: also where the thread that publishes is held up."""
+        with self._lock:
+            now_s, live = self.monotonic_s(), self._live
+            drive_s, instrument_s = (
+                None if at_s is None else now_s - at_s for at_s in (self._drive_at_s, self._instrument_at_s)
+            )
+        return Silence(drive_s, instrument_s, bool(live.instrument), live.instrument_status is ReadingStatus.GOOD)
+
     def trace(self, since: int = 0) -> tuple[TracePoint, ...]:
         """The kept points after number `since`, oldest first."""
         with self._lock:
@@ -156,7 +196,16 @@ class Board:
             return tuple(self._trace[i] for i in range(skip, len(self._trace)))
 
 
-def _trace_point(number: int, live: Live) -> TracePoint:
+def _mark(before: Live, now: Live) -> str:
+    """What the axis came to between two states."""
+    if now.state is before.state:
+        return "target" if before.moving and not now.moving and now.state is DriveState.ENABLED else ""
+    if now.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        return "" if before.state is DriveState.FAULT_REACTION else "fault"
+    return "stop" if now.state is DriveState.QUICK_STOP else ""
+
+
+def _trace_point(number: int, live: Live, mark: str) -> TracePoint:
     return TracePoint(
         number,
         live.time_s,
@@ -165,4 +214,5 @@ def _trace_point(number: int, live: Live) -> TracePoint:
         live.velocity_mm_s,
         live.torque_percent,
         live.instrument_mm if live.on_datum else None,
+        mark,
     )

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
 
+from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.backlash.job import unrestored
-from hil.calibration.job import CALIBRATE, VERIFY
+from hil.backlash.settings import NOTE
+from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
+from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
+from hil.lost_motion.job import CAMPAIGN as LOST_MOTION
+from hil.parameters.job import unfinished
 from hil.records.journal import Campaign
 
 SETTINGS = "settings"
-_RESUMED = {CALIBRATE: "calibrate", VERIFY: "calibrate"}
+DOWNLOAD = "download"
+_RESUMED = {
+    CALIBRATE: "calibrate",
+    VERIFY: "calibrate",
+    UNCORRECTED: "calibrate",
+    LOST_MOTION: "lost_motion",
+    CLOSE_LOOP: "diagnosis",
+}
+"""Kinds of campaigns that can be gone on with, and the page for each."""
 
 
 @dataclass(frozen=True)
 class UnfinishedWork:
     """Interrupted work. kind: of a campaign to resume, or "settings" to restore; page: where that is done; place: name of its
-    folder."""
+    folder or set; since: when its last file was written; rows: of a campaign, None for anything else, which cannot be discarded."""
 
     kind: str
     page: str
     place: str
+    since: datetime | None = field(default=None, compare=False)
+    rows: int | None = field(default=None, compare=False)
 
 
 def unfinished_work(axis: DriveAxis) -> tuple[UnfinishedWork, ...]:
@@ -30,7 +47,31 @@ def unfinished_work(axis: DriveAxis) -> tuple[UnfinishedWork, ...]:
     for kind, page in _RESUMED.items() if isinstance(axis, AxisConfig) else ():
         campaign = Campaign.unfinished(directory, kind)
         if campaign is not None:
-            found.append(UnfinishedWork(kind, page, campaign.directory.name))
+            place = campaign.directory
+            found.append(UnfinishedWork(kind, page, place.name, _written(place), _rows(place)))
     if unrestored(axis):
-        found.append(UnfinishedWork(SETTINGS, "backlash", directory.name))
+        found.append(UnfinishedWork(SETTINGS, "backlash", directory.name, _written(directory / NOTE)))
+    download = unfinished(axis)
+    if download is not None:
+        found.append(UnfinishedWork(DOWNLOAD, "parameters", download.set_name, _written(download.path)))
     return tuple(found)
+
+
+def discard(axis: DriveAxis, work: UnfinishedWork) -> None:
+    """Give up a campaign: it is not offered again, and its rows stay. Raises InputError for anything else, and when that cannot be
+    written."""
+    if work.rows is None:
+        raise InputError(f"{work.place} cannot be discarded, expected a campaign")
+    Campaign.discard(axis.store.directory / work.place)
+
+
+def _rows(directory: Path) -> int:
+    """Number of whole lines below the headings of all passes."""
+    lines = [line for path in directory.glob("*.csv") for line in path.read_bytes().split(b"\n")[:-1]]
+    return sum(line[:1].isdigit() or line[:1] == b"-" for line in lines)
+
+
+def _written(path: Path) -> datetime:
+    """When a file, or the latest file of a folder, was written."""
+    files = [path, *path.glob("*")] if path.is_dir() else [path]
+    return datetime.fromtimestamp(max(one.stat().st_mtime for one in files)).astimezone()

@@ -1,28 +1,27 @@
-"""The set-up as a report states it: axis, drive, instrument and uncertainty."""
+"""The set-up as a report states it: axis, drive and instrument."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
-from hil.figures.uncertainty import UncertaintyInputs
 
 
 def drive_in_words(axis: DriveAxis) -> str:
     """The drive as text."""
     if axis.drive.backend == "bench":
         return f"bench, {axis.drive.machine} machine, as {axis.drive.face}"
-    return axis.drive.backend
+    where = {
+        "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
+        "modbus": f"Modbus unit {axis.drive.node_id} on {axis.drive.url}, {axis.drive.register_map}",
+    }
+    return where[axis.drive.backend]
 
 
 def identity(axis: AxisConfig) -> dict[str, str]:
     """The set-up that a repetition needs, name -> text."""
-    drive = {
-        "bench": f"simulated CiA-402 drive on a virtual CAN bus, machine {axis.drive.machine}, seed {axis.drive.seed}",
-        "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
-        "modbus": f"Modbus unit {axis.drive.node_id} on {axis.drive.url}, {axis.drive.register_map}",
-    }[axis.drive.backend]
+    simulated = f"simulated CiA-402 drive on a virtual CAN bus, machine {axis.drive.machine}, seed {axis.drive.seed}"
+    drive = simulated if axis.drive.backend == "bench" else drive_in_words(axis)
     how = axis.measurement
     return {
         "Axis": axis.name,
@@ -56,12 +55,3 @@ def instrument_identity(config: InstrumentConfig) -> dict[str, str]:
             f"{config.material.expansion_ppm_per_k:g} ppm/K by the temperature of {config.material.place}"
         )
     return facts
-
-
-def uncertainty_of(axis: AxisConfig) -> UncertaintyInputs | None:
-    """The axis file's uncertainty inputs, None without. A misalignment that is not stated is taken from the beam's alignment."""
-    inputs, beam = axis.uncertainty, axis.instrument.alignment
-    if inputs is None or beam is None or inputs.misalignment_mm:
-        return inputs
-    targets = axis.measurement.targets_mm
-    return replace(inputs, misalignment_mm=beam.lateral_mm(targets[-1] - targets[0]))

@@ -22,7 +22,7 @@ Watch = Callable[[str, ServoDrive, AxisSession | None], None]
 
 @dataclass(frozen=True)
 class Question:
-    """A question to the operator, to be answered by yes or no.
+    """A question to the operator, to be answered by one of two buttons.
 
     kind: such as "run" or "condition"; figures: name -> text, the subject of the question; within_s: time limit for the answer.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,6 +39,7 @@ class Plan:
     """The plan of a job.
 
     homes: the axis is homed; datum_mm: position at which the datum is taken
+    travel_s: time of the moves between the positions, without homing and settling, s
     positions: number of captures (of a probe: contacts), each with `at_rest_s` seconds at rest
     overtravel_mm: largest travel of a probe beyond each contact
     locked: the job needs the builder's role; of_probe: with the key of the probe's run-out
@@ -57,6 +59,12 @@ class Plan:
     of_probe: bool = False
     new_zero: bool = False
     instrument_zeroed: bool = False
+    travel_s: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Least time of the moves and readings, s: without homing, settling and further rounds."""
+        return self.travel_s + self.positions * self.at_rest_s
 
     @property
     def reach_mm(self) -> tuple[float, float] | None:
@@ -82,4 +90,19 @@ def measuring_plan(axis: AxisConfig, steps: Sequence[Step], writes: Sequence[Wri
         len(steps),
         how.dwell_s + how.reading_s,
         locked,
+        travel_s=_travel_s(axis, targets),
     )
+
+
+def _travel_s(axis: AxisConfig, targets_mm: Sequence[float]) -> float:
+    """Time of the moves from target to target by ramps at the axis's limits, s; a reversal goes past its target by overrun_mm."""
+    how, ramp = axis.measurement, axis.limits.max_acceleration_mm_s2
+    reversals = 2.0 * how.overrun_mm
+    total, sign = 0.0, 0.0
+    for start, end in itertools.pairwise((how.reference_mm, *targets_mm)):
+        turned = sign != 0.0 and (end - start) * sign <= 0.0
+        distance = abs(end - start) + (reversals if turned else 0.0)
+        sign = 1.0 if end > start else -1.0
+        peak = min(how.velocity_mm_s, (distance * ramp) ** 0.5)
+        total += 0.0 if distance == 0.0 else distance / peak + peak / ramp
+    return total

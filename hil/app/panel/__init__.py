@@ -11,7 +11,11 @@ How a page is added
    value (`backlash_screen`), tested without a browser.
 3. `hil/<room>/page.py` has `draw(view: View) -> None`. It puts elements on the screen and calls `view.every(refresh)`. It makes
    figures with `view.value(key, unit)`, buttons with `view.button(key, action)`, frames with `with view.card(key)`, names any other
-   element with `view.named(element, name)`, and starts a job with `await view.ask_and_run(job)`, which asks first.
+   element with `view.named(element, name)`, and starts a job with `await view.ask_and_run(job)`, which asks first. A button that
+   cannot be pressed says why: `button.allow(why_not)`. A card with live figures names their source (`live="drive"`), so that the
+   page's script marks it once that source is silent. Start, progress, verdict and the plot that matters stand in a `hil-job-page`,
+   within 1366 × 768; instructions and what is rarely needed are folded (`view.how`, `view.fold`). What is written is asked with its
+   old and new value: `changes=[view.change(name, old, new, unit)]`.
 4. The page is listed in `hil/app/panel/pages/__init__.py`.
 5. Its texts go to `texts/en.toml`, `de.toml` and `zh.toml`, the same keys in each: `[<page>]` for its own, and a line in `[page]`
    (title), `[job]` (kind of the job, blanks as _), `[plan.move]` and `[plan.write]` (what the plan moves and writes), `[said]`

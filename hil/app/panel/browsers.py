@@ -5,6 +5,8 @@ A browser is identified by a random number in a cookie that scripts cannot read.
 
 from __future__ import annotations
 
+import hashlib
+import hmac
 import secrets
 from collections import OrderedDict
 from dataclasses import dataclass, field
@@ -32,16 +34,33 @@ class Browsers:
         self._came = 0
 
     def of(self, cookie: str) -> Browser:
-        """The browser with this cookie. Beyond `_MOST` browsers the one not seen for longest is dropped."""
+        """The browser with this cookie. Beyond `_MOST` browsers the one not seen for longest is dropped, first of those without
+        control."""
         if cookie not in self._known:
             self._came += 1
             self._known[cookie] = Browser(self._came, self._language)
             if len(self._known) > _MOST:
-                self._known.popitem(last=False)
+                plain = (number for number, browser in self._known.items() if not browser.tokens)
+                del self._known[next(plain, next(iter(self._known)))]
         self._known.move_to_end(cookie)
         return self._known[cookie]
 
 
-def new_cookie() -> str:
-    """A random number of 256 bits, as text."""
-    return secrets.token_urlsafe(32)
+class Cookies:
+    """Cookies of one server: random numbers of 256 bits, each with a code by which the server knows its own again."""
+
+    def __init__(self) -> None:
+        self._key = secrets.token_bytes(32)
+
+    def issue(self) -> str:
+        """A new cookie."""
+        number = secrets.token_urlsafe(32)
+        return f"{number}.{self._code(number)}"
+
+    def issued(self, cookie: str) -> bool:
+        """Whether this server issued the cookie."""
+        number, dot, code = cookie.partition(".")
+        return bool(dot) and hmac.compare_digest(code.encode(), self._code(number).encode())
+
+    def _code(self, number: str) -> str:
+        return hmac.new(self._key, number.encode(), hashlib.sha256).hexdigest()

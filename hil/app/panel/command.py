@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import secrets
+import string
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -14,6 +16,7 @@ from drivers.errors import InputError
 from hil.app.terminal.passwords import read_password_file
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.probe.machine_file import load_probe_machine
+from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:
@@ -23,12 +26,16 @@ example:
   hil panel X.toml --pace 10                        on the bench, jobs run ten times as fast as a machine (0: as fast as they go)
   hil panel X.toml --bind 192.0.2.7 --cert server.crt --key server.key     for other machines: TLS, and a token for every browser
 
+  hil panel X.toml --name mill.example --token-file TOKEN     behind a proxy of this machine: a token too, made in TOKEN
+
 Only loopback is served unless --bind says otherwise. One browser at a time holds control; every browser can stop. Closing browsers
 stops nothing: a measurement goes on, and what it measured is kept. Ctrl-C here stops the axes and ends the server. The stop is a quick
 stop by the drive, which is no safety function. Needs the panel extra: pip install 'hil[panel]'.
 """
 LANGUAGES = ("en", "de", "zh")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+TOKEN_BITS = 128
+"""Fewest bits of an access token, as NIST SP 800-63B asks at least 64 of a session secret: a guess every microsecond never ends."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -48,11 +55,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--bind", metavar="ADDRESS", default="127.0.0.1", help="address to listen on (default 127.0.0.1)"
     )
     parser.add_argument(
-        "--name", metavar="HOST", action="append", default=[], help="a host name browsers may use; repeat"
+        "--name",
+        metavar="HOST",
+        action="append",
+        default=[],
+        help="a host name browsers may use, who then need the token; repeat",
     )
     parser.add_argument("--cert", metavar="FILE", help="certificate, for an address that is not loopback")
     parser.add_argument("--key", metavar="FILE", help="its private key")
-    parser.add_argument("--token-file", metavar="F", help="file with the access token (else one is made and printed)")
+    parser.add_argument(
+        "--token-file",
+        metavar="F",
+        help="file with the access token, mode 600, made if it is not there (else one is made and printed)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -117,10 +132,29 @@ def _access(args: argparse.Namespace) -> tuple[tuple[str, str] | None, str | Non
     for path in tls or ():
         if not Path(path).is_file():
             raise InputError("is not there", path=path)
-    if args.bind in LOOPBACK:
+    if args.bind in LOOPBACK and not args.name:
         return tls, None
-    if tls is None:
+    if tls is None and args.bind not in LOOPBACK:
         raise InputError(
             f"--bind {args.bind} is not loopback, expected --cert and --key: others could read and change what is sent"
         )
-    return tls, read_password_file(args.token_file) if args.token_file else secrets.token_urlsafe(16)
+    return tls, _token(Path(args.token_file)) if args.token_file else secrets.token_urlsafe(TOKEN_BITS // 8)
+
+
+def _token(path: Path) -> str:
+    """The access token in a file, which is made where it is not there. Raises InputError for one that others can read, or that has
+    fewer than `TOKEN_BITS` bits by its length and kinds of characters."""
+    if not path.exists():
+        replace_file(path, f"{secrets.token_urlsafe(TOKEN_BITS // 8)}\n".encode(), mode=0o600)
+    mode = path.stat().st_mode
+    if mode & 0o077:
+        raise InputError(f"has the mode {mode & 0o777:o}, expected 600: others can read the access token", path=path)
+    token = read_password_file(path)
+    kinds = (string.ascii_lowercase, string.ascii_uppercase, string.digits)
+    alphabet = sum(len(kind) for kind in kinds if set(kind) & set(token)) + 8 * bool(set(token) - set("".join(kinds)))
+    if set(token.lower()) <= set(string.hexdigits):
+        alphabet = 16
+    bits = len(token) * math.log2(alphabet) if len(set(token)) > 1 else 0.0
+    if bits < TOKEN_BITS:
+        raise InputError(f"holds a token of {bits:.0f} bits at most, expected {TOKEN_BITS}", path=path)
+    return token

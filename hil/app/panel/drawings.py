@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from hil.app.panel.pieces import Latest
-from hil.app.panel.plots import COLOURS, chart_options
+from hil.app.panel.plots import PALETTES, chart_options, inks, nothing_drawn, number_format
 from hil.app.panel.view import View
 from hil.lost_motion.page_data import CircleCurves
 
@@ -23,7 +23,7 @@ _INSIDE = 8
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve. colour: of COLOURS; symbol: of points that stand alone ("triangle", "circle" …), "" for a line; faint: a thin
+    """One curve. colour: of PALETTES; symbol: of points that stand alone ("triangle", "circle" …), "" for a line; faint: a thin
     dashed line"""
 
     name: str
@@ -35,10 +35,12 @@ class Curve:
 
 
 class Drawing:
-    """A chart that is redrawn for each new result. looks: class of the style sheet, "tall" or "round"."""
+    """A chart that is redrawn for each new result. looks: class of the style sheet, "tall" or "round"; empty: key of what it says
+    before the first."""
 
-    def __init__(self, view: View, name: str, looks: str = "tall") -> None:
-        self._chart = ui.echart({"series": []})
+    def __init__(self, view: View, name: str, looks: str = "tall", empty: str = "plot.empty") -> None:
+        self._nothing = {"series": [], "title": nothing_drawn(view, empty)}
+        self._chart = ui.echart(dict(self._nothing))
         self._chart.classes(f"hil-plot {looks}")
         view.named(self._chart, name)
         self._latest = Latest()
@@ -46,9 +48,17 @@ class Drawing:
     def show(self, result: object, options: Callable[[], Options]) -> None:
         """Draw a result, unless it is the one that is drawn already."""
         if self._latest.is_new(result):
-            self._chart.options.clear()
-            self._chart.options.update(options())
-            self._chart.update()
+            self._draw(options())
+
+    def clear(self) -> None:
+        """Say that there is nothing."""
+        self._latest = Latest()
+        self._draw(self._nothing)
+
+    def _draw(self, options: Options) -> None:
+        self._chart.options.clear()
+        self._chart.options.update(options)
+        self._chart.update()
 
 
 def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
@@ -64,7 +74,7 @@ def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
 
 
 def _series(curve: Curve, view: View) -> Options:
-    colour = inks(view)[0] if curve.faint else COLOURS[curve.colour]
+    colour = inks(view)[0] if curve.faint else PALETTES[view.browser.dark][curve.colour]
     common = {"name": curve.name, "data": _short(curve.points), "itemStyle": {"color": colour}, "color": colour}
     if curve.symbol:
         turn = {"symbolRotate": 180} if curve.turned else {}
@@ -80,9 +90,10 @@ def _series(curve: Curve, view: View) -> Options:
 def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], commanded: str) -> Options:
     """Deviations around the circle, magnified; names: of its curves, in their order."""
     ink, grid = inks(view)
+    palette = PALETTES[view.browser.dark]
     ring, reach = shown.ring_um, RINGS * shown.ring_um
     shown_every = f"Math.abs(value) < {reach * 1.01} && Math.round(value / {ring}) % 2 === 0"
-    label = f"value => {shown_every} ? String(Number(value.toPrecision(6))) : ''"
+    label = f"value => {shown_every} ? ({number_format(view)})(Number(value.toPrecision(6))) : ''"
     looks = [
         (1, {"width": 2, "type": "dashed"}),
         (3, {"width": 2, "type": "dotted"}),
@@ -108,8 +119,8 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
             "showSymbol": False,
             "connectNulls": False,
             "data": [[None, None] if point is None else list(_short([point])[0]) for point in shown.traces[key]],
-            "lineStyle": {"color": COLOURS[colour], **width},
-            "itemStyle": {"color": COLOURS[colour]},
+            "lineStyle": {"color": palette[colour], **width},
+            "itemStyle": {"color": palette[colour]},
         }
         for key, name, (colour, width) in zip(shown.traces, names, looks, strict=False)
     ]
@@ -130,11 +141,6 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
         },
         "series": [zero, *traces],
     }
-
-
-def inks(view: View) -> tuple[str, str]:
-    """The colours of text and of grid lines."""
-    return ("#f2f2ee", "#39424a") if view.browser.dark else ("#14181c", "#c3c8cc")
 
 
 def angle_axis(ink: str, grid: str) -> Options:

@@ -1,41 +1,32 @@
-"""The frame of every page: stop button, control, role, navigation, language and colours."""
+"""The frame of every page: stop button, status bar, pages, lost data, alarms, and the question of a job."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import json
+import time
+from collections.abc import Sequence
 
 from nicegui import ui
 
-from hil.app.desk.roles import Role
+from hil.app.desk.desk import Desk
+from hil.app.panel.bar import Page, draw_bar, draw_rail
+from hil.app.panel.events import draw_alarm
 from hil.app.panel.question import draw_question
-from hil.app.panel.texts import LANGUAGES
 from hil.app.panel.view import View
-
-
-@dataclass(frozen=True)
-class Page:
-    """One page. name: in its address, and key of its title (`page.<name>` in the texts); draw: draws its elements.
-
-    several: shown with several axes only.
-    """
-
-    name: str
-    draw: Callable[[View], None]
-    several: bool = False
+from hil.axis.axis_file import AxisConfig
 
 
 def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
     """Draw frame and content of a page."""
     ui.dark_mode(view.browser.dark)
+    view.client.run_javascript(f"document.documentElement.lang = {json.dumps(view.t.language)}")
     ui.page_title(f"{view.desk.name} · {view.t(f'page.{page.name}')}")
     _draw_lost(view)
     _draw_stop(view)
-    with ui.header(elevated=False).classes("hil-header"):
-        with ui.column().classes("gap-1 w-full"):
-            _draw_axes(view, page)
-            _draw_control(view)
-        _draw_navigation(view, page, pages)
+    draw_bar(view, page)
+    draw_rail(view, page, pages)
+    _draw_no_data(view)
+    draw_alarm(view)
     draw_question(view)
     page.draw(view)
 
@@ -47,111 +38,54 @@ def _draw_lost(view: View) -> None:
         ui.label(view.t("stop.lost"))
 
 
+BEAT_S = 0.1
+"""Interval between two messages from which a page knows that the server is there, s: a seventh of what the page's script waits."""
+UNUSED = "backlash"
+"""First word of the kinds of jobs that do not read the instrument."""
+REASONS = ("server", "drive", "unread", "connecting", "job", "instrument", "signal")
+"""Why there is no live data: a line each under `no_data` in the texts."""
+
+
+def _draw_no_data(view: View) -> None:
+    """The banner of lost data. The page's script shows it, as the server may be what is lost; the server only says what it hears."""
+    t = view.t
+    banner = ui.element("section").classes("hil-gone").props(f'hidden role=alert data-axis="{view.desk.name}"')
+    with view.named(banner, "no-data"):
+        since = view.named(ui.label().classes("hil-gone-title"), "no-data.since")
+        since.props["data-text"] = t("no_data.since", time="{time}", seconds="{seconds}")
+        for reason in REASONS:
+            ui.label(t(f"no_data.{reason}", axis=view.desk.name)).props(f"hidden data-why={reason}")
+        trouble = view.named(ui.label(), "no-data.trouble")
+
+    def beat() -> None:
+        heard = {desk.name: _heard(desk) for desk in view.desks}
+        view.client.run_javascript(f"hilBeat({json.dumps(heard)}, {1e3 * time.monotonic():.1f})")
+
+    def refresh() -> None:
+        trouble.set_text(t.said(view.desk.live.trouble))
+
+    view.every(refresh)
+    view.every(beat, BEAT_S)
+
+
+def _heard(desk: Desk) -> dict[str, object]:
+    """How long ago the sources of a desk were heard, s, why they are not, and whether its axis moves or may move."""
+    silence, live, job = desk.silence, desk.live, desk.job()
+    running = job is not None and job.running
+    why = {"drive": "unread" if live.connected and running else ""}  # where it is silent nevertheless
+    if not live.connected and not live.trouble:
+        why["drive"] = "job" if running else "connecting"
+    heard: dict[str, object] = {"drive": silence.drive_s, "busy": running or live.moving, "why": why}
+    if isinstance(desk.axis, AxisConfig):
+        heard["instrument"] = silence.instrument_s if silence.good else None
+        why["instrument"] = "signal" if silence.instrument_s is not None and not silence.good else ""
+        if job is not None and running and job.kind.startswith(UNUSED):
+            why["instrument"] = "unused"  # its figures are old, which is no alarm
+    return heard
+
+
 def _draw_stop(view: View) -> None:
     with view.named(ui.element("button").props(f'aria-label="{view.t("stop.hint")}"'), "stop"):
         ui.label(view.t("stop.stop"))
-        ui.label(view.t("stop.keys")).style("font-size: 1rem; font-weight: 400; letter-spacing: 0")
-
-
-def _draw_axes(view: View, page: Page) -> None:
-    with ui.row().classes("items-center hil-nav gap-2"):
-        for desk in view.desks:
-            here = " here" if desk is view.desk else ""
-            ui.link(view.t("header.axis", name=desk.name), f"/axis/{desk.name}/{page.name}").classes(here)
-        state = view.named(ui.label().classes("hil-name"), "header.state")
-        job = view.named(ui.label().classes("hil-name"), "header.job")
-
-    def refresh() -> None:
-        live = view.desk.live
-        trouble = view.t("header.lost", why=live.trouble) if live.trouble else view.t(f"state.{live.state.name}")
-        state.set_text(trouble if live.connected or live.trouble else view.t("header.connecting"))
-        job.set_text(_doing(view))
-
-    view.every(refresh)
-
-
-def _doing(view: View) -> str:
-    """The running job; else how the axis came to rest after the last stop; "" for neither."""
-    now, rest, t = view.desk.job(), view.desk.came_to_rest, view.t
-    if now is not None and now.running:
-        return t("header.stopping") if now.stopping else t("header.running", job=t(f"job.{_key(now.kind)}"))
-    if rest is None:
-        return ""
-    return t("stop.rest", milliseconds=t.number(1e3 * rest.after_s, 0), way=t.number(rest.way_mm, 2))
-
-
-def _key(kind: str) -> str:
-    return kind.replace(" ", "_")
-
-
-# -- control and role --------------------------------------------------------------------------------------------------
-def _draw_control(view: View) -> None:
-    """The holder of control, and the buttons that apply."""
-    with ui.row().classes("items-center gap-2"):
-        who = view.named(ui.label(), "control.who")
-        take = view.button("control.take", lambda: _take(view))
-        release = view.button("control.release", lambda: view.desk.control.release(view.token))
-        over = view.button("control.take_over", lambda: _take_over(view))
-        builder = view.button("role.become_builder", lambda: _ask_passwords(view))
-        operator = view.button("role.become_operator", lambda: view.desk.become_operator(view.token))
-        _draw_looks(view)
-
-    def refresh() -> None:
-        holder, mine = view.desk.control.holder(), view.in_control
-        if mine:
-            who.set_text(view.t(f"role.mine.{view.desk.rights.role.value}"))
-        else:
-            who.set_text(view.t("control.free") if holder is None else view.t("control.held", name=holder.name))
-        take.set_visibility(holder is None)
-        release.set_visibility(mine)
-        over.set_visibility(holder is not None and not mine and holder.lost)
-        builder.set_visibility(mine and view.desk.rights.role is Role.OPERATOR)
-        operator.set_visibility(view.is_builder)
-        if view.client.has_socket_connection:  # the server keeps a page for a while after its browser has gone
-            view.desk.control.sign_of_life(view.token)
-
-    view.every(refresh)
-
-
-def _name(view: View) -> str:
-    return view.t("control.browser", number=view.browser.number)
-
-
-def _take(view: View) -> None:
-    view.browser.tokens[view.desk.name] = view.desk.control.take(_name(view))
-
-
-async def _take_over(view: View) -> None:
-    if await view.ask([view.t("control.ask_take_over"), view.t("plan.ask")]):
-        view.browser.tokens[view.desk.name] = view.desk.control.take_over(_name(view))
-
-
-async def _ask_passwords(view: View) -> None:
-    """Ask for the passwords of the builder's role: of the key, and of the tables where they are to be changed."""
-    fields = ("role.key_password", "role.reading_password")
-    given = await view.ask_passwords(*fields, yes="role.yes", why="role.why")
-    if given is not None:
-        token = view.token
-        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.become_builder(token, *given)))
-
-
-# -- looks and navigation ----------------------------------------------------------------------------------------------
-def _draw_looks(view: View) -> None:
-    def speak(language: str) -> None:
-        view.browser.language = language
-        ui.navigate.reload()
-
-    def light() -> None:
-        view.browser.dark = not view.browser.dark
-        ui.navigate.reload()
-
-    language = ui.select(LANGUAGES, value=view.t.language, on_change=lambda event: speak(event.value))
-    view.named(language.props("dense borderless"), "language")
-    view.button("button.light" if view.browser.dark else "button.dark", light, name="looks").props("outline")
-
-
-def _draw_navigation(view: View, here: Page, pages: Sequence[Page]) -> None:
-    with view.named(ui.row().classes("hil-nav w-full gap-1"), "navigation"):
-        for one in (page for page in pages if len(view.desks) > 1 or not page.several):
-            link = ui.link(view.t(f"page.{one.name}"), f"/axis/{view.desk.name}/{one.name}")
-            link.classes("here" if one is here else "")
+        keys = ui.label(view.t("stop.keys")).classes("hil-stop-keys")
+        keys.props["data-stale"] = view.t("stop.may_not_arrive")

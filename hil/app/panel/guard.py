@@ -8,13 +8,15 @@ here or embed the screen; it can only link to it (Sec-Fetch-Site). Beyond loopba
 from __future__ import annotations
 
 import hmac
+import logging
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from hil.app.panel.browsers import COOKIE, new_cookie
+from hil.app.desk.backoff import BackOff
+from hil.app.panel.browsers import COOKIE, Cookies
 
 Message = MutableMapping[str, Any]
 Scope = MutableMapping[str, Any]
@@ -25,6 +27,10 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 ACCESS = "hil-access"
 LOGIN = "/access"
 _LONGEST_FORM = 4096
+LONGEST_BODY = 4_000_000
+"""Longest body of a request, bytes: twice the largest file that a page takes. It is counted as it comes, before anything is kept."""
+_LOG = logging.getLogger("hil.panel")
+_HTML = [("content-type", "text/html; charset=utf-8")]
 _UNFRAMED = ((b"content-security-policy", b"frame-ancestors 'none'"), (b"x-frame-options", b"DENY"))
 _FOREIGN = ("cross-site", "same-site")
 """Values of Sec-Fetch-Site for a request by a page of another site, or of another server on the same machine."""
@@ -37,6 +43,8 @@ class Guard:
         self.app = app
         self._hosts = frozenset(host.lower() for host in hosts)
         self._token = access_token
+        self._cookies = Cookies()
+        self._backoff = BackOff()
         self._admission = secrets.token_urlsafe(32)  # value of the cookie of an admitted browser
         self._form = form
         self._scheme = "https" if secure else "http"
@@ -87,24 +95,39 @@ class Guard:
             await _refuse(scope, send, 401, "")
             return
         if scope["path"] == LOGIN and scope["method"] == "POST":
+            address = str((scope.get("client") or ("unknown",))[0])
+            wait_s = self._backoff.wait_s(address)
+            if wait_s > 0.0:
+                await _answer(send, 429, self._form, [*_HTML, ("retry-after", str(int(wait_s) + 1))])
+                return
             given = parse_qs((await _body(receive)).decode("utf-8", "replace")).get("token", [""])[0]
             if self._token is not None and hmac.compare_digest(given.encode(), self._token.encode()):
+                self._backoff.right(address)
                 cookie = f"{ACCESS}={self._admission}{self._cookie_flags}"
                 await _answer(send, 303, "", [("location", "/"), ("set-cookie", cookie)])
                 return
-        await _answer(send, 401, self._form, [("content-type", "text/html; charset=utf-8")])
+            _LOG.warning("wrong access token from %s, %d in a row", address, self._backoff.wrong(address))
+        await _answer(send, 401, self._form, _HTML)
 
     async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
-        """Pass the request on. A browser without a cookie gets one.
+        """Pass the request on. A browser without a cookie of this server's own gets one.
 
         A browser that follows a foreign page's link does not send its cookie: it gets one for this request only, and keeps its own.
         """
-        if COOKIE in cookies(headers) or scope["type"] != "http":
+        if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        cookie = new_cookie()
-        before = headers.get("cookie")
-        pair = f"{COOKIE}={cookie}" if not before else f"{before}; {COOKIE}={cookie}"
+        length = headers.get("content-length", "0")
+        if not length.isdecimal() or int(length) > LONGEST_BODY:
+            await _refuse(scope, send, 413, f"expected at most {LONGEST_BODY} bytes")
+            return
+        receive = _limited(receive)
+        given = cookies(headers)
+        if self._cookies.issued(given.get(COOKIE, "")):
+            await self.app(scope, receive, send)
+            return
+        cookie = self._cookies.issue()
+        pair = "; ".join(f"{name}={value}" for name, value in {**given, COOKIE: cookie}.items())
         others = [(name, value) for name, value in scope["headers"] if name != b"cookie"]
         numbered = {**scope, "headers": [*others, (b"cookie", pair.encode("latin-1"))]}
 
@@ -142,6 +165,19 @@ def _host_name(host: str) -> str:
         return (urlsplit(f"//{host}").hostname or "").lower()
     except ValueError:
         return ""
+
+
+def _limited(receive: Receive) -> Receive:
+    """The body of a request up to `LONGEST_BODY`; a longer one, whose length was not told, is cut off as if its sender had left."""
+    came = 0
+
+    async def counted() -> Message:
+        nonlocal came
+        message = await receive()
+        came += len(message.get("body", b""))
+        return {"type": "http.disconnect"} if came > LONGEST_BODY else message
+
+    return counted
 
 
 async def _body(receive: Receive) -> bytes:

@@ -3,27 +3,191 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
 from typing import Generic, TypeVar
 
 from nicegui import run, ui
+from nicegui.element import Element
 
-from hil.app.desk.progress import Progress
-from hil.app.panel.view import View
+from drivers.instrument import ReadingStatus
+from hil.app.desk.campaigns import Measurement
+from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Phase, Progress
+from hil.app.panel.view import Button, View
+from hil.axis.axis_file import AxisConfig
 
 
-def draw_where(view: View, page: str, job: Callable[[], Progress | None]) -> Callable[[], None]:
-    """Draw position and step in the present card; returns its refresh function. page: prefix of the names; job: whose step is
-    shown."""
-    position = view.value("overview.position", "mm", name=f"{page}.position")
-    remaining = view.value("overview.remaining", "mm", small=True, name=f"{page}.remaining")
-    step = view.value(f"{page}.step", small=True)
+def draw_where(
+    view: View, page: str, job: Callable[[], Progress | None], *, progress: bool = False
+) -> Callable[[], None]:
+    """Draw the card with the axis's position and the present step; returns its refresh function. page: prefix of the names; job:
+    whose step is shown; progress: with a bar that says how far it is."""
+    with view.card(f"{page}.where", live="drive"):
+        with ui.element("div").classes("hil-lines"):
+            position = view.value("overview.position", "mm", small=True, name=f"{page}.position")
+            remaining = view.value("overview.remaining", "mm", small=True, name=f"{page}.remaining")
+        ui.label(view.t(f"{page}.step")).classes("hil-name")
+        step = view.named(ui.label("–"), f"{page}.step")
+        bar = (
+            view.named(ui.linear_progress(0.0, show_value=False, size="12px", color=None), f"{page}.progress")
+            if progress
+            else None
+        )
 
     def refresh() -> None:
+        shown = job()
         position.set_text(view.t.number(view.desk.live.position_load_mm))
         remaining.set_text(view.t.number(view.desk.live.remaining_mm))
-        step.set_text(view.stage(job()))
+        step.set_text(view.stage(shown))
+        if bar is not None:
+            bar.set_value(0.0 if shown is None else round(shown.share, 3))
 
     return refresh
+
+
+class Tabs:
+    """The jobs of one page, of which one is shown at a time. keys: of their names; the first is shown at first."""
+
+    def __init__(self, view: View, page: str, keys: Sequence[str]) -> None:
+        self._buttons: dict[str, Button] = {}
+        with ui.element("nav").classes("hil-tabs"):
+            for key in keys:
+                self._buttons[key] = view.button(f"{page}.tab.{key}", partial(self.show, key)).props("flat")
+        self._panels: dict[str, Element] = {key: ui.element("div").classes("hil-tab") for key in keys}
+        self.show(keys[0])
+
+    def panel(self, key: str) -> Element:
+        """The place of a job's elements; use with `with`."""
+        return self._panels[key]
+
+    def show(self, key: str) -> None:
+        """Show this job."""
+        for name, panel in self._panels.items():
+            panel.set_visibility(name == key)
+            self._buttons[name].classes(remove="" if name == key else "here", add="here" if name == key else "")
+
+
+class Steps:
+    """The steps of a job, one beside the other: what is done, what runs, what comes. keys: of their names, "steps.<page>.<key>"."""
+
+    def __init__(self, view: View, page: str, keys: Sequence[str]) -> None:
+        self._boxes: list[Element] = []
+        with view.named(ui.element("ol").classes("hil-steps"), f"{page}.steps"):
+            for number, key in enumerate(keys, start=1):
+                with ui.element("li").classes("hil-step") as box:
+                    ui.label(str(number)).classes("hil-step-number")
+                    ui.label(view.t(f"steps.{page}.{key}")).classes("hil-step-name")
+                self._boxes.append(box)
+        self._shown: list[str] = []
+
+    def show(self, states: Sequence[str]) -> None:
+        """The state of each: "done", "now", "broken", or "" for one that comes."""
+        for box, state in zip(self._boxes, states if list(states) != self._shown else (), strict=False):
+            box.classes(replace=f"hil-step {state}")
+        self._shown = list(states)
+
+    def follow(self, job: Progress | None, before: Sequence[str] = ()) -> None:
+        """Show how far a job is. before: the states without one."""
+        count = len(self._boxes)
+        if job is None:
+            self.show([*before, *[""] * (count - len(before))])
+        elif job.phase is Phase.DONE:
+            self.show(["done"] * count)
+        else:
+            at = 0 if job.step is None else job.step[0]
+            here = "now" if job.running else "broken"
+            self.show(["done" if number < at else here if number == at else "" for number in range(1, count + 1)])
+
+
+@dataclass(frozen=True)
+class Check:
+    """A condition of a start. key: of what is missing, "ready.<key>"; fix: key of the button that puts it right, and what it does."""
+
+    key: str
+    met: Callable[[], bool]
+    fix: tuple[str, Callable[[], object]] | None = None
+    done_by_itself: bool = False
+
+
+def draw_ready(view: View, page: str, *more: Check, builder: bool = False) -> Callable[[], None]:
+    """Draw what is missing for a start, each with the button that puts it right, or that nothing is; returns its refresh. builder: the
+    job needs the builder's role; more: further conditions."""
+    desk = view.desk
+
+    def held(*, elsewhere: bool) -> bool:
+        return not view.in_control and (desk.control.holder() is not None) is elsewhere
+
+    checks = [
+        Check("control", lambda: not held(elsewhere=False), ("control.take", partial(take_control, view))),
+        Check("control_elsewhere", lambda: not held(elsewhere=True)),
+        Check("connection", lambda: desk.live.connected),
+    ]
+    if builder:
+        fix = ("role.become_builder", partial(ask_for_builder, view))
+        checks.append(Check("builder", lambda: not view.in_control or view.is_builder, fix))
+    checks += more
+    with view.named(ui.element("ul").classes("hil-ready"), f"{page}.ready") as box:
+        rows = [(check, _draw_check(view, page, check)) for check in checks]
+        with ui.element("li").classes("met") as all_met:
+            ui.label(view.t("ready.all")).classes("hil-wide")
+
+    def refresh() -> None:
+        job = view.desk.job()
+        box.set_visibility(job is None or not job.running)
+        missing = {check.key for check, _ in rows if not check.met()}
+        for check, row in rows:
+            row.set_visibility(check.key in missing)
+        all_met.set_visibility(not missing)
+
+    return refresh
+
+
+def _draw_check(view: View, page: str, check: Check) -> Element:
+    with ui.element("li").classes("itself" if check.done_by_itself else "missing") as row:
+        view.named(ui.label(view.t(f"ready.{check.key}")).classes("hil-wide"), f"{page}.ready.{check.key}")
+        if check.fix is not None:
+            key, action = check.fix
+            view.button(key, action, name=key if key.startswith(f"{page}.") else f"{page}.fix.{check.key}")
+    return row
+
+
+def measured_checks(view: View) -> tuple[Check, ...]:
+    """Conditions of a job that measures with the instrument: its signal; and that the axis is homed by the job, if it is not yet."""
+    desk = view.desk
+    return (
+        Check("signal", lambda: desk.live.instrument_status in (None, ReadingStatus.GOOD)),
+        Check("homing", lambda: desk.live.homed is not False, done_by_itself=True),
+    )
+
+
+def take_control(view: View) -> None:
+    """Take control of the axis. Raises ControlHeldError."""
+    view.browser.tokens[view.desk.name] = view.desk.take_control(view.who)
+
+
+async def ask_for_builder(view: View) -> None:
+    """Ask for the passwords of the builder's role: of the key, and of the tables where they are to be changed."""
+    fields = ("role.key_password", "role.reading_password")
+    given = await view.ask_passwords(*fields, yes="role.yes", go="go.builder", why="role.why")
+    if given is not None:
+        token = view.token
+        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.become_builder(token, *given)))
+
+
+def tables_written(desk: Desk) -> datetime | None:
+    """When the stored tables were written, by their file; None without a file. Reads the disk."""
+    path = desk.axis.tables_path if isinstance(desk.axis, AxisConfig) else None
+    return datetime.fromtimestamp(path.stat().st_mtime).astimezone() if path is not None and path.exists() else None
+
+
+def measurement_words(view: View, one: Measurement) -> str:
+    """What was measured, in words: the job, and which of its measurements where it has several."""
+    job = view.t.known("job", one.kind)
+    name = one.key.rpartition("/")[2]
+    part = "" if name == one.kind else view.t.measurement(name, one.kind)
+    return f"{job}, {part}" if part else job
 
 
 Found = TypeVar("Found")

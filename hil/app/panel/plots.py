@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nicegui import ui
@@ -12,9 +13,14 @@ from hil.app.desk.desk import Desk
 from hil.app.desk.live import RATE_HZ, TRACE_S, TracePoint
 from hil.app.panel.view import View
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999")
-"""Colours of Okabe and Ito, distinguishable with colour-blindness."""
+PALETTES = {
+    True: ("#56b4e9", "#f08a3c", "#2fc99a", "#e3a0c8", "#f0c542", "#9ad1f2", "#b4b4b4"),
+    False: ("#005a8c", "#9a3f00", "#00624a", "#8a3a66", "#6d4a00", "#1b5f8f", "#565656"),
+}
+"""Colours after Okabe and Ito, distinguishable with colour-blindness; contrast on the dark and the light panel 4.5 or more."""
 _DIGITS = 7
+FONT = "Roboto, 'Hil Signs', 'Noto Sans CJK SC', 'Noto Sans SC', 'Microsoft YaHei', 'PingFang SC', sans-serif"
+"""As in the style sheet."""
 
 
 class Plot:
@@ -38,14 +44,23 @@ class Plot:
         options = chart_options(view, x, y, legend=legend)
         if dots:
             options["legend"] |= {"itemWidth": 14, "itemHeight": 12}
+        options["title"] = nothing_drawn(view, "plot.empty")
         self._chart = ui.echart(options)
         self._chart.classes("hil-plot" + (" tall" if tall else ""))
         view.named(self._chart, name)
         self._anew = True
+        self._marked: tuple[float | None, str] = (None, "")
 
     def clear(self) -> None:
         """Remove the drawn points at the next `append`."""
         self._anew = True
+
+    def mark(self, x: float | None, text: str) -> None:
+        """Mark a place of the x axis by a line through the plot with a text; None takes it away. Sent when it changes."""
+        if self._marked != (x, text):
+            self._marked = (x, text)
+            place = None if x is None else _short(x)
+            self._client.run_javascript(f"hilMarkX({self._chart.id}, {json.dumps(place)}, {json.dumps(text)})")
 
     def append(self, series: Mapping[str, Sequence[tuple[float, float]]]) -> None:
         """Draw more points of these curves."""
@@ -57,31 +72,154 @@ class Plot:
         self._client.run_javascript(call)
 
 
-class LivePlot:
-    """One signal of the desk over the last minute. Call `refresh` from the page's timer."""
+@dataclass(frozen=True)
+class Channel:
+    """One signal of a live chart. key: of its name; limits: lines, in its unit."""
 
-    def __init__(
-        self, view: View, key: str, unit: str, signal: Callable[[TracePoint], float | None], desk: Desk | None = None
-    ):
-        self._desk = desk or view.desk
-        self._signal = signal
-        self._name = view.t(key)
-        self._plot = Plot(view, f"plot.{key}", view.t("unit.seconds"), f"{self._name}, {unit}", keep=_KEEP)
+    key: str
+    unit: str
+    signal: Callable[[TracePoint], float | None]
+    limits: tuple[float, ...] = ()
+
+
+class LiveChart:
+    """Signals of the desk over the last minute, one above the other over one axis of time: seconds ago. The pointer goes through all;
+    zoom by wheel or fingers. Targets, stops and faults are marked. Call `refresh` from the page's timer."""
+
+    def __init__(self, view: View, name: str, channels: Sequence[Channel], desk: Desk | None = None) -> None:
+        self._view, self._desk, self._channels = view, desk or view.desk, tuple(channels)
+        self._chart = view.live(ui.echart({"series": []}), "drive", self._desk)
+        self._chart.classes("hil-plot live")
+        view.named(self._chart, name)
+        self._held = False
         self._seen = 0
+        self._anew = True
+        self.choose([one.key for one in channels])
+
+    def choose(self, keys: Sequence[str]) -> None:
+        """Show the channels with these keys."""
+        self._shown = [one for one in self._channels if one.key in keys]
+        self._chart.options.clear()
+        self._chart.options.update(live_options(self._view, self._shown))
+        self._chart.update()
+        self._seen, self._anew = 0, True
+
+    def limit(self, key: str, *limits: float) -> None:
+        """Draw these limit lines of a channel, from now on."""
+        now = next(one for one in self._channels if one.key == key)
+        if now.limits != limits:
+            shown = [one.key for one in self._shown]
+            self._channels = tuple(replace(one, limits=limits) if one is now else one for one in self._channels)
+            self.choose(shown)
+
+    def pause(self) -> bool:
+        """Hold the picture, or let it go on, and whether it is held now; what comes meanwhile is kept."""
+        self._held = not self._held
+        self._view.client.run_javascript(f"hilPause({self._chart.id}, {json.dumps(self._held)})")
+        return self._held
 
     def refresh(self) -> None:
-        """Draw new points."""
+        """Send new points."""
         points = self._desk.trace(self._seen)
         if not points:
             return
         if points[0].number != self._seen + 1:
-            self._plot.clear()
+            self._anew = True
         self._seen = points[-1].number
-        pairs = [(point.time_s, value) for point in points if (value := self._signal(point)) is not None]
-        self._plot.append({self._name: pairs})
+        rows = [
+            [round(point.time_s, 3), point.mark, *(_short_or_none(one.signal(point)) for one in self._shown)]
+            for point in points
+        ]
+        call = f"hilLive({self._chart.id}, {json.dumps(rows)}, {_KEEP}, {json.dumps(self._anew)})"
+        self._anew = False
+        self._view.client.run_javascript(call)
 
 
 _KEEP = round(TRACE_S * RATE_HZ)
+
+
+def live_options(view: View, channels: Sequence[Channel]) -> dict[str, Any]:
+    """ECharts options of a live chart: a grid for each channel, heights in percent."""
+    base = chart_options(view, "", "", legend=False)
+    ink, count = base["xAxis"]["axisLabel"]["color"], max(1, len(channels))
+    top, bottom, gap = (4.0, 9.0, 5.0) if count > 1 else (9.0, 19.0, 0.0)  # a single one stands on a small card
+    height = (100.0 - top - bottom - gap * (count - 1)) / count
+    grids, x_axes, y_axes, series = [], [], [], []
+    for index, one in enumerate(channels):
+        last = index == count - 1
+        place = {"top": f"{top + index * (height + gap):.2f}%", "height": f"{height:.2f}%"}
+        grids.append({"left": 76, "right": 18, **place, "outerBoundsMode": "none"})
+        x_axes.append(
+            {
+                **base["xAxis"],
+                "gridIndex": index,
+                "min": -TRACE_S,
+                "max": 0,
+                "name": view.t("unit.seconds_ago") if last else "",
+                "nameGap": 26,
+                "axisLabel": {**base["xAxis"]["axisLabel"], "show": last},
+            }
+        )
+        heading = {"color": ink, "fontSize": 14, "align": "left"}
+        y_axes.append(
+            {
+                **base["yAxis"],
+                "gridIndex": index,
+                "name": _heading(view, one),
+                "nameLocation": "end",
+                "nameGap": 4,
+                "nameTextStyle": heading,
+                "splitNumber": 3,
+                "axisLine": {"show": True, "onZero": False, "lineStyle": {"color": ink}},
+            }
+        )
+        lines = [{"yAxis": limit} for limit in one.limits]
+        limits = {
+            "silent": True,
+            "symbol": "none",
+            "data": lines,
+            "lineStyle": {"color": LIMIT[view.browser.dark], "type": "dashed"},
+        }
+        series.append(
+            {
+                "id": one.key,
+                "name": view.t(one.key),
+                "type": "line",
+                "showSymbol": False,
+                "xAxisIndex": index,
+                "yAxisIndex": index,
+                "data": [],
+                "color": ink,
+                "lineStyle": {"width": 1.6},
+                "markLine": {**limits, "label": {"show": False}} if lines else {"data": []},
+            }
+        )
+    return {
+        "animation": False,
+        "textStyle": {"fontFamily": FONT},
+        "grid": grids,
+        "xAxis": x_axes,
+        "yAxis": y_axes,
+        "series": series,
+        "tooltip": {"trigger": "axis"},
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "dataZoom": [{"type": "inside", "xAxisIndex": list(range(count))}],
+    }
+
+
+def _heading(view: View, one: Channel) -> str:
+    """Name and unit of a channel, and its limits, as their lines are seen only when the signal comes near."""
+    t, name = view.t, f"{view.t(one.key)}, {one.unit}"
+    if not one.limits:
+        return name
+    low, high = min(one.limits), max(one.limits)
+    if low == -high:
+        return t("plot.limit", name=name, value=t.significant(high))
+    return t("plot.limits", name=name, low=t.significant(low), high=t.significant(high))
+
+
+LIMIT = {True: "#ff7c76", False: "#a81318"}
+"""Colour of limit lines on the dark and on the light panel."""
 
 
 class JobPlot:
@@ -102,10 +240,18 @@ class JobPlot:
         as_one: Callable[[str], str] = str,
     ):
         self._desk, self._said, self._as_one = view.desk, view.t.said, as_one
+        self._measurement = view.t.measurement
         self._kinds = (kind,) if isinstance(kind, str) else tuple(kind)
         self._plot = Plot(view, name, x, y, keep=2000, tall=True, legend=True, dots=dots)
+        self.mark = self._plot.mark
         self._number = 0  # of the job that is drawn
         self._seen = 0
+
+    def _named(self, series: str, kind: str) -> str:
+        """A curve in the page's language: a measurement by its name, with its direction. kind: of the job."""
+        name, comma, way = series.rpartition(", ")
+        measured = self._measurement(name, kind)
+        return self._said(series) if not comma or measured == name else f"{measured}{comma}{way}"
 
     def refresh(self) -> None:
         """Draw new points; a new job starts with an empty plot."""
@@ -120,7 +266,7 @@ class JobPlot:
             self._seen = graph.points
             shown: dict[str, list[tuple[float, float]]] = {}
             for name, points in graph.series.items():
-                shown.setdefault(self._said(self._as_one(name)), []).extend(points)
+                shown.setdefault(self._named(self._as_one(name), job.kind), []).extend(points)
             self._plot.append(shown)
 
 
@@ -128,21 +274,25 @@ def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
+def _short_or_none(value: float | None) -> float | None:
+    return None if value is None else _short(value)
+
+
 def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]:
     """ECharts options of a chart without curves, in the browser's colours. x, y: axis titles."""
-    ink = "#f2f2ee" if view.browser.dark else "#14181c"
-    grid = "#39424a" if view.browser.dark else "#c3c8cc"
+    ink, grid = inks(view)
     axis = {
         "type": "value",
         "scale": True,
         "nameLocation": "middle",
         "nameTextStyle": {"color": ink, "fontSize": 16},
-        "axisLabel": {"color": ink, "fontSize": 14},
+        "axisLabel": {"color": ink, "fontSize": 14, ":formatter": number_format(view)},
         "splitLine": {"lineStyle": {"color": grid}},
     }
     return {
-        "color": list(COLOURS),
+        "color": list(PALETTES[view.browser.dark]),
         "animation": False,
+        "textStyle": {"fontFamily": FONT},
         "grid": {"left": 80, "right": 20, "top": 40 if legend else 20, "bottom": 50},
         "legend": {"type": "scroll", "show": legend, "top": 0, "textStyle": {"color": ink, "fontSize": 14}},
         "tooltip": {"trigger": "axis"},
@@ -150,3 +300,21 @@ def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]
         "yAxis": {**axis, "name": y, "nameGap": 60},
         "series": [],
     }
+
+
+def nothing_drawn(view: View, key: str) -> dict[str, Any]:
+    """The title of a chart without curves: a sentence in its middle."""
+    quiet = "#aeb4ba" if view.browser.dark else "#474d53"
+    look = {"color": quiet, "fontSize": 16, "fontWeight": "normal", "fontFamily": FONT}
+    return {"text": view.t(key), "left": "center", "top": "middle", "textStyle": look}
+
+
+def number_format(view: View) -> str:
+    """A function in JavaScript that writes a number of an axis as the page's language does."""
+    how = "{useGrouping: false, maximumFractionDigits: 6}"
+    return f"value => new Intl.NumberFormat('{view.t.language}', {how}).format(value).replace('-', '−')"
+
+
+def inks(view: View) -> tuple[str, str]:
+    """The colours of text and of grid lines."""
+    return ("#eceeef", "#33383d") if view.browser.dark else ("#15181b", "#c3c7cb")

@@ -19,13 +19,13 @@ def draw_question(view: View) -> None:
         if shown[0] is not None:
             desk.answer(view.token, shown[0].number, yes=yes)
 
-    with view.named(ui.element("section").classes("hil-card hil-note w-full"), "ask") as card:
+    with view.named(ui.element("section").classes("hil-card hil-ask w-full"), "ask") as card:
         words = view.named(ui.label().style("font-size: 1.4rem"), "ask.words")
         wait = view.named(ui.label(), "ask.wait")
         elsewhere = view.named(ui.label(t("ask.elsewhere")), "ask.elsewhere")
         with ui.row() as buttons:
-            view.button("ask.yes", lambda: answer(yes=True))
-            view.button("ask.no", lambda: answer(yes=False)).props("outline")
+            done = view.button("ask.yes.run", lambda: answer(yes=True), name="ask.yes").classes("hil-go")
+            not_done = view.button("ask.no.run", lambda: answer(yes=False), name="ask.no")
 
     def refresh() -> None:
         pending = desk.question
@@ -37,6 +37,8 @@ def draw_question(view: View) -> None:
         shown[:] = [pending]
         question = pending.question
         words.set_text(t(f"ask.{question.kind}", **{name: t.said(text) for name, text in question.figures.items()}))
+        done.say(t(f"ask.yes.{question.kind}"))
+        not_done.say(t(f"ask.no.{question.kind}"))
         minutes = t.number(question.within_s / S_PER_MIN, 0)
         wait.set_text(f"{t(f'ask.power.{question.kind}')} {t('ask.wait', minutes=minutes)}")
 

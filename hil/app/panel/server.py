@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import gc
 import socket
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
+from queue import SimpleQueue
 from types import FrameType
 
 import uvicorn
 from fastapi import FastAPI, Request
-from fastapi.responses import JSONResponse, RedirectResponse
+from fastapi.responses import JSONResponse, RedirectResponse, Response
 from fastapi.staticfiles import StaticFiles
 from nicegui import Client, ui
+from nicegui import app as nicegui_app
 
 from hil.app.desk.desk import Desk
 from hil.app.panel.browsers import COOKIE, Browsers
+from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Guard
 from hil.app.panel.pages import PAGES
@@ -27,7 +31,6 @@ from hil.app.panel.view import View
 from hil.probe.machine_file import ProbeMachineConfig
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-STATIC = "/hil-static"
 _FORM = (
     '<!doctype html><meta charset="utf-8"><title>hil</title><form method="post" action="{action}">'
     '<label>{label} <input type="password" name="token" autocomplete="off" autofocus></label> <button>{button}</button></form>'
@@ -54,16 +57,26 @@ class Access:
 
 
 class Server(uvicorn.Server):
-    """A server that stops its axes first on SIGINT or SIGTERM."""
+    """A server that stops its axes first on SIGINT or SIGTERM.
+
+    A thread of its own stops them: a signal interrupts the main thread anywhere, also while it holds a lock that a stop needs.
+    """
 
     def __init__(self, config: uvicorn.Config, desks: Sequence[Desk]) -> None:
         super().__init__(config)
         self._desks = desks
+        self._signals: SimpleQueue[int] = SimpleQueue()  # its put may be interrupted by another
+        threading.Thread(target=self._stop_axes, name="stop", daemon=True).start()
+
+    def _stop_axes(self) -> None:
+        while True:
+            self._signals.get()
+            for desk in self._desks:
+                desk.stop()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """Stop all axes, then end the server."""
-        for desk in self._desks:
-            desk.stop()
+        """Stop all axes, and end the server."""
+        self._signals.put(sig)
         super().handle_exit(sig, frame)
 
 
@@ -108,7 +121,7 @@ def bound(access: Access) -> socket.socket:
 def guarded(app: FastAPI, access: Access, language: str) -> App:
     """The application behind its guard."""
     t = Texts(language)
-    form = _FORM.format(action=LOGIN, label=escape(t("access.token")), button=escape(t("button.yes")))
+    form = _FORM.format(action=LOGIN, label=escape(t("access.token")), button=escape(t("go.screen")))
     hosts = [*LOOPBACK, access.bind, *access.names]
     return Guard(app, hosts, access.token, form, secure=access.tls is not None)
 
@@ -118,27 +131,37 @@ def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig 
     app = FastAPI(openapi_url=None)
     browsers = Browsers(language)
     by_name = {desk.name: desk for desk in desks}
+    home = f"/axis/{desks[0].name}/{PAGES[0].name}"
 
     @app.post("/stop")
-    async def stop() -> JSONResponse:
-        for desk in desks:
+    async def stop(request: Request) -> JSONResponse:
+        for desk in desks:  # all, before anything else
             desk.stop()
+        browser = browsers.of(request.cookies.get(COOKIE, ""))
+        who = Texts(browser.language)("control.browser", number=browser.number)
+        for desk in desks:
+            desk.told_stop(who)
         return JSONResponse({"stopped": list(by_name)})
 
     @app.get("/")
     async def begin() -> RedirectResponse:
-        return RedirectResponse(f"/axis/{desks[0].name}/{PAGES[0].name}")
+        return RedirectResponse(home)
 
     @ui.page("/axis/{axis}/{name}")
-    def show(request: Request, client: Client, axis: str, name: str) -> None:
+    def show(request: Request, client: Client, axis: str, name: str) -> Response | None:
         browser = browsers.of(request.cookies.get(COOKIE, ""))
         t = Texts(browser.language)
         page = next((one for one in PAGES if one.name == name), None)
         if axis not in by_name or page is None:
-            ui.label(t("header.no_page"))
-            return
+            return no_page(t, home)
         draw_page(View(by_name[axis], desks, t, browser, client, probe), page, PAGES)
+        return None
 
+    async def not_found(request: Request, _error: Exception) -> Response:
+        return no_page(Texts(browsers.of(request.cookies.get(COOKIE, "")).language), home)
+
+    nicegui_app.add_exception_handler(404, not_found)
+    nicegui_app.on_startup(lambda: tell_malformed_frames_in_a_line(desks[0].errors))
     serve_reports(app, by_name)
     app.mount(STATIC, StaticFiles(directory=str(files("hil.app.panel") / "static")), name="static")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/panel.css">', shared=True)

@@ -42,6 +42,17 @@ class Texts:
         """The text of a name in a table of names; the name itself where it is not in the table."""
         return self._texts.get(f"{table}.{name}", name)
 
+    def measurement(self, name: str, of: str = "") -> str:
+        """A measurement of a campaign as a person names it: "round-2" by what it is and its number; itself where it is not known. of:
+        kind of the job, where it calls by that name what others call otherwise."""
+        own = f"pass.{of.replace(' ', '_').replace('-', '_')}_{name}"
+        if own in self:
+            return self(own)
+        kind, _, number = name.rpartition("-")
+        if number.isdecimal() and f"pass.{kind}" in self:
+            return self(f"pass.{kind}", number=number)
+        return self(f"pass.{name}", number="") if f"pass.{name}" in self else self.said(name)
+
     def __contains__(self, key: str) -> bool:
         return key in self._texts
 
@@ -87,8 +98,8 @@ class Texts:
         return self._written(f"{Decimal(f'{value:.{digits}g}'):f}")
 
     def estimate(self, value: float | None, std: float | None, unit: str = "") -> str:
-        """A figure with its standard uncertainty, where there is one (a bound has none), and its unit."""
-        spread = "" if not std or not math.isfinite(std) else f" ± {self.significant(std, 2)}"
+        """A figure with its expanded uncertainty (k = 2) of the standard one, where there is one, and its unit."""
+        spread = "" if not std or not math.isfinite(std) else f" ± {self.significant(2.0 * std, 2)}"
         return f"{self.significant(value)}{spread} {unit}".rstrip()
 
 

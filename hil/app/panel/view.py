@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 from nicegui import Client, run, ui
 from nicegui.element import Element
@@ -23,8 +26,31 @@ from hil.app.panel.texts import Texts
 from hil.probe.machine_file import ProbeMachineConfig
 
 AnyElement = TypeVar("AnyElement", bound=Element)
+_shown_errors: WeakKeyDictionary[Client, ui.notification] = WeakKeyDictionary()
 REFRESH_S = 0.2
 """Interval between two refreshes of a page, s."""
+
+
+class Button(ui.button):
+    """A button that says below its text why it cannot be pressed."""
+
+    def __init__(self, text: str, press: Callable[[], object]) -> None:
+        super().__init__(on_click=press, color=None)
+        with self, ui.element("div"):
+            self._label = ui.label(text)
+            self._why = ui.label().classes("hil-why")
+            self._why.set_visibility(False)
+
+    def say(self, text: str) -> None:
+        """Change its text."""
+        self._label.set_text(text)
+
+    def allow(self, why_not: str = "") -> None:
+        """Let it be pressed, or grey it and say why."""
+        self.set_enabled(not why_not)
+        if self._why.text != why_not:
+            self._why.set_text(why_not)
+            self._why.set_visibility(bool(why_not))
 
 
 @dataclass(frozen=True)
@@ -46,6 +72,11 @@ class View:
         return self.browser.tokens.get(self.desk.name)
 
     @property
+    def who(self) -> str:
+        """This browser's name."""
+        return self.t("control.browser", number=self.browser.number)
+
+    @property
     def in_control(self) -> bool:
         """Whether this browser holds control."""
         return self.desk.control.holds(self.token)
@@ -55,16 +86,28 @@ class View:
         """Whether this browser holds control in the builder's role."""
         return self.in_control and self.desk.rights.role is Role.BUILDER
 
+    def why_not(self, *, builder: bool = False) -> str:
+        """Why this browser cannot start a job now, in its language; "" where it can. builder: a job that needs the builder's role."""
+        job = self.desk.job()
+        if not self.in_control:
+            return self.t("why.control")
+        if not self.desk.live.connected:
+            return self.t("why.connection")
+        if job is not None and job.running:
+            return self.t("why.job")
+        return self.t("why.builder") if builder and not self.is_builder else ""
+
     @property
     def can_start(self) -> bool:
         """Whether this browser holds control, the axis is connected, and no job runs."""
-        job = self.desk.job()
-        return self.in_control and self.desk.live.connected and not (job is not None and job.running)
+        return not self.why_not()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
-    def card(self, key: str, name: str = "") -> Element:
-        """A frame with a heading; use with `with`. name: as `named`, default the key."""
+    def card(self, key: str, name: str = "", *, live: str = "") -> Element:
+        """A frame with a heading; use with `with`. name: as `named`, default the key; live: as for `live`."""
         card = self.named(ui.element("section").classes("hil-card"), name or key)
+        if live:
+            self.live(card, live)
         with card:
             ui.label(self.t(key)).classes("hil-name")
         return card
@@ -73,6 +116,19 @@ class View:
         """Set an element's name for tests and style sheets (data-name); returns the element."""
         element.props(f'data-name="{name}"')
         return element
+
+    def live(self, element: AnyElement, source: str, desk: Desk | None = None) -> AnyElement:
+        """Name the source of an element's figures, "drive" or "instrument". The page's script marks them once it is silent."""
+        return element.props(f'data-live="{(desk or self.desk).name}.{source}"')
+
+    def fold(self, key: str, name: str = "") -> ui.expansion:
+        """A card with a heading that opens and closes, closed at first; use with `with`. name: as `named`, default the key."""
+        return self.named(ui.expansion(self.t(key)).classes("hil-card hil-fold"), name or key)
+
+    def how(self, key: str, steps: str) -> None:
+        """How a job is done, folded away; F1 opens it. key: of the heading; steps: of the text, Markdown."""
+        with self.fold(key).props("data-how"):
+            ui.markdown(self.t(steps))
 
     def value(self, key: str, unit: str = "", *, small: bool = False, name: str = "") -> ui.label:
         """A figure with its name and unit, legible from two metres; set its text with `.set_text`."""
@@ -84,13 +140,13 @@ class View:
                     ui.label(unit).classes("hil-unit").style("display: inline")
         return self.named(figure, name or key)
 
-    def button(self, key: str, action: Callable[[], object], *, name: str = "") -> ui.button:
+    def button(self, key: str, action: Callable[[], object], *, name: str = "") -> Button:
         """A button with the text of a key; its action's errors are shown."""
 
         async def press() -> None:
             await self.attempt(action)
 
-        return self.named(ui.button(self.t(key), on_click=press), name or key)
+        return self.named(Button(self.t(key), press), name or key)
 
     def every(self, refresh: Callable[[], None], seconds: float = REFRESH_S) -> None:
         """Call `refresh` every `seconds` while the page is open."""
@@ -103,8 +159,10 @@ class View:
             return "–"
         if not job.running:
             return self.t(f"phase.{job.phase.value}")
-        count = f" ({job.done}/{job.total})" if job.total else ""
-        return f"{self.t.said(job.stage)}: {self.t.said(job.message)}{count}"
+        count = f"({job.done}/{job.total})" if job.total else ""
+        stage = self.t.measurement(job.stage, job.kind)
+        said = " ".join(filter(None, (self.t.said(job.message), count)))
+        return ": ".join(filter(None, (stage, said)))
 
     def number_of(self, field: ui.number) -> float:
         """The value of a field. Raises InputError, in the page's language, for an empty one."""
@@ -134,45 +192,66 @@ class View:
         return await run.io_bound(work)
 
     def show_error(self, error: BaseException) -> None:
-        """Show an error as a note that stays until it is closed."""
+        """Show an error as a note that stays until it is closed, or until the next error takes its place."""
         if isinstance(error, NotInControlError):
             text = self.t("control.not_yours")
         elif isinstance(error, OSError):
             text = one_line(error)
         else:
             text = self.t.said(self.desk.errors.line_of(error))
+        before = _shown_errors.get(self.client)
+        if before is not None and not before.is_deleted:
+            before.delete()
         with self.client.content:
-            ui.notification(
-                text, type="negative", position="bottom-right", timeout=None, close_button=self.t("button.close")
-            )
+            close = self.t("button.close")
+            note = ui.notification(text, type="negative", position="bottom-right", timeout=None, close_button=close)
+        _shown_errors[self.client] = note
 
-    async def ask_and_run(self, job: Job, lent: Sequence[Desk] = ()) -> bool:
+    async def ask_and_run(self, job: Job, lent: Sequence[Desk] = (), changes: Sequence[str] = ()) -> bool:
         """Ask with the plan of motions and writes, then start the job. True if it was started.
 
-        lent: desks of other axes that the job connects itself.
+        lent: desks of other axes that the job connects itself; changes: what is written, each with its old and new value (`change`)
         """
         if not self.in_control:
             self.show_error(NotInControlError())
             return False
-        if not await self.ask(self.question(job.plan)):
+        go = self.t(f"go.{job.kind.replace(' ', '_')}", axis=self.desk.name)
+        if not await self.ask([*changes, *self.question(job.plan)], go):
             return False
         tokens = {desk: self.browser.tokens.get(desk.name) for desk in lent}
-        return await self.attempt(lambda: self.desk.run(self.token, job, tokens))
+        started = await self.attempt(lambda: self.desk.run(self.token, job, tokens, changes))
+        if started:
+            self.client.run_javascript("hilFocusStop()")
+        return started
 
-    async def ask(self, lines: Iterable[str]) -> bool:
-        """A question with yes and no."""
+    def change(self, name: str, old: str, new: str, unit: str = "") -> str:
+        """A line that says what is written: parameter, old and new value, unit."""
+        return self.t("plan.change", name=name, old=old or "–", new=new or "–", unit=unit).strip()
+
+    async def finished(self, job: Job) -> Progress | None:
+        """Run a job that asks nothing and wait for its end, without blocking the page. None where it was not started."""
+        if not await self.attempt(lambda: self.desk.run(self.token, job)):
+            return None
+        while (now := self.desk.last(job.kind)) is not None and now.running:
+            await asyncio.sleep(REFRESH_S / 4)
+        return now
+
+    async def ask(self, lines: Iterable[str], go: str) -> bool:
+        """A question. go: text of the button that does it; the other one, and Esc, leave everything as it is."""
         with self.dialog() as dialog:
             with dialog, ui.card().classes("hil-card"):
                 for line in lines:
                     self.named(ui.label(line), "question.line")
                 with ui.row():
-                    self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), "question.yes")
-                    no = ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+                    yes = ui.button(go, on_click=lambda: dialog.submit(True), color=None).classes("hil-go")
+                    self.named(yes.props("autofocus"), "question.yes")  # Enter confirms
+                    no = ui.button(self.t("button.cancel"), on_click=lambda: dialog.submit(False), color=None)
                     self.named(no, "question.no")
             return bool(await dialog)
 
-    async def ask_passwords(self, *fields: str, yes: str, why: str = "") -> tuple[str, ...] | None:
-        """Ask for passwords in fields with these keys; None for a no. why: key of a line above them; yes: name of the button."""
+    async def ask_passwords(self, *fields: str, yes: str, go: str, why: str = "") -> tuple[str, ...] | None:
+        """Ask for passwords in fields with these keys; None where it was cancelled. why: key of a line above them; yes: name of the
+        button that goes on, go: key of its text."""
         with self.dialog() as dialog:
             with dialog, ui.card().classes("hil-card"):
                 if why:
@@ -180,10 +259,11 @@ class View:
                 given = [ui.input(self.t(key), password=True).props("autocomplete=off") for key in fields]
                 given[0].props("autofocus")
                 for field, key in zip(given, fields, strict=True):
-                    self.named(field, key)
+                    self.named(field, key).on("keydown.enter", lambda: dialog.submit(True))
                 with ui.row():
-                    self.named(ui.button(self.t("button.yes"), on_click=lambda: dialog.submit(True)), yes)
-                    ui.button(self.t("button.no"), on_click=lambda: dialog.submit(False)).props("outline")
+                    confirm = ui.button(self.t(go), on_click=lambda: dialog.submit(True), color=None)
+                    self.named(confirm.classes("hil-go"), yes)
+                    ui.button(self.t("button.cancel"), on_click=lambda: dialog.submit(False), color=None)
             return tuple(str(field.value or "") for field in given) if await dialog else None
 
     @contextmanager
@@ -218,8 +298,13 @@ class View:
             lines.append(t("plan.contacts", count=plan.positions, overtravel=t.number(plan.overtravel_mm, 1)))
         elif plan.positions:
             lines.append(t("plan.captures", count=plan.positions, seconds=t.number(plan.at_rest_s, 1)))
-        lines += [t(f"plan.write.{write.what}", place=write.place) for write in plan.writes]
-        return [*lines, t("plan.ask")]
+        lines += [t(f"plan.write.{write.what}", place=_short_name(write.place)) for write in plan.writes]
+        return lines
+
+
+def _short_name(place: str) -> str:
+    """A place as a person names it: of a path its last part."""
+    return Path(place).name if Path(place).is_absolute() else place
 
 
 @dataclass(frozen=True)

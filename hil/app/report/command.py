@@ -6,21 +6,28 @@ import argparse
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from drivers.errors import InputError
-from hil.app.jobs.identity import identity, uncertainty_of
+from hil.app.jobs.identity import identity
+from hil.app.report.issue import add_certificate_options, write_certificates
 from hil.app.report.job import now, write_report
+from hil.app.terminal.measuring_options import add_limit_option
 from hil.app.terminal.output import add_json_option, write_json
-from hil.axis.axis_file import AxisConfig, load_axis
+from hil.axis.axis_file import AxisConfig, load_axis, uncertainty_of
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.correction.tables import Band
 from hil.figures.uncertainty import Budget
-from hil.records.files import read_bytes, replace_file
-from hil.records.rows import parse_csv
+from hil.records.files import parse_json, read_bytes, replace_file
+from hil.records.journal import stated_targets_mm
+from hil.records.rows import concatenate, parse_csv
+
+if TYPE_CHECKING:  # plots are slow to import
+    from hil.app.report.data import NamedCampaign
 
 NOT_GOOD = "NOT GOOD: "
 
@@ -50,6 +57,7 @@ example:
   hil report records.csv --out report.html
   hil report before.csv after.csv --label before --label "after calibration" --identity Axis=X --out report.html
   hil report left.csv --diagnosis found.json --out report.html --png plots/ --pdf report.pdf
+  hil report verify.csv --axis-file X.toml --certificate X.pdf --dcc X.xml       # signed; `hil check X.pdf --builder builder.pub`
   hil report --compare spring.csv autumn.csv --axis-file X.toml --builder builder.pub --out compared.html
 
 The file stands alone: it can be mailed, archived, printed, and signed with `hil sign report.html --key builder.key`.
@@ -68,9 +76,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "records", metavar="RECORDS.csv", nargs="*", help="record files in the order of time, one campaign each"
     )
     parser.add_argument("--compare", metavar=("A", "B"), nargs=2, help="two record files, set against each other")
-    parser.add_argument("--out", metavar="REPORT.html", required=True, help="the report; an older one is replaced")
     parser.add_argument(
-        "--label", metavar="TEXT", action="append", help="name of a campaign, once per file (default: file names)"
+        "--out",
+        metavar="REPORT.html",
+        help="the report; an older one is replaced (needed unless --certificate or --dcc is given)",
+    )
+    parser.add_argument(
+        "--label",
+        metavar="TEXT",
+        action="append",
+        help="name of a campaign, once per file (default: file names)",
+    )
+    parser.add_argument(
+        "--join", action="store_true", help="files in a row with one --label are passes of one campaign"
     )
     parser.add_argument("--title", metavar="TEXT", default="Positioning of a linear axis", help="title of the report")
     parser.add_argument(
@@ -80,6 +98,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default=[],
         help="a line of identity, as Axis=X; may be repeated",
     )
+    add_limit_option(parser)
     parser.add_argument("--band", metavar=("LOW", "HIGH"), nargs=2, type=float, help="specified accuracy band in µm")
     parser.add_argument(
         "--diagnosis", metavar="OUT.json", help="result of `hil diagnose --json` on the last of the files"
@@ -110,27 +129,44 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         " (needs the report-pdf extra: pip install 'hil[report-pdf]')",
     )
     parser.add_argument("--png", metavar="DIR", help="also write every drawing as a PNG into DIR (made if need be)")
+    add_certificate_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit status 0: written; 1: written, and a signature is not good. Raises InputError for wrong files and arguments."""
+    """Exit status 0: written; 1: written, and a signature is not good or a certificate says fail.
+
+    Raises InputError for wrong files and arguments.
+    """
     from hil.app.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (plots are slow to import)
     from hil.app.report.document import budgets, render_files  # noqa: PLC0415
     from hil.app.report.views import diagnosed  # noqa: PLC0415
+    from hil.diagnosis.report.diagnosis import opening  # noqa: PLC0415
 
+    axis = None if args.axis_file is None else load_axis(args.axis_file)
+    if args.result is not None:
+        return write_certificates(args, axis, (), None)
     paths = _record_files(args)
     labels = args.label or _default_labels(paths)
     if len(labels) != len(paths):
         raise InputError(f"{len(labels)} --label for {len(paths)} record files, expected one for each")
-    axis = None if args.axis_file is None else load_axis(args.axis_file)
+    if args.out is None and not (args.certificate or args.dcc):
+        raise InputError("nothing to write: expected --out REPORT.html, --certificate FILE.pdf or --dcc FILE.xml")
+    if args.out is None and (args.pdf or args.png):
+        raise InputError("--pdf and --png are of the report, expected --out REPORT.html with them")
     signed = {} if args.builder is None else signatures([*paths, *args.table], load_public_key(args.builder))
-    campaigns = []
+    campaigns: list[NamedCampaign] = []
     for label, path in zip(labels, paths, strict=True):
         data = read_bytes(path)
-        campaigns.append(NamedCampaign(label, parse_csv(_text(data, path), path), "", Path(path).name, _sha256(data)))
+        records, own = parse_csv(_text(data, path), path), stated_targets_mm(path)
+        one = NamedCampaign(label, records, "", Path(path).name, _sha256(data), calibrated_mm=own)
+        if args.join and campaigns and campaigns[-1].label == label:
+            one = _joined(campaigns.pop(), one)
+        campaigns.append(one)
     diagnosis = None if args.diagnosis is None else _read_diagnosis(args.diagnosis)
+    if args.out is None:
+        return write_certificates(args, axis, campaigns, diagnosis)
     document = ReportData(
         title=args.title,
         campaigns=tuple(campaigns),
@@ -141,12 +177,15 @@ def run(args: argparse.Namespace) -> int:
         diagnosis=diagnosis,
         diagnosed=None if diagnosis is None else diagnosed(campaigns[-1], diagnosis),
         notes=tuple(args.note),
+        opening="" if diagnosis is None or len(campaigns) < 2 else opening(diagnosis, campaigns[0], campaigns[-1]),
         compare=args.compare is not None,
         all_plots=args.all_plots,
         uncertainty=None if axis is None else uncertainty_of(axis),
+        limit_um=args.limit if args.limit is not None or axis is None else axis.correction.accuracy_limit_um,
         signatures=signed,
         created=now(),
     )
+    failed = (args.certificate or args.dcc) and write_certificates(args, axis, campaigns, diagnosis)
     digest = write_report(document, Path(args.out), Path(args.pdf) if args.pdf else None)
     print(args.out)
     if args.pdf:
@@ -162,14 +201,23 @@ def run(args: argparse.Namespace) -> int:
             }
             for campaign in campaigns
         ]
-        for form, known in zip(figures, budgets(document), strict=True):
+        for form, known, campaign in zip(figures, budgets(document), campaigns, strict=True):
+            form["accuracy"] = document.accuracy(campaign).as_json()
             form["uncertainty_um"] = dict(known.figures_um) if isinstance(known, Budget) else None
         result = {"report": args.out, "sha256": digest, "drawings": drawings, "campaigns": figures}
         write_json(args.json, {**result, "signatures": signed})
     bad = {name: said for name, said in signed.items() if said.startswith(NOT_GOOD)}
     for name, said in bad.items():
         print(f"{name}: signature {said}")
-    return 1 if bad else 0
+    return 1 if bad or failed else 0
+
+
+def _joined(first: NamedCampaign, second: NamedCampaign) -> NamedCampaign:
+    """Two passes of one campaign: their rows, and the names and hashes of their files side by side."""
+    records = concatenate([first.records, second.records])
+    source, digest = f"{first.source} {second.source}", f"{first.sha256} {second.sha256}"
+    own = (*first.calibrated_mm, *second.calibrated_mm)
+    return replace(first, records=records, source=source, sha256=digest, files=first.files + 1, calibrated_mm=own)
 
 
 def _record_files(args: argparse.Namespace) -> list[str]:
@@ -213,11 +261,13 @@ def _sha256(data: bytes) -> str:
 
 def _read_diagnosis(path: str) -> Mapping[str, Any]:
     try:
-        form = json.loads(_text(read_bytes(path), path))
-    except (ValueError, RecursionError) as error:
+        form = parse_json(_text(read_bytes(path), path))
+    except ValueError as error:
         if isinstance(error, json.JSONDecodeError):
             raise InputError(f"is not JSON: {error.msg}", path=path, line=error.lineno) from error
         raise InputError("is not JSON", path=path) from error
+    if isinstance(form, dict) and isinstance(form.get("diagnosis"), dict):  # the result of `hil close-loop --json`
+        form = form["diagnosis"]
     if not isinstance(form, dict) or not isinstance(form.get("findings"), list):
         raise InputError("is not a diagnosis, expected a JSON object with a list of findings", path=path)
     return form

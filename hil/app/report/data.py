@@ -16,6 +16,7 @@ from drivers.errors import InputError
 from hil.correction.tables import Band
 from hil.figures.iso230 import Iso230, iso230
 from hil.figures.uncertainty import UncertaintyInputs
+from hil.figures.verdict import Accuracy, At, accuracy
 from hil.records.rows import Floats, Records
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
@@ -30,7 +31,9 @@ def plain(value: object) -> str:
 class NamedCampaign:
     """One campaign of measurement under its name in the report ('before', 'after calibration', …).
 
-    source: file name of the rows; sha256: hash of that file; "" where there is none
+    source: file name of the rows; sha256: hash of that file; "" where there is none; corrected: whether a correction was in force,
+    None: by the rows; files: number of files that the rows are from; calibrated_mm: targets of the tables as the campaign states
+    them, () where it does not
     """
 
     label: str
@@ -38,6 +41,9 @@ class NamedCampaign:
     note: str = ""
     source: str = ""
     sha256: str = ""
+    corrected: bool | None = None
+    files: int = 1
+    calibrated_mm: tuple[float, ...] = ()
 
     def figures(self) -> Iso230 | str:
         """The campaign's ISO 230-2 figures; the reason, as text, where it has none."""
@@ -72,6 +78,8 @@ class ReportData:
     compare          whether the two campaigns are compared target by target; InputError unless there are two
     uncertainty      inputs on instrument and room; figures are then given with their expanded uncertainty
     signatures       file name -> who signed it, or why its signature is not good
+    limit_um         largest accuracy A that is allowed, None without one
+    opening          the first sentence: the result of a loop; "" for none
     created          date and time to print, as text: the clock is not read, so the same data give the same bytes
     """
 
@@ -89,6 +97,8 @@ class ReportData:
     compare: bool = False
     all_plots: bool = False
     band_targets_mm: tuple[float, ...] = ()
+    limit_um: float | None = None
+    opening: str = ""
 
     def __post_init__(self) -> None:
         if not self.campaigns:
@@ -98,6 +108,16 @@ class ReportData:
             raise InputError(f"campaigns share a label: {', '.join(labels)}")
         if self.compare and len(self.campaigns) != 2:
             raise InputError(f"a comparison is of two campaigns, not of {len(self.campaigns)}")
+
+    def accuracy(self, campaign: NamedCampaign) -> Accuracy:
+        """The accuracy A of one of the campaigns, with its uncertainty, against the limit."""
+        calibrated_mm = (*self.band_targets_mm, *campaign.calibrated_mm)
+        return accuracy(campaign.records, self.uncertainty, self.limit_um, calibrated_mm, corrected=campaign.corrected)
+
+    def verified(self) -> Accuracy | None:
+        """The accuracy of the last campaign at other targets than the tables', None without one."""
+        found = [self.accuracy(campaign) for campaign in self.campaigns]
+        return next((one for one in reversed(found) if one.at is At.OTHER and one.A_um is not None), None)
 
 
 @dataclass(frozen=True)

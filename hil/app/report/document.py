@@ -7,6 +7,7 @@ module loads matplotlib, which takes time: commands import it where they need it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import FigureBase
@@ -22,6 +23,7 @@ from hil.app.report.blocks import (
     Finding,
     Heading,
     Paragraph,
+    Span,
     Table,
     Tile,
     Tiles,
@@ -35,6 +37,7 @@ from hil.correction.tables import Band, SectionMeans, judge
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.figures.iso230 import FIGURES, Iso230
 from hil.figures.uncertainty import Budget
+from hil.figures.verdict import PLUS_MINUS, At, Decision
 from hil.records.rows import Floats, Records
 
 
@@ -114,7 +117,8 @@ SIGNS = (
 
 def content(data: ReportData) -> list[Block]:
     """All blocks of a report in order, without the title."""
-    parts: list[Block] = [_tiles(data), *_identity(data)]
+    parts: list[Block] = [Paragraph((Span(data.opening, "strong"),))] if data.opening else []
+    parts += [*_verdict(data), *_tiles(data), *_identity(data)]
     if len(data.campaigns) > 1:
         parts += _comparison(data)
     parts += _figures_table(data)
@@ -162,42 +166,66 @@ def rms_um(records: Records) -> float:
     return float(np.sqrt(np.mean(records.error_um**2)))
 
 
-def _tiles(data: ReportData) -> Tiles:
+def _verdict(data: ReportData) -> list[Block]:
+    """The accuracy at other targets against the limit, in one sentence, and what its ± is; where it was not measured, that."""
+    found = data.verified()
+    if found is None:
+        last = data.accuracy(data.campaigns[-1])
+        said_last = f"{data.campaigns[-1].label}: {last}." if last.A_um is not None else ""
+        lead = "Accuracy at other targets than the tables' was not measured"
+        return [Paragraph((Span(f"{lead}.", "strong"), Span(f" {said_last}" if said_last else "")), "callout")]
+    style = "" if found.good else "callout"
+    return [Paragraph((Span(f"{found}.", "strong"),), style), said(f"{'; '.join(found.explained())}.", "muted")]
+
+
+def _tiles(data: ReportData) -> list[Block]:
+    """Large: the verdict at other targets. Below it, labelled: the figures of the last campaign, compared with the first."""
     first, last = data.campaigns[0], data.campaigns[-1]
     one, other = first.figures(), last.figures()
+    at, proof = data.accuracy(last).at, data.verified()
     values: list[tuple[str, float | None, float | None]] = []
-    for name, title in (
-        ("A", "Accuracy A"),
-        ("E", "Systematic deviation E"),
-        ("R", "Repeatability R"),
-        ("B", "Reversal value B"),
-    ):
+    names = [("E", "Systematic deviation E"), ("R", "Repeatability R"), ("B", "Reversal value B")]
+    for name, title in names if at is At.OTHER else [("A", f"A {at.value}"), *names]:
         pair = [figures.figures()[name] if isinstance(figures, Iso230) else None for figures in (one, other)]
         values.append((title, pair[0], pair[1]))
     values.append(("RMS error", rms_um(first.records), rms_um(last.records)))
-    tiles = [_tile(*value, compare=first is not last) for value in values if value[2] is not None]
+    good = {Decision.PASS: True, Decision.FAIL: False}.get(proof.decision) if proof is not None else None
+    top = [] if proof is None else [Tile("Accuracy A at other targets", proof.value, "µm", proof.reason, good=good)]
+    found = "" if first is last else first.label
+    tiles = [_tile(*value, was=found) for value in values if value[2] is not None]
+    if at is At.CALIBRATED:
+        tiles = [replace(tile, good=None) for tile in tiles]
     if data.band is not None and isinstance(other, Iso230):
-        tiles.append(_band_tile(other, data.band, data.band_targets_mm))
-    return Tiles(tuple(tiles))
+        tiles.append(_band_tile(other, data.band, data.band_targets_mm, judged=at is not At.CALIBRATED))
+    if at is At.OTHER:
+        return [Tiles((*top, *tiles))]
+    label = said(f"{last.label}, {at.value}:", "muted")
+    return [*([Tiles(tuple(top))] if top else []), label, Tiles(tuple(tiles))]
 
 
-def _tile(title: str, first: float | None, last: float | None, *, compare: bool) -> Tile:
+def _tile(title: str, first: float | None, last: float | None, *, was: str) -> Tile:
+    """was: the label of the campaign that `first` is of, "" for none."""
     value = markup.number(last)
-    if not compare or first is None or last is None:
+    if not was or first is None or last is None:
         return Tile(title, value, "µm")
-    below = f"as found {markup.number(first)} µm"
+    below = f"{was}: {markup.number(first)} µm"
     return Tile(title, value, "µm", below, diagnosis_part.change(first, last), None if last == first else last < first)
 
 
-def _band_tile(figures: Iso230, band: Band, targets_mm: Sequence[float]) -> Tile:
-    """Number of target means within the band, which has the sign of their section and direction; those not judged are left out."""
+def _band_tile(figures: Iso230, band: Band, targets_mm: Sequence[float], *, judged: bool) -> Tile:
+    """Number of target means within the band, which has the sign of their section and direction; those not judged are left out.
+
+    judged: whether it is coloured as good or bad; at the tables' own targets it proves nothing
+    """
     none = np.full(figures.m, np.nan)
     up, down = (none if mean is None else mean for mean in (figures.mean_up, figures.mean_down))
     means = SectionMeans(figures.target_mm, up, down, np.nan)
     outside, unlike = judge(means, band, targets_mm)
-    judged = int(np.isfinite(up).sum() + np.isfinite(down).sum()) - len(unlike)
+    total = int(np.isfinite(up).sum() + np.isfinite(down).sum()) - len(unlike)
     below = "target means" + (f", {len(unlike)} not judged" if unlike else "")
-    return Tile(f"Inside {band}", f"{judged - len(outside)} of {judged}", below=below, good=not outside)
+    return Tile(
+        f"Inside {band}", f"{total - len(outside)} of {total}", below=below, good=not outside if judged else None
+    )
 
 
 def _identity(data: ReportData) -> list[Block]:
@@ -241,7 +269,10 @@ def _figures_table(data: ReportData) -> list[Block]:
         for figures, campaign in zip(all_figures, data.campaigns, strict=True)
     ]
     rows.append(("campaign", *shape, *([""] if compare else []), "per direction"))
-    return [Heading("Figures of ISO 230-2:2014"), Table(head, tuple(rows), "meaning")]
+    places = tuple(data.accuracy(campaign).at.value for campaign in data.campaigns)
+    rows.append(("targets", *places, *([""] if compare else []), "compared with those of the tables"))
+    known = [said(f"{PLUS_MINUS}.", "muted")] if any(isinstance(one, Budget) for one in spreads) else []
+    return [Heading("Figures of ISO 230-2:2014"), *known, Table(head, tuple(rows), "meaning")]
 
 
 def _campaign(index: int, campaign: NamedCampaign, data: ReportData) -> list[Block]:

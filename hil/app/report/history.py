@@ -82,7 +82,7 @@ def _trends(moments: Sequence[Moment], names: Sequence[str]) -> list[list[str]]:
             continue
         clear = abs(line.slope_um) > 2.0 * line.std_um
         verdict = "clear of its scatter" if clear else "not more than it scatters"
-        rows.append([symbol(name), f"{line.slope_um:+.2f} ± {2 * line.std_um:.2f}", verdict])
+        rows.append([symbol(name), f"{line.slope_um:+.2f} ± {2 * line.std_um:.2f} (k = 2)", verdict])
     return rows
 
 

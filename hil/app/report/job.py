@@ -10,13 +10,14 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.errors import InputError
-from hil.app.jobs.identity import identity, uncertainty_of
+from hil.app.jobs.identity import identity
 from hil.app.report.data import NamedCampaign, ReportData
 from hil.app.report.views import diagnosed
-from hil.axis.axis_file import AxisConfig
+from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.diagnosis.stored import read_stored, stored_beside
 from hil.figures.history import find_campaigns, history, usual_pass
 from hil.records.files import read_bytes, read_text, replace_file
+from hil.records.journal import stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
 
 FOLDER = "reports"
@@ -37,11 +38,12 @@ def named_campaign(wanted: Wanted) -> NamedCampaign:
     """Read a campaign. Raises InputError naming the file."""
     records = concatenate([parse_csv(read_text(path), path) for path in wanted.paths])
     if len(wanted.paths) > 1:
-        return NamedCampaign(
-            wanted.label, records, source=f"{len(wanted.paths)} files of {wanted.paths[0].parent.name}"
-        )
-    path = wanted.paths[0]
-    return NamedCampaign(wanted.label, records, "", path.name, hashlib.sha256(read_bytes(path)).hexdigest())
+        source, digest = f"{len(wanted.paths)} files of {wanted.paths[0].parent.name}", ""
+    else:
+        path = wanted.paths[0]
+        source, digest = path.name, hashlib.sha256(read_bytes(path)).hexdigest()
+    own = tuple(target for path in wanted.paths for target in stated_targets_mm(path))
+    return NamedCampaign(wanted.label, records, "", source, digest, files=len(wanted.paths), calibrated_mm=own)
 
 
 def report_data(axis: AxisConfig, campaigns: Sequence[Wanted], diagnosis: Path | None, *, compare: bool) -> ReportData:
@@ -58,6 +60,7 @@ def report_data(axis: AxisConfig, campaigns: Sequence[Wanted], diagnosis: Path |
         compare=compare,
         band_targets_mm=axis.measurement.targets_mm,
         uncertainty=uncertainty_of(axis),
+        limit_um=axis.correction.accuracy_limit_um,
         created=now(),
     )
 

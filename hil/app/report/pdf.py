@@ -1,8 +1,8 @@
 """A report as one PDF on numbered A4 sheets, with the contents of the page. The same data give the same bytes.
 
 WeasyPrint renders the page's own markup with `paper.css` (reasons and cost: hil/decisions/0021). Two things differ from the page: the
-data of the drawings come at the end, `MAX_PAPER_ROWS` rows of each; and a table that is wider than a sheet is divided into groups of
-columns, one below the other.
+rows behind the drawings stay in the page, whose hash is at the foot of each sheet; and a table that is wider than a sheet is divided
+into groups of columns, one below the other.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hil.app.report.svg import LIGHT, file_bytes
 
 MAX_PAPER_ROWS = 240
 """Most rows of a data table on paper; the page has all."""
-SHEET_DIGITS = 165
+SHEET_DIGITS = 108
 """Digits that fit side by side on a sheet, in the size and the bold weight that paper.css gives data tables."""
 COLUMN_GAP = 2
 """Space between two columns of data, digits."""
@@ -72,14 +72,17 @@ def write(blocks: Iterable[Block], title: str, under: str = "", foot: str = "") 
 
 
 def on_paper(blocks: Sequence[Block]) -> list[Block]:
-    """The blocks in their order, data tables that the page shows folded last, each under its own heading."""
+    """The blocks in their order. Data tables that the page shows folded are left to it; the last line names them."""
     folded: list[tuple[str, DataTable]] = []
     kept = list(_kept(blocks, [""], folded))
     if folded:
-        kept.append(Heading("Data"))
-    for part, table in folded:
-        kept.append(Heading(f"{part}: {table.title[0].lower()}{table.title[1:]}", 3))
-        kept += _pieces(table)
+        shown = "; ".join(
+            f"{part}: {table.title[0].lower()}{table.title[1:]}, {len(table)} rows" for part, table in folded
+        )
+        kept += [
+            Heading("Data"),
+            said(f"In the page, and in the record files that are named with their hashes: {shown}.", "muted"),
+        ]
     return kept
 
 

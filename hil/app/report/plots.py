@@ -6,6 +6,7 @@ only in colour. Errors are in µm, positions in mm.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,6 +27,8 @@ MANY_POINTS = 4000
 MANY_TARGETS = 100
 """Number of targets above which the mean is drawn without markers, for lack of room."""
 
+MOST_ACROSS = 3
+"""Largest number of campaigns side by side; more are in two rows."""
 MANY_WIGGLES = 12
 """Total variation of a curve, over its range, above which it is drawn as rings: the eye cannot follow such a curve."""
 
@@ -58,15 +61,25 @@ def before_after_plot(
 ) -> FigureBase:
     """Error against position of the campaigns, side by side on one scale."""
     with mpl.rc_context(RC):
-        figure = figure_on(ground, 9.6, 3.9, top_in=0.6)
-        axes = figure.subplots(1, len(campaigns), sharey=True, sharex=True, squeeze=False)[0]
-        for ax, campaign in zip(axes, campaigns, strict=True):
+        across = len(campaigns) if len(campaigns) <= MOST_ACROSS else -(-len(campaigns) // 2)
+        down = -(-len(campaigns) // across)
+        figure = figure_on(ground, 9.6, 3.9 if down == 1 else 6.6, top_in=0.75)
+        grid = figure.subplots(down, across, sharey=True, sharex=True, squeeze=False)
+        if down > 1:
+            figure.subplots_adjust(hspace=0.42)
+        axes = list(grid.ravel())
+        for empty in axes[len(campaigns) :]:
+            empty.set_visible(False)
+        for ax, campaign in zip(axes, campaigns, strict=False):
             figures = campaign.figures()
             _errors(ax, theme, campaign.records, figures, band)
-            _label(ax, theme, "Target position, mm", "Error, µm" if ax is axes[0] else "")
-            ax.set_title(plain(campaign.label), color=theme.ink)
-            if isinstance(figures, Iso230) and figures.A is not None:
-                ax.set_title(f"A = {figures.A:.1f} µm", loc="right", color=theme.muted, fontweight="normal")
+            _label(ax, theme, "Target position, mm", "Error, µm" if ax in grid[:, 0] else "")
+            known = isinstance(figures, Iso230) and figures.A is not None
+            told = (
+                f"A = {figures.A:.2f} µm" if isinstance(figures, Iso230) and known else f"{len(campaign.records)} rows"
+            )
+            label = textwrap.shorten(plain(campaign.label), 100 // across, placeholder="…")
+            ax.set_title(f"{label}\n{told}", color=theme.ink)
         _legend(figure, axes[0], theme)
         return figure
 

@@ -31,13 +31,15 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 """Effect -> columns, or beginnings of their names: it is drawn along the first that varies. Others: along the position."""
 
+_WITHOUT_OTHERS = "Residual without the other effects found"
 LARGEST = 1e12
 """Largest number that is drawn; a larger one in a diagnosis counts as missing."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A residual along one column, and the curve over it; arrays of one shape (n,). label: of the x axis; over: name of the curve."""
+    """A residual along one column, and the curve over it; arrays of one shape (n,). label: of the x axis; over: name of the
+    curve; of: of what it is the residual."""
 
     x: Floats
     label: str
@@ -45,19 +47,28 @@ class View:
     residual_um: Floats
     over_um: Floats
     over: str
+    of: str = "Residual"
 
 
 def diagnosed(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCampaign:
-    """The campaign with the `residual_um` of its diagnosis as a column; unchanged where that has not one number per row."""
-    residual = _floats(diagnosis.get("residual_um"))
-    if residual is None or len(residual) != len(campaign.records):
-        return campaign
-    return replace(campaign, records=campaign.records.with_column("residual_um", residual))
+    """The campaign with `residual_um` and `explained_um` of its diagnosis as columns, each where it has one number per row."""
+    records = campaign.records
+    for name in ("residual_um", "explained_um"):
+        values = _floats(diagnosis.get(name))
+        if values is not None and len(values) == len(records):
+            records = records.with_column(name, values)
+    return replace(campaign, records=records)
 
 
 def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
-    """The residual along the position, with the sum of the findings' effects, or its mean where an effect is not known per row."""
+    """The residual along the position, with what the effects found take away from it; where that is not known per row, with the sum of
+    the effects, or with its own mean."""
     residual = _residual(records)
+    if findings and "explained_um" in records:
+        taken = "what the effects found take away"
+        return View(
+            records.target_mm, "Target position, mm", records.direction, residual, records["explained_um"], taken
+        )
     effects = [
         over for finding in findings if (over := _effect(records, finding, alone=len(findings) == 1)) is not None
     ]
@@ -100,8 +111,9 @@ def _own_plot(finding: Mapping[str, Any], records: Records | None) -> View | Non
     column = plain(plot.get("column", "x"))
     folded = _folded(x, finding) if column == "target_mm" else None
     if folded is not None:
-        return View(*folded, direction, residual, effect, plain(finding.get("effect")))
-    return View(x, label_of(column, plot.get("unit")), direction, residual, effect, plain(finding.get("effect")))
+        return View(*folded, direction, residual, effect, plain(finding.get("effect")), _WITHOUT_OTHERS)
+    label = label_of(column, plot.get("unit"))
+    return View(x, label, direction, residual, effect, plain(finding.get("effect")), _WITHOUT_OTHERS)
 
 
 def _floats(values: object) -> Floats | None:

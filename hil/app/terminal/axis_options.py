@@ -8,11 +8,12 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from drivers.errors import BridgeError, InputError
 from hil.app.jobs.plan import Plan, Write, measuring_plan
 from hil.app.jobs.zero_statement import ZeroStatement
 from hil.app.terminal.output import add_json_option
 from hil.app.terminal.passwords import KEY, READING, own_passwords, password
-from hil.axis.axis_file import AxisConfig, load_drive_axis
+from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import TABLES, SealedStore, bound_tables
 from hil.effects import ALL, Effect
@@ -41,6 +42,15 @@ def add_zero_options(parser: argparse.ArgumentParser, *, anew: bool = False) -> 
             "--new-zero",
             action="store_true",
             help="take the axis's zero anew, also where it stands now (homing 35, 37); what was made in the old one is of no use then",
+        )
+
+
+def tell_bench(axis: DriveAxis) -> None:
+    """Say that the bench forgets what was written to its drive, after a verb that wrote to it."""
+    if axis.drive.backend == "bench":
+        print(
+            f"axis {axis.name} is on the bench, which starts anew with each command: the next one does not find what was written"
+            " (a drive of `hil sim drive` keeps it)"
         )
 
 
@@ -94,13 +104,32 @@ def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> 
 
     Raises InputError for a missing password, and as `SealedStore.of`.
     """
-    key = password(args.key_password_file, KEY, "builder key's password", os.environ) if writing else None
+    usual, usual_key = axis.store.password_file, axis.store.key_password_file
+    key = (
+        password(args.key_password_file, KEY, "builder key's password", os.environ, usual=usual_key)
+        if writing
+        else None
+    )
     own = own_passwords(args.table_password, TABLES, "--table-password")
-    return SealedStore.of(axis, password(args.password_file, READING, "reading password", os.environ), key, own=own)
+    anew = writing and not _has_tables(axis)
+    reading = password(args.password_file, READING, "reading password", os.environ, usual=usual, new=anew)
+    return SealedStore.of(axis, reading, key, own=own)
+
+
+def _has_tables(axis: AxisConfig) -> bool:
+    """Whether a password for this axis's tables was chosen already; True where that cannot be read, which opening says."""
+    try:
+        return bound_tables(axis) is not None
+    except (BridgeError, OSError):
+        return axis.tables_path.exists()
 
 
 def load_stored(store: SealedStore, effects: Sequence[Effect] = ALL) -> Compensation:
     """The stored compensation; a warning of the store is printed. Raises as `SealedStore.load`."""
+    if not store.path.exists():
+        raise InputError(
+            f"is not there: axis {store.axis} has no tables yet, hil calibrate makes them", path=store.path
+        )
     compensation = store.load(effects)
     warning = store.warning()
     if warning is not None:
@@ -135,5 +164,7 @@ def print_plan(plan: Plan) -> None:
         velocity = max(move.velocity_mm_s for move in plan.moves)
         print(f"would move between {reach[0]:.3f} and {reach[1]:.3f} mm (corrections come on top) at {velocity:g} mm/s")
         print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each")
+        if plan.travel_s:
+            print(f"would take some {plan.seconds / 60:.0f} min, without homing, settling and repeated rounds")
     for write in plan.writes:
         print(f"would write {_WRITTEN.get(write.what, '')}{write.place}")

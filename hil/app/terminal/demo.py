@@ -12,15 +12,18 @@ from pathlib import Path
 from drivers.clock import NS_PER_S
 from drivers.errors import InputError
 from hil.app.terminal.axis_options import seed
-from hil.app.terminal.output import print_facts, write_json
+from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.summary import print_findings, print_stages
-from hil.axis.axis_file import AxisConfig, load_axis
+from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
+from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration
+from hil.calibration.job import run_verification
 from hil.correction.sealed import new_key, save_private_key, save_public_key
 from hil.correction.store import SealedStore
 from hil.diagnosis.loop.job import loop_stages
+from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
 from hil.diagnosis.loop.procedure import Loop, Turning, close_loop
+from hil.figures.verdict import Accuracy
 from hil.machine.wiring import connected
 from hil.records.files import replace_file
 from hil.records.journal import Campaign
@@ -47,12 +50,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--out", metavar="DIR", default="hil-demo", help="where to put everything (default hil-demo)")
     parser.add_argument("--seed", type=seed, help="another simulated machine")
-    parser.add_argument("--json", metavar="FILE", help="also write the result as JSON to FILE")
+    add_json_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit status 0: the loop found a cause and reduced the error; 1: it did not."""
+    """Exit status 0: the loop found a cause, reduced the error, and the accuracy is within its limit; 1: not."""
     started = time.perf_counter()
     directory = Path(args.out)
     axis = _lay_out(directory, args.seed)
@@ -61,13 +64,15 @@ def run(args: argparse.Namespace) -> int:
         campaign = Campaign.numbered(axis.store.directory, axis.purpose("demo"), resume=False)
         machine.session.prepare(campaign.directory)
         loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=TURNING)
+        proof = run_verification(machine, loop.turn.extended, listener)
         machine_s = machine.clock.now_ns() / NS_PER_S
+    found = accuracy_of(axis, proof.records, corrected=True)
     from hil.diagnosis.loop.report import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
 
-    replace_file(directory / "report.html", loop_report(axis, loop).encode())
+    replace_file(directory / "report.html", loop_report(axis, loop, proof=proof).encode())
     replace_file(directory / "before-after.png", loop_image(loop))
     wall_s = time.perf_counter() - started
-    return _tell(args, directory, loop, machine_s, wall_s)
+    return _tell(args, loop, found, machine_s, wall_s)
 
 
 def _lay_out(directory: Path, number: int | None) -> AxisConfig:
@@ -96,26 +101,31 @@ def _store(axis: AxisConfig) -> SealedStore:
     return SealedStore.of(axis, password, password)
 
 
-def _tell(args: argparse.Namespace, directory: Path, loop: Loop, machine_s: float, wall_s: float) -> int:
-    stages = loop_stages(loop)
-    print_stages(stages)
+def _tell(args: argparse.Namespace, loop: Loop, found: Accuracy, machine_s: float, wall_s: float) -> int:
+    directory, stages = Path(args.out), loop_stages(loop)
+    print_accuracy(found)
+    print_stages({STAGE_LABELS[name]: figures for name, figures in stages.items()})
+    print(LABELS_EXPLAINED)
     print_findings(loop.turn.diagnosis)
     before, after = stages["table, explored"]["rms_um"], stages["extended, explored"]["rms_um"]
     noise_um = loop.turn.diagnosis.noise.within_run_um
     print_facts(
         {
-            "before, after": f"{before:.2f} µm RMS -> {after:.2f} µm RMS, measured afresh at other targets"
-            f" (noise {noise_um:.2f} µm)",
+            "before, after": f"{before:.2f} µm RMS ({STAGE_LABELS['table, explored']}) -> {after:.2f} µm RMS"
+            f" ({STAGE_LABELS['extended, explored']}), noise {noise_um:.2f} µm",
             "machine time": f"{machine_s / 60:.1f} min in {wall_s:.1f} s, {machine_s / wall_s:.0f} times faster",
             "report": str(directory / "report.html"),
-            "axis file": f"{directory / 'axis.toml'} (hil verify {directory / 'axis.toml'} works on it)",
+            "axis file": str(directory / "axis.toml"),
+            "password": f"{directory / 'password'} opens the sealed tables and the builder's key; the axis file names it",
+            "verify it": f"hil verify {directory / 'axis.toml'}",
         }
     )
-    good = after < before and bool(loop.turn.diagnosis.findings)
+    good = after < before and bool(loop.turn.diagnosis.findings) and found.good
     if args.json:
         write_json(
             args.json,
             {
+                "accuracy": found.as_json(),
                 "stages": stages,
                 "diagnosis": loop.turn.diagnosis.to_json(),
                 "machine_s": machine_s,

@@ -12,13 +12,13 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, NoReturn
 
-from drivers.errors import BridgeError, LocalError
+from drivers.errors import BridgeError, InputError, LocalError
 from drivers.undo import one_line
 from hil.app.error_log import ERRORS, ErrorLog, thread_errors_caught
 from hil.machine.signals import INTERRUPTED, ending_by_signals
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hil.app.terminal.resume_hints import Unfinished
 
 VERBS = {
+    "help": ("app.terminal.help", "the pages of the documentation: hil help TOPIC"),
     "demo": ("app.terminal.demo", "the whole loop on the built-in bench"),
     "scan": ("machine.commands.scan", "who is on the bus"),
     "drives": ("machine.commands.drives", "ready drive files and their sources; a first axis file"),
@@ -51,7 +52,9 @@ VERBS = {
     "fit": ("diagnosis.commands.fit", "a baseline model from records"),
     "apply": ("diagnosis.commands.apply", "the correction of a model for each row of records"),
     "iso230": ("figures.commands.iso230", "the figures of ISO 230-2"),
+    "iso230-4": ("figures.commands.iso230_4", "the figures of ISO 230-4 of circular tests, driven here or imported"),
     "records": ("records.command", "campaigns on disk: list, inspect, merge, export, history"),
+    "fleet": ("fleet.command", "many axes over years: index, what ages, comparison, causes"),
     "report": ("app.report.command", "one HTML file from records: plots, ISO 230-2 figures, data"),
     "export": ("correction.formats.commands.export", "the tables as a controller's file"),
     "import": ("correction.formats.commands.import_", "a controller's table, or measurements of another program"),
@@ -106,7 +109,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = build_parser(argv).parse_args(argv)
         before = _unfinished(args)
-        with ending_by_signals(), thread_errors_caught(lambda error: _say(_errors_of(args).line_of(error))):
+        with (
+            _output_of(args),
+            _plan_of(args),
+            ending_by_signals(),
+            thread_errors_caught(lambda error: _say(_errors_of(args).line_of(error))),
+        ):
             status = int(args.run(args))
         if sys.stdout is not None:  # None: the process was started with it closed
             sys.stdout.flush()
@@ -121,16 +129,41 @@ def main(argv: Sequence[str] | None = None) -> int:
     return status
 
 
+def _output_of(args: argparse.Namespace) -> AbstractContextManager[None]:
+    """Standard output for the JSON alone with `--json -`."""
+    if getattr(args, "json", None) != "-":
+        return nullcontext()
+    from hil.app.terminal.output import json_alone_on_output  # noqa: PLC0415  (rich is slow to import)
+
+    return json_alone_on_output()
+
+
+def _plan_of(args: argparse.Namespace) -> AbstractContextManager[None]:
+    """The plan of a dry run with `--json` as JSON, unless the verb makes one of its own."""
+    if not getattr(args, "dry_run", False) or not args.json or getattr(args, "own_plan", False):
+        return nullcontext()
+    from hil.app.terminal.output import plan_as_json  # noqa: PLC0415  (as above)
+
+    return plan_as_json(args.json)
+
+
 def _end(error: BaseException, args: argparse.Namespace) -> tuple[str, int]:
     """Message and exit status for the error that ended a verb."""
     if isinstance(error, KeyboardInterrupt):
         left = one_line(error) if getattr(error, "__notes__", ()) else ""
         done = "what was measured is kept" + (f", but: {left}" if left else "")
         return f"interrupted; {done}" if left else f"interrupted; the axis was stopped, {done}", INTERRUPTED
+    if isinstance(error, EOFError):
+        return "the input ended at a question (Ctrl-D): it was not answered, and the job ended there", BAD_INPUT
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
         return f"{place}{error.strerror or error}", NOT_GOOD
-    return _errors_of(args).line_of(error), BAD_INPUT if isinstance(error, LocalError) else NOT_GOOD
+    said = _errors_of(args).line_of(error)
+    if isinstance(error, InputError):
+        from hil.app.terminal.passwords import password_source  # noqa: PLC0415  (cryptography is slow to import)
+
+        said += password_source(error, args, os.environ)
+    return said, BAD_INPUT if isinstance(error, LocalError) else NOT_GOOD
 
 
 def _say(text: str) -> None:

@@ -6,10 +6,11 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.errors import InputError
-from hil.app.terminal.axis_options import load_cross
+from hil.app.terminal.axis_options import load_cross, positive
 from hil.axis.axis_file import AxisConfig, InstrumentConfig
 from hil.calibration.in_motion import InMotion
 from hil.diagnosis.loop.jobs.plan import feeds_of
@@ -25,6 +26,23 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
     recording = parser.add_mutually_exclusive_group()
     recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
     recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")
+
+
+def add_limit_option(parser: argparse.ArgumentParser) -> None:
+    """`--limit`: the largest accuracy A that is allowed."""
+    parser.add_argument(
+        "--limit",
+        metavar="UM",
+        type=positive,
+        help="largest accuracy A of ISO 230-2 that is allowed, µm (default: accuracy_limit_um of [correction], else no limit)",
+    )
+
+
+def limited(axis: AxisConfig, limit_um: float | None) -> AxisConfig:
+    """The axis with this limit of its accuracy in place of its file's, unless None."""
+    if limit_um is None:
+        return axis
+    return replace(axis, correction=replace(axis.correction, accuracy_limit_um=limit_um))
 
 
 def recording_name(args: argparse.Namespace) -> str:

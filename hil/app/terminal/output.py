@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TextIO
 
 from rich import box
 from rich.console import Console
@@ -18,23 +22,68 @@ from hil.records.files import replace_file
 
 Align = Literal["left", "right"]
 PIPE_WIDTH = 140
-"""Width of a table in a file or pipe, characters."""
+"""Width of a table in a file or pipe where COLUMNS is not set, characters."""
+
+
+STANDARD_OUTPUT = "-"
+_json_to: TextIO | None = None
+
+
+@contextmanager
+def json_alone_on_output() -> Iterator[None]:
+    """Inside the block standard output is kept for `--json -`; everything that is printed goes to standard error."""
+    global _json_to  # noqa: PLW0603  (one process, one standard output)
+    _json_to = sys.stdout
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _json_to.flush()
+        _json_to = None
+
+
+@contextmanager
+def plan_as_json(path: str) -> Iterator[None]:
+    """What a dry run prints inside the block, printed at its end, and as JSON: {"dry_run": true, "plan": its lines}."""
+    printed = io.StringIO()
+    try:
+        with redirect_stdout(printed):
+            yield
+    finally:
+        print(printed.getvalue(), end="")
+    lines = [line.rstrip() for line in printed.getvalue().splitlines() if line.strip()]
+    write_json(path, {"dry_run": True, "plan": lines})
 
 
 def write_json(path: str | Path, obj: object) -> None:
-    """Write `obj` as UTF-8 JSON, whole or not at all. NaN and infinity become null. Raises InputError when it cannot be written."""
+    """Write `obj` as UTF-8 JSON, whole or not at all; "-" is standard output. NaN and infinity become null.
+
+    Raises InputError when it cannot be written.
+    """
     text = json.dumps(_plain(obj), indent=2, ensure_ascii=False, allow_nan=False)
+    if path == STANDARD_OUTPUT:
+        print(text, file=_json_to or sys.stdout)
+        return
     replace_file(path, (text + "\n").encode("utf-8"))
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """The `--json FILE` that every verb has."""
-    parser.add_argument("--json", metavar="FILE", help="also write the result as JSON to FILE")
+    parser.add_argument(
+        "--json",
+        metavar="FILE",
+        help="also write the result as JSON to FILE; with - it alone is on standard output, the rest on stderr",
+    )
 
 
 def number(value: float | None, decimals: int = 2) -> str:
     """A figure for a table cell; a dash where there is none."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+
+
+def times(count: int) -> str:
+    """ "once", "twice", "3 times" …"""
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 def print_table(
@@ -49,8 +98,13 @@ def print_table(
         table.add_row(*row)
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
-        console = Console(highlight=False, markup=False, emoji=False, width=PIPE_WIDTH)
+        console = Console(highlight=False, markup=False, emoji=False, width=_pipe_width())
     console.print(table)
+
+
+def _pipe_width() -> int:
+    columns = os.environ.get("COLUMNS", "")
+    return int(columns) if columns.isdecimal() and int(columns) > 0 else PIPE_WIDTH
 
 
 def binding_facts(binding: Binding | None) -> dict[str, str]:

@@ -12,9 +12,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from drivers.errors import InputError
+from hil.correction.sealed.errors import WrongKeyPasswordError, WrongPasswordError
+from hil.correction.sealed.keys import NEW_CHARACTERS
+from hil.records.files import split_lines
 
 READING = "HIL_PASSWORD"
 KEY = "HIL_KEY_PASSWORD"
+MEANING = {
+    READING: "opens the sealed tables; whoever made them chose it (`hil demo` writes its own to hil-demo/password)",
+    KEY: "opens the builder's private key, with which new tables are signed; it was chosen with `hil sign --new-key`",
+}
+"""What each password is for, told where it is asked for."""
 
 
 def add_reading_options(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +54,7 @@ def add_key_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
 def read_password_file(path: str | Path) -> str:
     """The first line of a file. Raises InputError when it cannot be read or is empty."""
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = split_lines(Path(path).read_bytes().decode("utf-8"))
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", path=path) from error
     except UnicodeDecodeError as error:
@@ -56,8 +64,37 @@ def read_password_file(path: str | Path) -> str:
     return lines[0]
 
 
-def password(file: str | None, variable: str, what: str, environment: Mapping[str, str], *, new: bool = False) -> str:
-    """One password: from `file`, else the environment's `variable`, else asked for (`new`: twice) on a terminal.
+def password_source(error: InputError, args: argparse.Namespace, environment: Mapping[str, str]) -> str:
+    """Where `password` took a wrong password from, to be added to the error's line; "" for other errors, and where an entry or a table
+    may have its own.
+    """
+    key = isinstance(error, WrongKeyPasswordError)
+    own = getattr(args, "table_password", None) or getattr(args, "entry_password", None)
+    if not isinstance(error, WrongPasswordError) or (own and not key):
+        return ""
+    option, variable = ("key_password_file", KEY) if key else ("password_file", READING)
+    flag = f"--{option.replace('_', '-')}"
+    if file := getattr(args, option, None):
+        return f"; the password is that of {flag} {file}"
+    if environment.get(variable):
+        return (
+            f"; the password is that of {variable} in the environment, which goes before {option} of an axis file: unset it, or"
+            f" give {flag} FILE"
+        )
+    named = getattr(args, "axis", None) or getattr(args, "axis_file", None)
+    return f"; the password is that of {option} of {named}, or was typed where that names none" if named else ""
+
+
+def password(
+    file: str | None,
+    variable: str,
+    what: str,
+    environment: Mapping[str, str],
+    *,
+    new: bool = False,
+    usual: Path | None = None,
+) -> str:
+    """One password: from `file`, else the environment's `variable`, else the file `usual`, else asked for (`new`: twice).
 
     Raises InputError where there is none, or for an empty one.
     """
@@ -65,14 +102,31 @@ def password(file: str | None, variable: str, what: str, environment: Mapping[st
         return read_password_file(file)
     if environment.get(variable):
         return environment[variable]
+    if usual is not None:
+        return read_password_file(usual)
     if not sys.stdin.isatty():
-        raise InputError(f"no {what}: give a password file or set {variable}")
-    first = getpass.getpass(f"{what}: ")
+        option = "--key-password-file" if variable == KEY else "--password-file"
+        raise InputError(f"no {what}: give {option} FILE or set {variable}; it {MEANING[variable]}")
+    print(f"the {what} {MEANING[variable]}", file=sys.stderr)
+    if new:
+        print(
+            f"nothing is sealed with it yet: choose one of at least {NEW_CHARACTERS} characters, and keep it",
+            file=sys.stderr,
+        )
+    first = asked(f"{what}: ", what)
     if not first:
         raise InputError(f"{what} is empty, expected at least one character")
-    if new and getpass.getpass(f"{what}, again: ") != first:
+    if new and asked(f"{what}, again: ", what) != first:
         raise InputError(f"{what}: the two entries differ")
     return first
+
+
+def asked(prompt: str, what: str) -> str:
+    """What is typed at a prompt, unseen. Raises InputError where the input ends there (Ctrl-D)."""
+    try:
+        return getpass.getpass(prompt)
+    except EOFError as error:
+        raise InputError(f"no {what}: the input ended at its prompt (Ctrl-D); nothing was moved or written") from error
 
 
 def own_passwords(texts: Sequence[str], names: Sequence[str], option: str) -> dict[str, str]:

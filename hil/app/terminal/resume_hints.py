@@ -14,7 +14,7 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.zero import zero_keeper
 from hil.calibration.explore import Exploration
 from hil.figures.history import REPLAY, FoundCampaign
-from hil.records.journal import FINISHED, Campaign, check_resumable
+from hil.records.journal import DISCARDED, FINISHED, Campaign, check_resumable
 from hil.records.zero import FILE, ZeroError, read_zero, what_shows_it
 
 VERBS = ("calibrate", "verify", "close-loop", "lost-motion")
@@ -94,9 +94,11 @@ def _said_again(argv: Sequence[str]) -> list[str]:
 
 
 def state_of(campaign: FoundCampaign) -> str:
-    """State of a campaign in a list: "finished", "unfinished", or "" where its verb does not resume."""
+    """State of a campaign in a list: "finished", "unfinished", "discarded", or "" where its verb does not resume."""
     if (campaign.directory / FINISHED).exists():
         return "finished"
+    if (campaign.directory / DISCARDED).exists():
+        return "discarded"
     rows = any(one.records is not None for one in campaign.passes)
     return "unfinished" if rows and campaign.kind in (*VERBS, REPLAY) else ""
 

@@ -97,7 +97,7 @@ example: a machine in one terminal, its commissioning in another
   hil sim drive --channel vcan0 --laser --axis-file X.toml
   hil doctor X.toml
 
-without a CAN kernel:  hil sim drive --interface slcan-pty --laser --axis-file X.toml
+no CAN in the kernel:  hil sim drive --interface slcan-pty --laser --axis-file X.toml
 over Modbus:           hil sim modbus --tcp 127.0.0.1:0 --laser --axis-file X.toml
 the instrument alone:  hil sim laser, hil sim laser --kind nd2xx
 
@@ -132,7 +132,9 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     drive.add_argument(
-        "--interface", default="socketcan", help="of python-can (default socketcan), or slcan-pty: an adapter on a pty"
+        "--interface",
+        default="socketcan",
+        help="interface of python-can (default socketcan), or slcan-pty: an adapter on a pty",
     )
     drive.add_argument("--channel", default="vcan0", help="default vcan0")
     drive.add_argument("--bitrate", type=int, help="bit/s, for interfaces that set it")
@@ -222,10 +224,13 @@ def _add_machine(parser: argparse.ArgumentParser) -> None:
         "--kind",
         choices=INSTRUMENT_KINDS,
         default="umd",
-        help="what measures: the µMD laser (default) or another instrument",
+        help="the instrument (default: umd, the µMD laser)",
     )
     group.add_argument(
-        "--rate", type=float, default=50.0, help="readings per second of what sends by itself (default 50)"
+        "--rate",
+        type=float,
+        default=50.0,
+        help="readings per second of an instrument that sends by itself (default 50)",
     )
     group.add_argument(
         "--effect", action="append", default=[], metavar="ID=UM", help="one more effect of the catalogue (repeatable)"

@@ -1,6 +1,6 @@
 """The pages, in the order of the navigation. One file each; a new one is added here."""
 
-from hil.app.panel.frame import Page
+from hil.app.panel.bar import Page
 from hil.app.panel.pages import axes, overview, reports
 from hil.backlash import page as backlash
 from hil.calibration import page as calibrate

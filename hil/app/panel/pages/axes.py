@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 
 from nicegui import ui
 
 from hil.app.desk.desk import Desk
-from hil.app.panel.plots import LivePlot
+from hil.app.panel.plots import Channel, LiveChart
 from hil.app.panel.view import View
 
 
@@ -25,11 +26,13 @@ def draw(view: View) -> None:
 
 def _draw_axis(view: View, desk: Desk) -> Callable[[], None]:
     t = view.t
-    with view.named(ui.element("section").classes("hil-card"), f"axes.{desk.name}"):
+    card = view.live(ui.element("section").classes("hil-card"), "drive", desk)
+    with view.named(card, f"axes.{desk.name}"):
         ui.link(t("header.axis", name=desk.name), f"/axis/{desk.name}/overview").classes("hil-name")
         state = ui.label().classes("hil-name")
         position = view.value("overview.position", "mm", name=f"axes.{desk.name}.position")
-        plot = LivePlot(view, "overview.following_error", "µm", lambda point: point.following_error_um, desk)
+        channel = Channel("overview.following_error", "µm", attrgetter("following_error_um"))
+        plot = LiveChart(view, f"plot.axes.{desk.name}", [channel], desk)
 
     def refresh() -> None:
         live = desk.live

@@ -2,55 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import datetime
 from functools import partial
+from operator import attrgetter
 
 from nicegui import ui
 
+from drivers.drive import DriveState
 from hil.app.desk.desk import Desk
 from hil.app.desk.live import Live
 from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
-from hil.app.panel.pieces import Reading
-from hil.app.panel.plots import LivePlot
-from hil.app.panel.view import View
+from hil.app.panel.pieces import Reading, tables_written
+from hil.app.panel.plots import Channel, LiveChart
+from hil.app.panel.view import Button, View
+
+Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:
     """Draw the page."""
-    t = view.t
     _draw_left_over(view)
-    with ui.element("div").classes("hil-grid"):
-        with view.card("overview.drive"):
-            state = view.value("overview.state", small=True)
-            position = view.value("overview.position", "mm")
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            parts = [_draw_drive(view), _draw_instrument(view), _draw_correction(view)]
+            parts.append(_draw_buttons(view))
+        with ui.element("div").classes("hil-main"):
+            parts.append(_draw_plots(view))
+
+    def refresh() -> None:
+        for part in parts:
+            part()
+
+    view.every(refresh)
+
+
+def _draw_drive(view: View) -> Refresh:
+    t = view.t
+    with view.card("overview.drive", live="drive"):
+        position = view.value("overview.position", "mm")
+        with ui.element("div").classes("hil-lines"):
             remaining = view.value("overview.remaining", "mm", small=True)
-            with ui.row():
-                view.button("overview.power_off", lambda: view.desk.power_off(view.token))
-                view.button("overview.reset_fault", lambda: _reset_fault(view))
-        with view.card("overview.motion"):
-            error = view.value("overview.following_error", "µm")
+            state = view.value("overview.state", small=True)
+            error = view.value("overview.following_error", "µm", small=True)
             torque = view.value("overview.torque", "%", small=True)
             velocity = view.value("overview.velocity", "mm/s", small=True)
-        with view.card("overview.instrument"):
-            with ui.element("div") as in_load_frame:
-                measured = view.value("overview.measured", "mm")
-            with ui.element("div") as in_its_own:
-                measured_raw = view.value("overview.measured_raw", "mm")
-            signal = view.value("overview.signal", small=True)
-            age = view.value("overview.age", "s", small=True)
-        with view.card("overview.correction"):
-            correction = view.value("overview.correction_now", "µm")
-            in_force = view.value("overview.in_force", small=True)
-            ui.label(t("overview.environment")).classes("hil-name")
-            air = view.named(ui.label(), "overview.environment")
-    view.named(ui.label(t("overview.not_safety")).classes("hil-note"), "overview.not_safety")
-    with ui.element("div").classes("hil-grid"):
-        plots = [
-            LivePlot(view, "overview.position", "mm", lambda point: point.position_load_mm),
-            LivePlot(view, "overview.following_error", "µm", lambda point: point.following_error_um),
-            LivePlot(view, "overview.torque", "%", lambda point: point.torque_percent),
-            LivePlot(view, "overview.velocity", "mm/s", lambda point: point.velocity_mm_s),
-            LivePlot(view, "overview.measured", "mm", lambda point: point.instrument_load_mm),
-        ]
 
     def refresh() -> None:
         live = view.desk.live
@@ -60,6 +56,22 @@ def draw(view: View) -> None:
         error.set_text(t.number(live.following_error_um, 1))
         torque.set_text(t.number(live.torque_percent, 1))
         velocity.set_text(t.number(live.velocity_mm_s, 2))
+
+    return refresh
+
+
+def _draw_instrument(view: View) -> Refresh:
+    t = view.t
+    with view.card("overview.instrument", live="instrument"), ui.element("div").classes("hil-lines"):
+        with ui.element("div").classes("hil-wrap") as in_load_frame:
+            measured = view.value("overview.measured", "mm", small=True)
+        with ui.element("div").classes("hil-wrap") as in_its_own:
+            measured_raw = view.value("overview.measured_raw", "mm", small=True)
+        signal = view.value("overview.signal", small=True)
+        age = view.value("overview.age", "s", small=True)
+
+    def refresh() -> None:
+        live = view.desk.live
         for figure in (measured, measured_raw):
             figure.set_text(t.number(live.instrument_mm, 4))
         in_load_frame.set_visibility(live.on_datum)
@@ -67,33 +79,139 @@ def draw(view: View) -> None:
         status = live.instrument_status
         signal.set_text("–" if status is None else t(f"signal.{status.name}"))
         age.set_text(t.number(live.instrument_age_s, 2))
-        correction.set_text(t.number(live.correction_um, 2, sign=True))
-        in_force.set_text(live.in_force or t("overview.nothing_in_force"))
-        air.set_text(_environment(view, live))
-        for plot in plots:
-            plot.refresh()
 
-    view.every(refresh)
+    return refresh
+
+
+def _draw_correction(view: View) -> Refresh:
+    t = view.t
+    with view.card("overview.correction", live="drive"):
+        with ui.element("div").classes("hil-lines"):
+            correction = view.value("overview.correction_now", "µm", small=True)
+        in_force = view.named(ui.label(), "overview.in_force")
+        air = view.named(ui.label().classes("hil-name"), "overview.environment")
+    tables: Reading[datetime | None] = Reading(view, partial(tables_written, view.desk))
+
+    def refresh() -> None:
+        live = view.desk.live
+        correction.set_text(t.number(live.correction_um, 2, sign=True))
+        made = tables.value
+        date = "–" if made is None else made.strftime("%Y-%m-%d %H:%M")
+        in_force.set_text(t("overview.tables_of", date=date) if live.in_force else t("overview.nothing_in_force"))
+        air.set_text(_environment(view, live))
+
+    return refresh
+
+
+def _draw_buttons(view: View) -> Refresh:
+    t = view.t
+    with ui.element("div").classes("hil-buttons"):
+        power_off = view.button("overview.power_off", lambda: view.desk.power_off(view.token))
+        reset_fault = view.button("overview.reset_fault", lambda: _reset_fault(view))
+    view.named(ui.label(t("overview.not_safety")).classes("hil-name"), "overview.not_safety")
+
+    def refresh() -> None:
+        state = view.desk.live.state
+        powered = state in (DriveState.ENABLED, DriveState.SWITCHED_ON, DriveState.QUICK_STOP)
+        power_off.allow(view.why_not() or ("" if powered else t("why.no_power")))
+        reset_fault.allow(view.why_not() or ("" if state is DriveState.FAULT else t("why.no_fault")))
+
+    return refresh
+
+
+def _draw_plots(view: View) -> Refresh:
+    """The live chart with its channels to choose from."""
+    t, limits = view.t, view.desk.axis.limits
+    fastest = limits.max_velocity_mm_s
+    channels = [
+        Channel(
+            "overview.position", "mm", attrgetter("position_load_mm"), (limits.travel_min_mm, limits.travel_max_mm)
+        ),
+        Channel("overview.velocity", "mm/s", attrgetter("velocity_mm_s"), (-fastest, fastest)),
+        Channel("overview.torque", "%", attrgetter("torque_percent")),
+        Channel("overview.following_error", "µm", attrgetter("following_error_um")),
+        Channel("overview.measured", "mm", attrgetter("instrument_load_mm")),
+    ]
+    usual = [one.key for one in channels[:4]]
+    held: list[tuple[Button, LiveChart]] = []
+    chart: LiveChart
+    with view.card("overview.last_minute", name="overview.plots"):
+        with ui.element("div").classes("hil-buttons"):
+            names = {one.key: t(one.key) for one in channels}
+            choice = ui.select(names, value=usual, multiple=True, on_change=lambda event: chart.choose(event.value))
+            view.named(
+                choice.props("dense options-dense").style("min-width: 12rem; max-width: 26rem"), "overview.channels"
+            )
+            pause = view.button("overview.pause", partial(_hold, view, held))
+        chart = LiveChart(view, "plot.overview", channels)
+        chart.choose(usual)
+    held.append((pause, chart))
+
+    def refresh() -> None:
+        allowed = view.desk.live.limits
+        for key, limit in (
+            ("overview.torque", allowed.torque_percent),
+            ("overview.following_error", allowed.following_error_um),
+        ):
+            chart.limit(key, *(() if limit is None else (-limit, limit)))
+        chart.refresh()
+
+    return refresh
+
+
+def _hold(view: View, held: list[tuple[Button, LiveChart]]) -> None:
+    for button, chart in held:
+        button.say(view.t("overview.go_on" if chart.pause() else "overview.pause"))
 
 
 def _draw_left_over(view: View) -> None:
-    """Notes of interrupted work, each a link to the page where it is resumed or restored."""
-    notes = view.named(ui.column().classes("gap-1"), "overview.left_over")
+    """Card of interrupted work of every kind: what, since when, and the page where it is gone on with or put back."""
+    t = view.t
+    card = view.named(ui.element("section").classes("hil-card hil-left"), "overview.left_over")
     kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, partial(_left_over, view.desk))
     shown: list[tuple[UnfinishedWork, ...]] = [()]
+    buttons: list[Button] = []
+    card.set_visibility(False)
 
     def refresh() -> None:
         found = kept.value or ()
         if found == shown[0]:
             return
         shown[0] = found
-        notes.clear()
-        with notes:
+        buttons.clear()
+        card.clear()
+        card.set_visibility(bool(found))
+        with card:
+            ui.label(t("overview.unfinished", count=len(found))).classes("hil-name")
             for one in found:
-                text = view.t(f"overview.left.{one.kind}", place=one.place)
-                ui.link(text, f"/axis/{view.desk.name}/{one.page}").classes("hil-note")
+                with ui.element("div").classes("hil-line"):
+                    ui.label(_left(view, one)).classes("hil-wide")
+                    ui.link(t("overview.go_to"), f"/axis/{view.desk.name}/{one.page}").classes("hil-link")
+                    if one.rows is not None:
+                        button = view.button("overview.discard", partial(_discard, view, one, kept))
+                        buttons.append(view.named(button, f"overview.discard.{one.kind}"))
+        allow()
+
+    def allow() -> None:
+        for button in buttons:
+            button.allow("" if view.in_control else t("why.control"))
 
     view.every(refresh)
+    view.every(allow)
+
+
+async def _discard(view: View, work: UnfinishedWork, kept: Reading[tuple[UnfinishedWork, ...]]) -> None:
+    """Ask with what is lost, then give it up."""
+    t = view.t
+    lines = [t("overview.ask_discard", work=_left(view, work), rows=work.rows), t("overview.discard_lost")]
+    if await view.ask(lines, t("go.discard")):
+        view.desk.discard(view.token, work)
+        kept.again()
+
+
+def _left(view: View, work: UnfinishedWork) -> str:
+    since = "" if work.since is None else work.since.strftime("%Y-%m-%d %H:%M")
+    return view.t(f"overview.left.{work.kind}", place=work.place, since=since)
 
 
 def _left_over(desk: Desk) -> tuple[UnfinishedWork, ...]:
@@ -103,7 +221,7 @@ def _left_over(desk: Desk) -> tuple[UnfinishedWork, ...]:
 
 
 async def _reset_fault(view: View) -> None:
-    if await view.ask([view.t("overview.ask_reset", axis=view.desk.name), view.t("plan.ask")]):
+    if await view.ask([view.t("overview.ask_reset", axis=view.desk.name)], view.t("go.reset_fault")):
         view.desk.reset_fault(view.token)
 
 

@@ -11,7 +11,7 @@ from nicegui import ui
 from hil.app.desk.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
 from hil.app.jobs import worker_process
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Reading
+from hil.app.panel.pieces import Reading, measurement_words
 from hil.app.panel.report_files import address
 from hil.app.panel.view import View
 from hil.app.report.job import HISTORY_FIGURES, Wanted
@@ -20,7 +20,7 @@ from hil.axis.axis_file import AxisConfig
 Refresh = Callable[[], None]
 Kept = Reading[ReportsScreen]
 MARKS = ("circle", "rect", "diamond")
-COLUMNS = ("begun", "kind", "key", "rows", *HISTORY_FIGURES, "state")
+COLUMNS = ("begun", "what", "rows", *HISTORY_FIGURES, "state")
 
 
 def draw(view: View) -> None:
@@ -45,7 +45,7 @@ def draw(view: View) -> None:
 
 def _table(view: View) -> ui.table:
     """Table of all measurements, the newest first, with a choice."""
-    words = ("begun", "kind", "key", "state")
+    words = ("begun", "what", "state")
     heads = [
         {
             "name": name,
@@ -59,6 +59,7 @@ def _table(view: View) -> ui.table:
     table.props(
         f'flat wrap-cells rows-per-page-label="{view.t("reports.per_page")}" no-data-label="{view.t("reports.nothing")}"'
     )
+    table.props(":pagination-label=\"(first, last, all) => first + '–' + last + ' / ' + all\"")
     table.props(":selected-rows-label=\"() => ''\"")
     return view.named(table, "reports.campaigns")
 
@@ -83,7 +84,7 @@ def _row(view: View, one: Measurement) -> dict[str, Any]:
     t = view.t
     return {
         "begun": one.begun.strftime("%Y-%m-%d %H:%M"),
-        "kind": t.known("job", one.kind),
+        "what": measurement_words(view, one),
         "key": one.key,
         "rows": one.rows,
         **{name: t.number(one.figures_um.get(name), 2) for name in HISTORY_FIGURES},
@@ -115,9 +116,11 @@ def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
     def refresh() -> None:
         now, count = desk.computed, len(table.selected)
         free = view.in_control and not now.running
-        report.set_enabled(free and count > 0)
-        compare.set_enabled(free and count == 2)
-        history.set_enabled(free and kept.value is not None and kept.value.history is not None)
+        why = "" if free else t("why.computing" if view.in_control else "why.control")
+        report.allow(why or ("" if count > 0 else t("why.no_campaign")))
+        compare.allow(why or ("" if count == 2 else t("why.two_campaigns")))
+        there = kept.value is not None and kept.value.history is not None
+        history.allow(why or ("" if there else t("why.nothing_measured")))
         cancel.set_visibility(now.running and view.in_control)
         made = t("reports.made", files=", ".join(now.made)) if now.made and now.work != worker_process.DIAGNOSE else ""
         status.set_text(
@@ -197,7 +200,7 @@ def _options(view: View, history: AxisHistory) -> Options:
         for number, name in enumerate(HISTORY_FIGURES)
         if history.line(name)
     ]
-    x = t("reports.days", begun=history.begun.strftime("%Y-%m-%d"), name=t.said(history.usual))
+    x = t("reports.days", begun=history.begun.strftime("%Y-%m-%d"), name=t.measurement(history.usual))
     return curves(view, x, t("reports.figure_y"), [*drawn, *lines])
 
 

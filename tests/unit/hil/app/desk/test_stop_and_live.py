@@ -3,14 +3,19 @@
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from support.bench_axis import lay_out
 
 from drivers.clock import NS_PER_S, WallClock
-from drivers.drive import DriveSample, DriveState
+from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.errors import InputError
 from drivers.instrument import Reading, ReadingStatus
-from hil.app.desk.live import Board, Live, of_sample
+from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
+from hil.app.desk.axis_thread import limits_of
+from hil.app.desk.live import Board, Live, SignalLimits, of_sample
 from hil.app.desk.standstill import CameToRest, Standstill
 from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
 from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
@@ -168,6 +173,48 @@ def test_the_curve_of_the_instrument_is_in_the_loads_frame_alone() -> None:
 def test_what_is_not_told_is_not_made_up() -> None:
     live = of_sample(Live(), DriveSample(0, DriveState.READY, 5.0, True), None)
     assert (live.following_error_um, live.torque_percent, live.velocity_mm_s, live.remaining_mm) == (None,) * 4
+
+
+# -- what the drive allows -----------------------------------------------------------------------------------------------
+class Told(DriveParameters):
+    """Parameters of a drive that tells what is given, (unit, value) by name."""
+
+    def __init__(self, **told: tuple[str, float | str]) -> None:
+        self.told = told
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.told)
+
+    def describe(self, name: str) -> ParameterInfo:
+        if name not in self.told:
+            raise InputError(f"no parameter {name}")
+        return ParameterInfo(name, ParameterKind.INTEGER, self.told[name][0])
+
+    def read(self, name: str) -> ParameterValue:
+        return self.told[name][1]
+
+    def write(self, name: str, value: ParameterValue) -> bool:
+        raise AssertionError("nothing is written")
+
+
+@pytest.mark.parametrize(
+    ("told", "torque_percent", "following_error_um"),
+    [
+        # 6072h is in thousandths of the rated torque and 6065h in position units, by CiA 402; the axis has 100 counts per µm
+        ({"max_torque": ("0.1 %", 3000), "following_error_window": ("counts", 20_000)}, 300.0, 200.0),
+        ({"max_torque": ("percent", 150.0)}, 150.0, None),
+        ({"following_error_window": ("counts", 0xFFFF_FFFF)}, None, None),  # supervises nothing
+        ({"following_error_window": ("counts", 0)}, None, None),
+        ({"following_error_window": ("rev", 2), "max_torque": ("Nm", 3)}, None, None),  # in units that say nothing here
+        ({}, None, None),
+    ],
+)
+def test_limits_are_those_that_the_drive_tells(
+    told: dict[str, tuple[str, float | str]], torque_percent: float | None, following_error_um: float | None
+) -> None:
+    drive = SimpleNamespace(parameters=Told(**told), scaling=SimpleNamespace(counts_per_load_mm=-100_000))
+    assert limits_of(cast(ServoDrive, drive)) == SignalLimits(torque_percent, following_error_um)
 
 
 # -- left over -------------------------------------------------------------------------------------------------------------

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from nicegui import Client, core, ui
+from nicegui import ui
 from nicegui.events import UploadEventArguments
-from nicegui.page import page
 from support.bench_axis import lay_out
+from support.screen import Draw, Screen, inside
 
 from hil.app.desk.control import SILENT_S, Control
 from hil.app.desk.desk import Desk
-from hil.app.panel.browsers import Browser
 from hil.app.panel.frame import Page, draw_page
 from hil.app.panel.pieces import Reading
 from hil.app.panel.texts import Texts
@@ -27,63 +25,6 @@ from hil.diagnosis.loop import page as close_loop
 from hil.lost_motion.circle import page as circle
 from hil.parameters import page as parameters
 from hil.parameters.job import LARGEST_BYTES
-
-Draw = Callable[[View], object]
-
-
-class Screen:
-    """A page of a desk that is not connected, drawn inside the loop of a test."""
-
-    def __init__(self, desk: Desk, draw: Draw, language: str = "en", token: str | None = None) -> None:
-        self.desk, self.client = desk, Client(page("/"), request=None)
-        tokens = {} if token is None else {desk.name: token}
-        self.view = View(
-            desk, (desk, Desk(desk.axis)), Texts(language), Browser(1, language, tokens=tokens), self.client
-        )
-        with self.client:
-            draw(self.view)
-        self._timers = [(one.callback, one.parent_slot) for one in self.all(ui.timer)]
-
-    def all(self, kind: type) -> list[Any]:
-        return [one for one in self.client.elements.values() if isinstance(one, kind)]
-
-    def named(self, name: str) -> Any:
-        return next(one for one in self.client.elements.values() if one.props.get("data-name") == name)
-
-    def told(self) -> list[str]:
-        return [one.message for one in self.all(ui.notification)]
-
-    def begins(self, name: str) -> set[asyncio.Task[Any]]:
-        """Press a button; what it set going."""
-        before = asyncio.all_tasks()
-        for listener in self.named(name)._event_listeners.values():
-            listener.handler(None)
-        return asyncio.all_tasks() - before
-
-    async def presses(self, name: str) -> None:
-        """A button, until all that it does is done."""
-        await asyncio.gather(*self.begins(name))
-
-    async def refreshes(self) -> None:
-        """Every timer, once."""
-        for callback, place in self._timers:
-            with place:
-                done = callback()
-                if done is not None:
-                    await done
-
-
-def inside(work: Callable[[], Awaitable[None]]) -> None:
-    """In an event loop as the server's."""
-
-    async def served() -> None:
-        core.loop = asyncio.get_running_loop()
-        try:
-            await work()
-        finally:
-            core.loop = None
-
-    asyncio.run(served())
 
 
 @pytest.fixture
@@ -129,8 +70,8 @@ def test_what_nobody_foresaw_is_told_with_the_file_of_its_traceback(desk: Desk) 
         raise ZeroDivisionError("nobody foresaw this")
 
     async def work() -> None:
-        screen = Screen(desk, lambda view: view.button("button.yes", fail))
-        await screen.presses("button.yes")
+        screen = Screen(desk, lambda view: view.button("button.close", fail))
+        await screen.presses("button.close")
         assert screen.told() == [f"ZeroDivisionError: nobody foresaw this; the traceback is in {desk.errors.path}"]
         assert 'raise ZeroDivisionError("nobody foresaw this")' in desk.errors.path.read_text()
 

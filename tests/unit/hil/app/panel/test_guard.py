@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hil.app.panel.browsers import COOKIE
-from hil.app.panel.guard import ACCESS, LOGIN, Guard
+from hil.app.panel.guard import ACCESS, LOGIN, LONGEST_BODY, Guard
 
 Answer = tuple[int, dict[str, str], bytes]
 TOKEN = "an-access-token"
@@ -80,13 +80,60 @@ def test_what_our_page_sends_is_let_in(kind: str) -> None:
 
 def test_every_browser_gets_a_number_of_its_own_and_keeps_it() -> None:
     inside = Inside()
-    _, headers, _ = ask(guard(inside))
+    app = guard(inside)
+    _, headers, _ = ask(app)
     cookie = headers["set-cookie"]
     assert inside.cookies == cookie.partition(";")[0]
     assert {"HttpOnly", "SameSite=Strict"} <= {part.strip() for part in cookie.split(";")}
-    status, headers, _ = ask(guard(inside), cookie=inside.cookies)
+    status, headers, _ = ask(app, cookie=inside.cookies)
     assert (status, "set-cookie" in headers) == (200, False)
     assert ask(guard(Inside()))[1]["set-cookie"] != cookie
+
+
+@pytest.mark.parametrize("given", ["x", "", "a.b", "a" * 43, f"{'a' * 43}.{'0' * 64}"])
+def test_a_number_that_the_server_did_not_issue_is_replaced(given: str) -> None:
+    inside = Inside()
+    app = guard(inside)
+    status, headers, _ = ask(app, cookie=f"other=1; {COOKIE}={given}")
+    assert status == 200
+    issued = headers["set-cookie"].partition(";")[0]
+    assert set(inside.cookies.split("; ")) == {"other=1", issued}
+    assert issued != f"{COOKIE}={given}"
+    ask(guard(inside), cookie=issued)  # of another server
+    assert issued not in inside.cookies
+
+
+def test_wrong_tokens_are_told_and_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+    app = guard(Inside(), TOKEN)
+    right = f"token={TOKEN}".encode()
+    answers = [ask(app, method="POST", path=LOGIN, body=b"token=wrong", origin=OURS)[0] for _ in range(2)]
+    assert answers == [401, 401]
+    assert "wrong access token from unknown, 2 in a row" in caplog.text
+    status, headers, _ = ask(app, method="POST", path=LOGIN, body=right, origin=OURS)
+    assert (status, headers["retry-after"]) == (429, "1")  # nothing is looked at now, the right one neither
+
+
+def test_a_body_that_is_too_long_is_refused_before_it_is_kept() -> None:
+    """Whether its length is told or not."""
+
+    class Reads(Inside):
+        kept = 0
+
+        async def __call__(self, scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
+            while (message := await receive())["type"] == "http.request":
+                self.kept += len(message["body"])
+                if not message["more_body"]:
+                    break
+            await super().__call__(scope, receive, send)
+
+    inside = Reads()
+    told = {"origin": "http://127.0.0.1:8080", "content-length": str(LONGEST_BODY + 1)}
+    assert ask(guard(inside), method="POST", **told)[0] == 413
+    assert inside.kept == 0
+    ask(guard(inside), method="POST", body=b"x" * (LONGEST_BODY + 1), origin="http://127.0.0.1:8080")
+    assert inside.kept == 0
+    ask(guard(inside), method="POST", body=b"x" * LONGEST_BODY, origin="http://127.0.0.1:8080")
+    assert inside.kept == LONGEST_BODY
 
 
 def test_beyond_loopback_nobody_without_the_token() -> None:

@@ -1,10 +1,14 @@
 """What `hil panel` refuses before it listens anywhere."""
 
+import argparse
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from support.bench_axis import lay_out
 
+from hil.app.panel import command
 from hil.app.terminal.main import main
 
 
@@ -30,6 +34,50 @@ def test_refused_in_one_line(
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("token", "mode", "said"),
+    [
+        ("x" * 40 + "\n", 0o600, "holds a token of 0 bits at most, expected 128"),
+        ("0123456789abcdef\n", 0o600, "holds a token of 64 bits at most"),
+        ("kqZx3-tT0gJm4RbU_vyS9w\n", 0o644, "has the mode 644, expected 600"),
+    ],
+)
+def test_a_token_that_others_can_read_or_guess_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], token: str, mode: int, said: str
+) -> None:
+    path = tmp_path / "token"
+    path.write_text(token)
+    path.chmod(mode)
+    assert main(["panel", str(lay_out(tmp_path)), "--name", "mill.example", "--token-file", str(path)]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("names", [[], ["mill.example"]])
+def test_another_name_of_loopback_asks_for_the_token(names: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    args = argparse.Namespace(bind="127.0.0.1", name=names, cert=None, key=None, token_file=str(path))
+    tls, token = command._access(args)
+    assert tls is None
+    assert (token is not None) == bool(names)
+    if names:
+        assert token == path.read_text().strip()
+        assert len(token) >= 22
+        assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_files_are_their_owners_alone_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that the program writes as a process of its own."""
+    records = tmp_path / "records.csv"
+    records.write_text(
+        "run,direction,target_mm,measured_mm\n1,1,0.0,0.0\n1,1,10.0,10.001\n1,-1,10.0,10.002\n1,-1,0,0.001\n"
+    )
+    for umask, mode in (("", 0o600), ("022", 0o644)):
+        out = tmp_path / f"out{umask}.json"
+        monkeypatch.setenv("HIL_UMASK", umask)
+        subprocess.run([sys.executable, "-m", "hil.app", "iso230", str(records), "--json", str(out)], check=False)
+        assert out.stat().st_mode & 0o777 == mode
 
 
 def test_two_axes_of_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

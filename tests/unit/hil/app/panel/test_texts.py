@@ -11,7 +11,12 @@ import pytest
 from hil.app.panel.texts import LANGUAGES, Texts, load
 
 PANEL = Path(str(files("hil.app.panel")))
-DRAWN = sorted([*PANEL.glob("pages/*.py"), PANEL / "frame.py", PANEL / "view.py"])
+DRAWN = sorted(
+    [
+        *PANEL.glob("pages/*.py"),
+        *(PANEL / f"{name}.py" for name in ("frame", "view", "bar", "events", "plots", "question")),
+    ]
+)
 
 
 def places(text: str) -> set[str]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from nicegui import Client, core
+from nicegui import Client
 from nicegui.page import page
 from support.bench_axis import lay_out
+from support.screen import inside
 
 from drivers.errors import InputError, LinkLostError
 from hil.app.desk.desk import Desk
@@ -62,17 +63,6 @@ class Screen:
         for listener in self.named(name)._event_listeners.values():
             listener.handler(None)
         await asyncio.gather(*(asyncio.all_tasks() - before))
-
-
-def inside(work: Callable[[], Awaitable[None]]) -> None:
-    async def served() -> None:
-        core.loop = asyncio.get_running_loop()
-        try:
-            await work()
-        finally:
-            core.loop = None
-
-    asyncio.run(served())
 
 
 def draw_loop(view: View) -> None:

@@ -121,7 +121,7 @@ def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(pl
     paper = pdfium.PdfDocument(Path("r.pdf").read_bytes())
     sheets = [page.get_textpage().get_text_bounded() for page in paper]
     paper.close()
-    assert len(sheets) > 3
+    assert len(sheets) >= 3
     digest = hashlib.sha256(Path("r.html").read_bytes()).hexdigest()
     assert all(digest in sheet for sheet in sheets)
     assert f"{figures['E']:.2f} ± {stated['E']:.2f}" in " ".join(sheets)

@@ -442,7 +442,9 @@ def test_a_findings_own_plot_is_drawn_even_without_records() -> None:
         "residual_um": [1, 2, 3],
         "laid_over_um": [1.1, 2, 2.9],
     }
-    assert "Residual against temp screw, °C; laid over: thermal_expansion." in page.words
+    assert (
+        "Residual without the other effects found against temp screw, °C; laid over: thermal_expansion." in page.words
+    )
 
 
 def test_a_cyclic_findings_own_plot_is_folded_to_its_period() -> None:

@@ -84,7 +84,7 @@ def test_before_and_after_share_their_scale() -> None:
         NamedCampaign("z", rows(3)),
     ]
     drawn = axes(before_after_plot(campaigns, LIGHT))
-    assert [ax.get_title(loc="left") for ax in drawn] == ["before", "after", "z"]
+    assert [ax.get_title(loc="left").split("\n")[0] for ax in drawn] == ["before", "after", "z"]
     assert len({ax.get_ylim() for ax in drawn}) == 1
     low, high = drawn[0].get_ylim()
     worst = campaigns[0].records.error_um
@@ -92,7 +92,7 @@ def test_before_and_after_share_their_scale() -> None:
     assert high > worst.max()
     figures = campaigns[1].figures()
     assert isinstance(figures, Iso230)
-    assert drawn[1].get_title(loc="right") == f"A = {figures.A:.1f} µm"
+    assert drawn[1].get_title(loc="left").split("\n")[1] == f"A = {figures.A:.2f} µm"
 
 
 def test_history_plot_has_run_means_and_temperatures() -> None:

@@ -1,0 +1,174 @@
+"""What a screen shows that was started after the measurement, and all unfinished work on one card; drawn without a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from nicegui import ui
+from support import backlash_axis
+from support.bench_axis import lay_out
+from support.screen import Screen, inside
+
+from drivers.errors import InputError
+from hil.app.desk.control import NotInControlError
+from hil.app.desk.desk import Desk
+from hil.app.desk.unfinished import unfinished_work
+from hil.app.panel.pages import overview
+from hil.app.panel.texts import LANGUAGES, Texts
+from hil.app.panel.view import Button
+from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
+from hil.backlash import job, page
+from hil.backlash.settings import NOTE
+from hil.lost_motion import page as lost_motion
+from hil.records.journal import Campaign
+
+COLUMNS = ("run", "direction", "target_mm", "measured_mm")
+Until = Callable[[Callable[[], bool], str], None]
+
+
+def test_the_last_backlash_is_shown(tmp_path: Path, until: Until) -> None:
+    axis = load_drive_axis(backlash_axis.lay_out(tmp_path))
+    with Desk(axis, pace=0.0) as before:
+        until(lambda: before.live.connected, "the axis is looked at")
+        before.run(before.control.take("test"), job.measuring_job(axis, job.backlash_config(axis)))
+        until(lambda: not before.job().running, "it is measured")  # type: ignore[union-attr]
+        measured = page.backlash_screen(before)
+    figures = Texts("en")
+
+    async def work() -> None:
+        screen = Screen(Desk(axis), page.draw)
+        await screen.refreshes()
+        await screen.refreshes()
+        assert screen.named("backlash.mean").text == figures.number(measured.mean_um, 2) != "–"
+        for name, way in (("plus_minus", -1), ("minus_plus", 1)):
+            assert screen.named(f"backlash.{name}").text == figures.number(measured.by_direction_um[way], 2)
+        assert "before the last start" in screen.named("backlash.kept").text
+
+    inside(work)
+
+
+def test_the_last_lost_motion_is_shown(tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    folder = axis.store.directory / "lost-motion-001"
+    folder.mkdir(parents=True)
+    proof = {"before": {"rms_um": 9.0}, "after": {"rms_um": 0.5}, "over_compensation_um": 1.0}
+    form = {
+        "amount_um": 20.0,
+        "parameters": {"amount_um": {"value": 20.0, "std": 0.25}},
+        "rise": {"shape": "tanh"},
+        "proof": proof,
+    }
+    (folder / "result.json").write_text(json.dumps(form))
+
+    async def work() -> None:
+        screen = Screen(Desk(axis), lost_motion.draw)
+        await screen.refreshes()
+        await screen.refreshes()
+        shown = {
+            name: screen.named(f"lost_motion.{name}").text
+            for name in ("amount", "std", "shape", "after", "before", "over")
+        }
+        assert shown == {
+            "amount": "20.00",
+            "std": "0.250",
+            "shape": "tanh",
+            "after": "0.50",
+            "before": "9.00",
+            "over": "5.0",
+        }
+
+    inside(work)
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_kind_of_unfinished_work_is_on_one_card(language: str, tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    kinds = ("calibrate", "verify", "uncorrected", "lost-motion", "close-loop")
+    for kind in kinds:
+        folder = axis.store.directory / f"{kind}-001"
+        folder.mkdir(parents=True)
+        (folder / "campaign.json").write_text(json.dumps({"kind": kind, "axis": "X"}))
+        (folder / "rows.csv").write_text("run\n")
+    (axis.store.directory / NOTE).write_text("{}")
+    assert [one.kind for one in unfinished_work(axis)] == [*kinds, "settings"]
+
+    async def work() -> None:
+        screen = Screen(Desk(axis), overview.draw, language)
+        await screen.refreshes()
+        await screen.refreshes()
+        card = screen.named("overview.left_over")
+        links = [one for one in card.descendants() if isinstance(one, ui.link)]
+        assert card.visible
+        assert len(links) == len(kinds) + 1
+        offered = [one for one in card.descendants() if isinstance(one, Button)]
+        thrown = {str(one.props["data-name"]).rpartition(".")[2]: one.enabled for one in offered}
+        assert thrown == dict.fromkeys(
+            kinds, False
+        )  # control has to be held; settings are to be put back, not thrown away
+        assert {one.props["href"].rpartition("/")[2] for one in links} == {
+            "calibrate",
+            "lost_motion",
+            "diagnosis",
+            "backlash",
+        }
+
+    inside(work)
+
+
+def broken_off(axis: AxisConfig) -> Campaign:
+    """A calibration with two readings and a third that a power cut tore."""
+    campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False)
+    with campaign.rows("measure", COLUMNS) as rows:
+        for target_mm in (20.0, 40.0):
+            rows.append(dict(zip(COLUMNS, (1.0, 1.0, target_mm, target_mm), strict=True)))
+    with (campaign.directory / "measure.csv").open("a", encoding="utf-8") as file:
+        file.write("1,1,6")
+    return campaign
+
+
+def test_what_is_discarded_is_named_first_and_not_offered_again(tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    campaign = broken_off(axis)
+    before = sorted(path.name for path in campaign.directory.iterdir())
+    desk = Desk(axis)
+
+    async def work() -> None:
+        screen = Screen(desk, overview.draw, token=desk.control.take("test"))
+        await screen.refreshes()
+        await screen.refreshes()
+        asking = screen.begins("overview.discard.calibrate")
+        async with asyncio.timeout(60.0):
+            while not any(one.value for one in screen.all(ui.dialog)):
+                await asyncio.sleep(0.01)
+        lines = [one.text for one in screen.all(ui.label) if one.props.get("data-name") == "question.line"]
+        assert "Calibration" in lines[0]
+        assert "2 readings" in lines[0]
+        assert unfinished_work(axis)  # nothing happens by the question alone
+        assert screen.named("question.yes").text == "Discard what was measured"
+        screen.begins("question.yes")
+        await asyncio.gather(*asking)
+
+    inside(work)
+    assert unfinished_work(axis) == ()
+    assert sorted(path.name for path in campaign.directory.iterdir()) == sorted([*before, "discarded"])
+    assert [one.what for one in desk.events.entries()] == ["discarded"]
+    with pytest.raises(InputError, match="was discarded"):
+        Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=True)
+    assert Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False).directory.name.endswith("2")
+
+
+def test_only_who_holds_control_discards_and_nothing_that_is_to_be_put_back(tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    broken_off(axis)
+    (axis.store.directory / NOTE).write_text("{}")
+    desk = Desk(axis)
+    calibration, settings = unfinished_work(axis)
+    with pytest.raises(NotInControlError):
+        desk.discard("guessed", calibration)
+    with pytest.raises(InputError, match="cannot be discarded"):
+        desk.discard(desk.control.take("test"), settings)
+    assert unfinished_work(axis) == (calibration, settings)
