@@ -16,7 +16,7 @@ def main(path: str) -> int:
     found = hil.fitted_lost_motion(result.reversals)
     if found is None:
         return 1
-    print(f"lost motion {found.mean_um:.1f} ± {found.u95_um:.1f} µm")
+    print(f"lost motion {found.mean_um:.1f} ± {found.u95_um:.1f} µm (95 %)")
     return 0
 
 

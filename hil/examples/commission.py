@@ -12,15 +12,16 @@ def main(path: str) -> int:
     campaign = hil.Campaign.numbered(axis.store.directory, axis.purpose("commission"), resume=False)
     with hil.connected(axis) as machine:
         for check in hil.doctor(machine.session):
-            print(f"{check.name}: {check.detail}")
+            print(f"{check.name}: {check.verdict}, {check.detail}")
             if not check.good:
                 return 1
         machine.session.prepare()
         result = hil.calibrate(machine.session, campaign, axis.correction, store.save_tables)
         proof = hil.verify(machine.session, campaign, band=axis.correction.band)
-    print(f"A = {hil.iso230(result.before).A:.2f} µm before, {hil.iso230(proof.records).A:.2f} µm now")
-    print(f"sealed in {store.path}")
-    return 0 if result.inside and proof.good else 1
+    found = hil.accuracy_of(axis, proof.records, corrected=True)
+    print(f"{found} (A was {hil.iso230(result.before).A:.2f} µm before)")
+    print(*found.explained(), f"sealed in {store.path}", sep="\n")
+    return 0 if result.inside and proof.good and found.good else 1
 
 
 if __name__ == "__main__":

@@ -12,9 +12,12 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_script_in_the_readme_is_the_shipped_one() -> None:
+DOCS = ROOT / "hil/docs"
+
+
+def test_the_script_in_the_pages_is_the_shipped_one() -> None:
     shipped = (ROOT / "hil/examples/commission.py").read_text(encoding="utf-8").split('"""\n', 1)[1].strip()
-    assert f"```python\n{shipped}\n```" in README
+    assert f"```python\n{shipped}\n```" in (DOCS / "commissioning.md").read_text(encoding="utf-8")
 
 
 def test_the_two_commands() -> None:
@@ -22,11 +25,38 @@ def test_the_two_commands() -> None:
     assert re.search(r"^sh hil/bootstrap\.sh pytest\b", README, re.MULTILINE)
 
 
-def test_every_verb_of_the_readme_exists_and_every_verb_is_in_it() -> None:
+def test_it_is_short() -> None:
+    assert README.count("\n") <= 150
+    cells = [cell.strip() for line in README.splitlines() if line.startswith("|") for cell in line.split("|")]
+    assert max(len(re.sub(r"\]\([^)]*\)|[`\[]", "", cell)) for cell in cells) <= 100, (
+        "two lines of a column as rendered"
+    )
+
+
+def test_its_figures_are_those_that_the_demo_prints() -> None:
+    """Outside the blocks, whose output tests/integration/test_docs_commands.py compares, it states no figure of a result."""
+    prose = re.sub(r"^```.*?^```$", "", README, flags=re.MULTILINE | re.DOTALL)
+    assert not re.findall(r"\d[\d.]* ?(?:µm|%|ms\b|times)", prose)
+    assert "```text hil demo\n" in README
+
+
+def test_the_map_of_the_house_is_the_same_in_both_places() -> None:
+    block = re.search(r"^```\ndrivers/.*?^```$", README, re.MULTILINE | re.DOTALL)
+    assert block is not None
+    assert block[0] in (DOCS / "house.md").read_text(encoding="utf-8")
+    rooms = {path.name for path in (ROOT / "hil").iterdir() if path.is_dir() and any(path.glob("*.py"))}
+    for room in rooms - {"examples"}:
+        assert f"{room}/ " in block[0], room
+
+
+def test_every_verb_of_the_readme_exists_and_every_verb_is_in_the_pages() -> None:
+    """`hil/docs/verbs.md` has every one, and the README leads there."""
     help_text = build_parser().format_help()
     verbs = set(re.findall(r"^    ([a-z0-9-]+)(?: +\S.*)?$", help_text, re.MULTILINE))
+    page = (DOCS / "verbs.md").read_text(encoding="utf-8")
+    assert "(hil/docs/verbs.md)" in README
     for verb in verbs:
-        assert f"hil {verb}" in README or f"`{verb}`" in README, verb
+        assert f"`hil {verb}`" in page, verb
     for verb in re.findall(r"`hil ([a-z0-9-]+)", README):
         assert verb in verbs, verb
 
