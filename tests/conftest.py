@@ -4,10 +4,12 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
+from hil.correction.sealed import Cost
 
 Until = Callable[[Callable[[], bool], str], None]
 VCAN = ("vcan0", "vcan1")
@@ -68,6 +70,17 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
                 if name == GUEST_SUMMARY and getattr(report, "when", None) == "call":
                     terminalreporter.section(GUEST_SUMMARY)
                     terminalreporter.line(text)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def quick_scrypt() -> Iterator[None]:
+    """Stores that tests make stretch their password over 1 MiB: at its true cost each takes 0.2 s, some ten minutes in all.
+
+    What programs of their own make has the true cost, and `test_sealed` tests what that is.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hil.correction.sealed.sealing.DEFAULT_COST", Cost(n=1 << 10, r=8, p=1))
+        yield
 
 
 @pytest.fixture

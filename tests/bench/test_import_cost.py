@@ -1,13 +1,13 @@
-"""What each verb costs before it does anything: seconds and heavy packages loaded, beside an interpreter that loads nothing."""
+"""What each verb costs before it does anything: processor time and heavy packages, beside an interpreter that loads nothing."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from statistics import median
 
 import pytest
+from support.bench import Record, median_ratio, row
 
 from hil.app.terminal.main import VERBS
 
@@ -20,23 +20,34 @@ LOOK = (
 )
 
 
-def _seconds(code: str, *arguments: str) -> tuple[float, str]:
-    """Median of a few runs, and what the last one printed."""
-    seconds, printed = [], ""
-    for _ in range(TIMES):
-        began_s = time.monotonic()
-        printed = subprocess.run(
-            [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
-        ).stdout
-        seconds.append(time.monotonic() - began_s)
-    return median(seconds), printed.strip()
+MEASURED = (
+    "import resource, subprocess, sys\n"
+    "out = subprocess.run(sys.argv[1:], capture_output=True, text=True, check=True).stdout\n"
+    "used = resource.getrusage(resource.RUSAGE_CHILDREN)\n"
+    "print(used.ru_utime + used.ru_stime, out)"
+)
 
 
-@pytest.mark.slow
-def test_what_each_verb_loads() -> None:
-    empty_s, _ = _seconds("pass")
-    print(f"\nan interpreter that loads nothing: {empty_s:.3f} s")
-    for verb in ("--help", *VERBS):
-        seconds, printed = _seconds(LOOK, verb)
-        modules, *heavy = printed.split()
-        print(f"{verb:12} {seconds:.2f} s, {seconds / empty_s:5.1f} of that, {modules:>4} modules  {' '.join(heavy)}")
+def _ran(code: str, *arguments: str) -> tuple[float, str]:
+    """Processor seconds of a process that runs this, and what it printed."""
+    words = [sys.executable, "-c", MEASURED, sys.executable, "-c", code, *arguments]
+    seconds, _, printed = subprocess.run(words, capture_output=True, text=True, check=True).stdout.partition(" ")
+    return float(seconds), printed.strip()
+
+
+@pytest.mark.parametrize("verb", ["--help", *VERBS])
+def test_start_of_a_verb(verb: str, record_property: Record) -> None:
+    """Beside an interpreter that loads nothing, in turn."""
+    rounds = [(*_ran(LOOK, verb), _ran("pass")[0]) for _ in range(TIMES)]
+    mine, empty = [one[0] for one in rounds], [one[2] for one in rounds]
+    modules, *heavy = rounds[-1][1].split()
+    print(f"\n{modules} modules, among them {' '.join(heavy) or 'no heavy one'}")
+    row(
+        record_property,
+        f"start of hil {verb}",
+        1000.0 * median(mine),
+        1000.0 * median(empty),
+        "ms",
+        beside="an interpreter",
+        ratio=median_ratio(mine, empty),
+    )

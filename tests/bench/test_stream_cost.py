@@ -14,16 +14,17 @@ digit: what a shared host makes of a few microseconds is no property of the code
 
 from __future__ import annotations
 
-import gc
-import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
+from statistics import median
 from typing import Any
 
 import can
 import canopen
 import pytest
+from support.bench import Record, median_ratio, row, side_by_side
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -200,32 +201,24 @@ def _theirs_checked(axes: int, stack: ExitStack) -> Callable[[int], None]:
     return run
 
 
-def _seconds(run: Callable[[int], None]) -> float:
-    """Processor time: what others do on this host does not count, nor what earlier tests left for the collector to look through."""
-    gc.collect()
-    gc.disable()
-    try:
-        start = time.thread_time()
-        run(CYCLES)
-        return time.thread_time() - start
-    finally:
-        gc.enable()
-
-
 @pytest.mark.parametrize("axes", [1, 2, 5])
-def test_cost_of_streaming(axes: int, record_property: Callable[[str, object], None]) -> None:
+def test_cost_of_streaming(axes: int, record_property: Record) -> None:
     with ExitStack() as stack:
-        runs = [side(axes, stack) for side in (_ours, _theirs_bare, _theirs_checked)]
-        for run in runs:
-            run(20)
-        rounds = [[_seconds(run) for run in runs] for _ in range(ROUNDS)]
-    mine, bare, checked = (min(times) for times in zip(*rounds, strict=True))
-    cost_us = 1e6 * mine / CYCLES / axes
-    record_property("ratio", mine / bare)
-    record_property("ratio_checked", mine / checked)
-    record_property("us_per_axis_and_cycle", cost_us)
-    print(
-        f"{axes} axes: {cost_us:.1f} µs per axis and cycle, {mine / bare:.3f} of canopen's,"
-        f" {mine / checked:.3f} with a user's checks added there (asked: at most 0.333 of the first)"
-    )
-    assert mine < bare
+        runs = [partial(side(axes, stack), CYCLES) for side in (_ours, _theirs_bare, _theirs_checked)]
+        mine, bare, checked = side_by_side(runs, ROUNDS)
+    us = [1e6 * median(times) / CYCLES / axes for times in (mine, bare, checked)]
+    for other_us, other, name, asked in (
+        (us[1], bare, "canopen's own PDO objects, nothing checked", "≤ 0.333"),
+        (us[2], checked, "the same with a user's checks", ""),
+    ):
+        row(
+            record_property,
+            f"streaming, {axes} ax{'i' if axes == 1 else 'e'}s, per axis and cycle",
+            us[0],
+            other_us,
+            "µs",
+            beside=name,
+            ratio=median_ratio(mine, other),
+            asked=asked,
+        )
+    assert median_ratio(mine, bare) < 1.0

@@ -418,12 +418,15 @@ def test_rows_from_before_zeros_were_kept_are_not_gone_on_with_by_a_homing_that_
         run_calibration(machine, here.store(), resume=True)
 
 
-@pytest.mark.parametrize(("homing", "said"), [("37", "RISK: homing method 37"), ("1", "homing method 1 to 0 mm")])
-def test_doctor_names_the_risk(site: Make, homing: str, said: str) -> None:
+@pytest.mark.parametrize(
+    ("homing", "verdict", "said"), [("37", "RISK", "homing method 37"), ("1", "good", "homing method 1 to 0 mm")]
+)
+def test_doctor_names_the_risk(site: Make, homing: str, verdict: str, said: str) -> None:
     here = site(homing)
     with here.machine() as machine:
         found = {check.name: check for check in doctor(machine.session, move=False)}
     assert said in found["zero"].detail
+    assert found["zero"].verdict == verdict
     assert found["zero"].good
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from study.study import Case, Outcome, cases, run, run_all, summary
+from study.own_catalogue import Case, Outcome, cases, run, run_all, summary
 from study.truth_machines import DYNAMIC, OUTSIDE
 
 from hil.effects import ALL, Action
@@ -33,7 +33,7 @@ def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
 
 @pytest.mark.slow
 def test_the_proof_figures_on_many_machines() -> None:
-    """A fortieth of the whole study (`python tests/study/study.py --machines 520`), with room for one or two more by chance."""
+    """A fortieth of the study (`python tests/study/own_catalogue.py --machines 520`), with room for one or two more by chance."""
     outcomes: list[Outcome] = run_all(cases(12, seed=5), workers=2)
     figures = summary(outcomes)
     assert figures["strong: right first"] >= 0.91

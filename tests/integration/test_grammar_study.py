@@ -1,10 +1,16 @@
 """The grammar study runs the public verbs on its machines and reports shares with the seeds they come from."""
 
 import json
+import os
+import signal
 
 import pytest
+from distributed import LocalCluster
 from study.grammar.__main__ import main
+from study.grammar.judge import outcome
 from study.grammar.machine import SEEDS
+
+from hil.fleet.executor import completed
 
 
 @pytest.mark.slow
@@ -24,3 +30,27 @@ def test_a_strong_cause_and_a_clean_machine_are_judged_by_what_the_verbs_say(tmp
     again = tmp_path / "again.json"
     assert main(["--together", str(out), "--json", str(again)]) == 0
     assert json.loads(again.read_text()) == found
+
+
+@pytest.mark.slow
+def test_on_dask_workers_one_of_which_is_killed_half_way_every_machine_is_judged(tmp_path, monkeypatch):
+    """As `--scheduler` runs it; the same machines, judged here, have the same outcomes."""
+    out, seen = tmp_path / "study.json", []
+    words = ["--lot", "clean", "--machines", "6", "--json", str(out)]
+
+    def killing_one(work, tasks, **where):
+        for task, found in completed(work, tasks, **where):
+            seen.append(task)
+            if len(seen) == 2:
+                os.kill(cluster.workers[0].pid, signal.SIGKILL)
+            yield task, found
+
+    monkeypatch.setattr("study.grammar.__main__.completed", killing_one)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert main([*words, "--scheduler", cluster.scheduler_address]) == 0
+    found = json.loads(out.read_text())["outcomes"]
+    numbers = list(SEEDS["tuning"][:6])
+    assert sorted(seen) == numbers
+    assert [one["seed"] for one in found] == numbers
+    here = outcome("clean", numbers[0])
+    assert {**found[0], "said": None} == {**json.loads(json.dumps(here)), "said": None}  # which holds how long it took

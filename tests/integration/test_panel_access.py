@@ -46,6 +46,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, ssl.
     cert, key = certificate(directory)
     token = directory / "token"
     token.write_text(f"{TOKEN}\n")
+    token.chmod(0o600)
     how = ["--bind", ADDRESS, "--cert", cert, "--key", key, "--token-file", token]
     with panel.served(lay_out(directory), *how) as (address, _):
         yield address, ssl.create_default_context(cafile=str(cert))

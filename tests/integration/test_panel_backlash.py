@@ -146,7 +146,7 @@ def test_two_browsers_reload_and_leaving(person: Person, slowly: str) -> None:
         assert not other.finds("control.take_over").is_displayed()
 
         person.driver.refresh()
-        person.waits_to_read("control.who", "You hold control as operator")
+        person.waits_to_read("control.who", "You · operator")
         person.waits(lambda: "run 1 of 1" in person.reads("backlash.step"), "the measurement goes on")
         person.goes_to("about:blank")
         before_mm = other.waits_for_a_figure("backlash.position")

@@ -102,13 +102,14 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.clicks("control.take")
         person.clicks("parameters.backup")
         assert any(".params.toml will be written" in line for line in person.agrees())
-        person.waits(lambda: f"{COUNT} parameters in" in person.reads("parameters.backed_up"), "backed up")
+        person.waits(lambda: f"{COUNT} parameters backed up" in person.reads("parameters.backed_up"), "backed up")
         (backup,) = tmp_path.glob("X-*.params.toml")
 
         new = tmp_path / "elsewhere" / "new.toml"
         new.parent.mkdir()
         write_set(new, ParameterSet("new", None, NEW.entries[:2]))
         person.finds("parameters.bring").find_element("css selector", "input[type=file]").send_keys(str(new))
+        person.waits(lambda: "new" in person.reads("parameters.file"), "the set brought is chosen")
         person.clicks("parameters.compare")
         comes_to(person, "the drive differs", 2)
         person.waits(lambda: len(rows(person)) == 2, "both differences")
@@ -128,7 +129,7 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         comes_to(person, "the drive holds the set", 0)
         person.clicks("parameters.store")
         person.agrees()
-        comes_to(person, "stored in the drive", 0)
+        comes_to(person, "stored, as the drive says; not proven by a restart", 0)
         assert face.flash[:2] == FIRST
         person.clicks("parameters.restore")
         person.agrees()
@@ -145,3 +146,13 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.waits_to_read("parameters.outcome", "put back, as before")
         person.waits(lambda: not person.finds("parameters.interrupted").is_displayed(), "nothing is left over")
         assert face.ram == [entry.raw for entry in OLD.entries]
+    is_read_after_a_restart(person, axis)
+
+
+def is_read_after_a_restart(person: Person, axis: Path) -> None:
+    """What the last job did, once the server was started again."""
+    with panel.served(axis) as (address, _):
+        person.goes_to(f"{address}axis/X/parameters")
+        person.waits_to_read("parameters.outcome", "put back, as before")
+        assert "before the last start of the screen" in person.reads("parameters.kept")
+        person.waits(lambda: [row[5] for row in rows(person)] == ["put back"], "row by row")

@@ -20,6 +20,7 @@ from hil.machine.events import Event
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
 from hil.parameters.job import keep_set, set_files
+from hil.parameters.outcome import BackedUp
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
 from sim_backends.modbus_drive import tcp_server
@@ -78,7 +79,7 @@ def test_from_a_backup_to_stored_and_back(axis: DriveAxis, face: FortyFace) -> N
     backup = parameters.backup_job(axis)
     assert (backup.plan.locked, backup.connects, backup.plan.moves) == (False, True, ())
     kept = operator.runs(axis, backup)
-    assert isinstance(kept, parameters.BackedUp)
+    assert isinstance(kept, BackedUp)
     assert backup.plan.writes[0].place == str(kept.path)
     assert len(read_set(kept.path).entries) == kept.parameters == COUNT
     assert kept.unreadable == 2  # its commands' registers, which show nothing

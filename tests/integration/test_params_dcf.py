@@ -149,7 +149,7 @@ def test_all_published_device_dcfs_pass_a_dry_run(tmp_path: Path, capsys: pytest
         out, _ = capsys.readouterr()
         assert status == 0, (path.name, out)
         assert "would be refused" not in out
-        looked = int(re.search(r"would look at (\d+) parameters", out)[1])  # type: ignore[index]
+        looked = int(re.search(r"would read (\d+) parameters", out)[1])  # type: ignore[index]
         listed = [line for line in out.splitlines() if "left out are" in line]
         assert len(listed) <= 1
         left = sum(map(int, re.findall(r": (\d+) \(", "".join(listed))))

@@ -234,6 +234,54 @@ def test_an_audit_starts_the_drive_anew_and_finds_what_it_did_not_keep(make: Mak
     assert (report.ending, report.audited, report.lost, report.good) == (Ending.WRITTEN, False, ("3000h:05",), False)
 
 
+class _KeepsHalf(Flash):
+    """Memory that acknowledges, and loses half of the maker's parameters at the next start; `dips` times."""
+
+    dips = 1
+
+    @property
+    def intact(self) -> bool:
+        """Asked at every start."""
+        if self.image and self.dips:
+            self.dips -= 1
+            for key in KEYS[COUNT // 2 :]:
+                self.image[key] = bytes(len(self.image[key]))
+        return True
+
+
+def test_a_store_without_a_restart_says_that_it_was_not_proven(make: Make) -> None:
+    rig = make(flash=_KeepsHalf())
+    report = run(rig, NEW, store=True)[0]
+    assert report.good, "it was written and read back, and the drive confirmed the store"
+    assert "as the drive says; not proven: only a restart shows" in report.kept
+    assert report.as_json()["kept"] == report.kept
+    assert report.as_json()["audited"] is None
+    assert run(rig, NEW)[0].kept == ""
+
+
+def test_a_drive_that_acknowledges_and_keeps_half_is_found_out_and_the_way_back_works(make: Make) -> None:
+    rig = make(flash=Flash())
+    before = rig.values(KEYS)
+    assert run(rig, maker_set(COUNT, seed=9), store=True)[0].stored
+    good = rig.values(KEYS)
+    assert good != before
+    honest = rig.bench.slave.store.flash
+    rig.bench.slave.store.flash = _KeepsHalf(dict(honest.image), honest.checksum)
+    report = run(rig, NEW, store=True, ask=pytest.fail)[0]
+    lost = [f"{index:04X}h:{subindex:02X}" for index, subindex in KEYS[COUNT // 2 :]]
+    assert (report.ending, report.stored, report.audited, list(report.lost)) == (Ending.WRITTEN, True, False, lost)
+    assert not report.good
+    assert "NOT kept" in report.kept
+    assert "`hil params restore --store --audit` puts back" in report.kept
+    assert rig.values(KEYS) not in (good, VALUES), "half new, half nothing"
+    last = rig.journals[0].last_change()
+    assert last is not None
+    restored = run(rig, set_before(last), store=True, ask=pytest.fail)[0]
+    assert restored.good
+    assert "proven" in restored.kept
+    assert rig.values(KEYS) == good
+
+
 def test_a_drive_that_cannot_store_says_so_before_anything_is_written(make: Make) -> None:
     rig = make()
     before = rig.values(KEYS)

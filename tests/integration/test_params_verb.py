@@ -57,12 +57,12 @@ def test_a_whole_job(axis: Path, face: FortyFace, tmp_path: Path, capsys: pytest
     assert "X.params.toml" in out
     status, out, _ = run(capsys, "diff", axis, "--set", new)
     assert status == 0
-    assert "0 of 40 parameters as in the set, 40 not" in out
+    assert "as in the set: 0 of 40 parameters; different: 40" in out
     assert re.search(r"a download takes \d+ frames, \d+ bits", out)
     assert run(capsys, "verify", axis, "--set", new)[0] == 1
     status, out, _ = run(capsys, "download", axis, "--set", new, "--dry-run")
     assert (status, face.ram) == (0, SIDES["old"])
-    assert "would look at 40 parameters" in out
+    assert "would read 40 parameters" in out
     status, out, _ = run(capsys, "download", axis, "--set", new, "--store", "--json", result)
     assert (status, face.ram, face.flash) == (0, SIDES["new"], SIDES["new"])
     assert "written, and read back (40 written" in out
@@ -86,13 +86,13 @@ def test_what_cannot_be_done_is_one_line(axis: Path, tmp_path: Path, capsys: pyt
     for arguments, what in (
         (("download", axis), "--set FILE is missing"),
         (("download", axis, "--set", tmp_path / "none.toml"), "none.toml: cannot be read"),
-        (("download", axis, "--set", new, "--set", new), "--set is given 2 times"),
+        (("download", axis, "--set", new, "--set", new), "--set is given twice"),
         (("download", axis, "--set", new, "--audit"), "--audit needs --store"),
         (("download", axis, "--set", new, "--signed"), "new.toml: has no signature beside it"),
         (("download", axis, axis, "--set", new), "axis X is given twice"),
         (("restore", axis, "--factory", "--store"), "--factory goes with no other option"),
         (("restore", axis), "has no download of X in its journal"),
-        (("backup", axis, "--out", "a", "--out", "b"), "--out is given 2 times"),
+        (("backup", axis, "--out", "a", "--out", "b"), "--out is given twice"),
         (("backup", axis, "--format", "dcf"), "is no CANopen object"),
     ):
         status, _, err = run(capsys, *arguments)
@@ -166,7 +166,7 @@ def test_a_drive_in_a_process_of_its_own(
     assert read_set(new).hash is None
     status, out, _ = run(capsys, "download", canopen_axis, "--set", new, "--store", "--audit")
     assert status == 0
-    assert "after its restart it still holds all of it" in out
+    assert "stored, and proven: after its restart it still holds all of it" in out
     assert run(capsys, "verify", canopen_axis, "--set", new)[0] == 0
     journal = tmp_path / "X-campaign" / "parameters"
     command = [

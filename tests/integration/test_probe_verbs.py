@@ -33,12 +33,14 @@ def form(path: Path) -> Any:
 
 
 def test_measure_correct_and_centre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, out = machine(tmp_path), tmp_path / "out.json"
+    path, out = machine(tmp_path, block="turns = 2"), tmp_path / "out.json"
     assert main(["probe", "measure", str(path), "--json", str(out)]) == 0
     said = capsys.readouterr().out
     assert f"simulated     Δx {TRUE_X_UM:+.2f} µm, Δy {TRUE_Y_UM:+.2f} µm, tip radius 1.9894 mm" in said
     found = form(out)
     assert (found["good"], found["mode"], found["refused"]) == (True, "latch", None)
+    assert 0.0 < found["run_out_std_um"] < 1.0
+    assert f"{2 * found['run_out_std_um']:.2f} µm in Δx and in Δy (k = 2" in said
     assert 1000 * found["run_out"]["x_mm"] == pytest.approx(TRUE_X_UM, abs=1.0)
     assert 1000 * found["run_out"]["y_mm"] == pytest.approx(TRUE_Y_UM, abs=1.0)
     assert form(tmp_path / "mill-probe/runout.json")["x_mm"] == found["run_out"]["x_mm"]
@@ -119,7 +121,7 @@ def test_other_measurements_are_corrected(
             assert abs(uncorrected["x_mm"] - true[0]) > 0.01
         else:
             assert (corrected["x_mm"], corrected["y_mm"]) == pytest.approx((true[0], true[4]), abs=1e-3)
-        assert "the operator's: not moved" in said
+        assert "not moved, as [machine] names no z axis" in said
 
 
 def test_a_machine_with_z_says_how_it_is_approached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -187,7 +189,8 @@ def test_sealed_values_need_the_builders_password(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "mill-probe").exists()
     monkeypatch.setenv("HIL_KEY_PASSWORD", "builder of the probe")
     assert main(["probe", "measure", str(path)]) == 0
-    assert [entry.name for entry in sorted((tmp_path / "mill-probe").iterdir())] == ["history.csv", "runout.sealed"]
+    kept = sorted(entry.name for entry in (tmp_path / "mill-probe").iterdir())
+    assert kept == ["history.csv", "runout.sealed", "runout.seen.json"]
     assert main(["probe", "correct", str(path), "--code", "M93", "--dry-run"]) == 0
 
 

@@ -35,9 +35,8 @@ reading_s = 0.2
 """
 
 
-def prepare(path: Path, *, targets: str = "[2.0, 17.0, 32.0]", velocity: float = 20.0, drive: str = "") -> None:
-    """Turn the axis file that `hil sim` wrote into one with short measurements and long time-outs, with the builder's keys beside
-    it."""
+def shortened(path: Path, *, targets: str = "[2.0, 17.0, 32.0]", velocity: float = 20.0, drive: str = "") -> None:
+    """Turn an axis file for a process of its own into one with short measurements and long time-outs."""
     text = path.read_text(encoding="utf-8")
     text = text[: text.index("[measurement]")] + MEASUREMENT.format(targets=targets, velocity=velocity)
     backend = re.search(r'backend = "(\w+)"', text)
@@ -46,6 +45,11 @@ def prepare(path: Path, *, targets: str = "[2.0, 17.0, 32.0]", velocity: float =
     if backend[1] == "modbus":
         text = re.sub(r'(url = "[^"?]*)\??', r"\1?timeout_s=5&", text)
     path.write_text(text.replace("[instrument]\n", "[instrument]\nstale_after_s = 3.0\n"), encoding="utf-8")
+
+
+def prepare(path: Path, *, targets: str = "[2.0, 17.0, 32.0]", velocity: float = 20.0, drive: str = "") -> None:
+    """An axis file as by `shortened`, with the builder's keys beside it."""
+    shortened(path, targets=targets, velocity=velocity, drive=drive)
     key = new_key()
     cost = Cost(n=1 << 10, r=8, p=1)
     save_private_key(path.with_name("builder.key"), key, PASSWORDS["HIL_KEY_PASSWORD"], cost=cost)

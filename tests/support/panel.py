@@ -20,7 +20,16 @@ from selenium.webdriver.support.ui import WebDriverWait
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 WHY_NOT = "" if CHROMIUM and DRIVER else "needs Debian's chromium and chromium-driver"
 PATIENCE_S = 90.0
+IN_FOLD = "ancestor::*[contains(concat(' ', @class, ' '), ' hil-fold ')]"
 _OPTIONS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1600,1400")
+
+
+def _draws_chinese() -> bool:
+    lists = shutil.which("fc-list")
+    return lists is not None and bool(subprocess.run([lists, ":lang=zh-cn"], capture_output=True, check=False).stdout)
+
+
+NO_CHINESE = "" if _draws_chinese() else "needs a font with Chinese characters (Debian's fonts-noto-cjk)"
 
 
 @contextmanager
@@ -41,6 +50,16 @@ def served(*arguments: str | Path) -> Iterator[tuple[str, subprocess.Popen[str]]
         assert process.returncode == 0
 
 
+WATCH = """
+    window.hilFirstGone = {};
+    new MutationObserver((changes) => {
+        for (const {target: one} of changes)
+            if (one.dataset.live && one.classList.contains('hil-stale')) window.hilFirstGone[one.dataset.name] ??= Date.now();
+    }).observe(document.body, {subtree: true, attributeFilter: ['class']});
+"""
+"""Script that notes when each card was first marked as not live, by name, in `window.hilFirstGone`, ms."""
+
+
 class Person:
     """A user with a browser; elements are found by their names."""
 
@@ -57,10 +76,29 @@ class Person:
         """The text of an element; "" for one that is hidden."""
         return self.finds(name).text
 
+    def opens(self, name: str) -> None:
+        """Unfold what an element is in, if it is folded away."""
+        script = """
+            const fold = arguments[0].closest('.hil-fold');
+            if (fold && !fold.classList.contains('q-expansion-item--expanded')) fold.querySelector('.q-item').click();
+        """
+        self.driver.execute_script(script, self.finds(name))
+        self.waits(lambda: self.finds(name).is_displayed(), f"{name} is unfolded")
+
     def clicks(self, name: str) -> None:
+        """Click an element, which is unfolded before."""
+        if not self.finds(name).is_displayed() and self.finds(name).find_elements(By.XPATH, IN_FOLD):
+            self.opens(name)
         self.waits(lambda: self.finds(name).is_enabled() and self.finds(name).is_displayed(), f"{name} can be clicked")
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", self.finds(name))
         self.finds(name).click()
+
+    def turns_to(self, tab: str) -> None:
+        """Show another job of a page."""
+        shown = lambda: "here" in str(self.finds(tab).get_attribute("class")).split()  # noqa: E731
+        if not shown():
+            self.clicks(tab)
+        self.waits(shown, f"{tab} is shown")
 
     def types(self, name: str, text: str) -> None:
         field = self.finds(name)

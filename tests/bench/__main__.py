@@ -1,0 +1,97 @@
+"""All benchmarks, and the one table of the pages: python tests/bench [--write] [PYTEST OPTION…]
+
+Prints the table; --write puts it into hil/docs/benchmarks.md, unless a bench failed. With further options, such as
+-k streaming, the lines of benches that were not run stay. The table holds what the benches print (`support.bench.row`)
+and nothing else. Takes 10 minutes; other work on the computer makes the figures worse, the ratios less so, as both sides
+take turns.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+if not __package__:  # run as a folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from support.bench import ROW
+
+HERE = Path(__file__).resolve().parent
+PAGE = HERE.parents[1] / "hil/docs/benchmarks.md"
+BEGIN = "<!-- python tests/bench --write -->"
+HEAD = "| Figure | Ours | Beside | Ratio | Asked | Command |\n|---|---|---|---|---|---|"
+
+
+@dataclass
+class Rows:
+    """A plugin that collects the lines of the benches. found: command and cells, in the order of the benches"""
+
+    found: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Take the lines of a bench that passed."""
+        if report.when != "call" or not report.passed:
+            return
+        file = report.nodeid.split("::")[0].rpartition("/")[2]
+        self.found += [
+            (f"pytest -s tests/bench/{file}", json.loads(str(v))) for k, v in report.user_properties if k == ROW
+        ]
+
+
+def line(command: str, cells: Mapping[str, str]) -> str:
+    """One line of the table as Markdown."""
+    words = (cells["figure"], cells["ours"], cells["beside"], cells["ratio"], cells["asked"] or "–", f"`{command}`")
+    return f"| {' | '.join(words)} |"
+
+
+def table(lines: Iterable[str]) -> str:
+    """The table as Markdown."""
+    return "\n".join([HEAD, *lines])
+
+
+def joined(old: Iterable[str], new: Iterable[str]) -> list[str]:
+    """Lines of an older table with newer ones in their places: the same figure, beside the same, by the same command."""
+
+    def key(one: str) -> tuple[str, str, str]:
+        figure, _, beside, *_, command = one.strip("| ").split(" | ")
+        return command, figure, beside.partition(":")[0]
+
+    lines = {key(one): one for one in old} | {key(one): one for one in new}
+    return [lines[one] for one in sorted(lines, key=lambda one: one[0])]
+
+
+def page(text: str, lines: Iterable[str]) -> str:
+    """The page with this table below its mark, and with the host it was measured on."""
+    host = (
+        f"Python {platform.python_version()}, {os.cpu_count()} cores of {platform.machine()}, {date.today():%Y-%m-%d}"
+    )
+    return f"{text[: text.index(BEGIN)]}{BEGIN}\n\nMeasured with {host}.\n\n{table(lines)}\n"
+
+
+def main(words: Sequence[str]) -> int:
+    """Exit status 0 when every bench passed."""
+    rows = Rows()
+    options = [word for word in words if word != "--write"]
+    status = pytest.main([str(HERE), "-q", "-s", "-n", "0", "-m", "slow", "-p", "no:cacheprovider", *options], [rows])
+    lines = [line(command, cells) for command, cells in rows.found]
+    print(f"\n{table(lines)}")
+    if "--write" in words:
+        if status != pytest.ExitCode.OK:
+            print("not written: a bench failed", file=sys.stderr)
+            return 1
+        text = PAGE.read_text(encoding="utf-8")
+        old = [one for one in text.splitlines() if one.startswith("| ") and one.endswith("` |")] if options else []
+        PAGE.write_text(page(text, joined(old, lines)), encoding="utf-8")
+    return int(status)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

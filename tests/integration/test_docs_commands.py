@@ -1,0 +1,81 @@
+"""The commands of the pages do what the pages say: each page is run in a folder of its own, and its output compared."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import pytest
+from support.commissioning import shortened
+from support.docs import PAGES, ROOT, blocks, holds, outputs, page_output, run_commands, run_page
+from support.sim_process import sim
+
+pytestmark = pytest.mark.slow
+
+RUN = [
+    name
+    for name, path in PAGES.items()
+    if any(block.info == ("sh",) or block.info[:1] == ("text",) for block in blocks(path.read_text(encoding="utf-8")))
+]
+
+
+@pytest.fixture(scope="module")
+def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Path]:
+    """A folder in which the commands of the page "commissioning" were run, once for all pages that continue there."""
+
+    @cache
+    def folder() -> Path:
+        made = tmp_path_factory.mktemp("commissioned")
+        run_page("commissioning", made)
+        return made
+
+    return folder
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_a_page_does_what_it_says(page: str, tmp_path: Path, commissioned: Callable[[], Path]) -> None:
+    said = page_output(page, tmp_path, commissioned)
+    for command, block in outputs(PAGES[page].read_text(encoding="utf-8")):
+        assert holds(block.text, said[command]), (
+            f"{page}, line {block.line}: {command} prints\n{said[command]}\n(python tests/study/docs_output.py --write)"
+        )
+
+
+def test_the_readmes_lines_for_a_real_drive(tmp_path: Path) -> None:
+    """As typed, but for the names of the ports, over a drive and a laser in a process of their own; the measurement is a short one."""
+    text = PAGES["README"].read_text(encoding="utf-8")
+    block = next(block for block in blocks(text) if block.info == ("sh", "hardware") and "drives new" in block.text)
+    link, *commands = block.commands
+    assert link.startswith("sudo ip link set can0 up ")
+    assert len(block.text.splitlines()) <= 10
+    with sim("drive", "--interface", "slcan-pty", "--laser", "--machine", "geometric") as machine:
+        place = machine.place
+        channel, port = place["drive"]["channel"], place["laser"]["port"]
+        for command in commands:
+            typed = command.replace("--channel can0", f"--interface slcan --channel {channel}").replace(
+                "/dev/ttyUSB0", port
+            )
+            run_commands([typed], tmp_path, "README")
+            if " drives new " in command:
+                shortened(tmp_path / "X.toml")
+    assert (tmp_path / "X-campaign/tables.sealed").exists()
+    assert (tmp_path / "verified.html").exists()
+
+
+def test_the_number_of_tests_is_about_what_the_readme_says() -> None:
+    said = re.search(r"tests that passed, about (\d+)", PAGES["README"].read_text(encoding="utf-8"))
+    assert said is not None
+    listed = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "-n", "0", "-p", "no:cacheprovider"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = re.search(r"^(\d+)/\d+ tests collected", listed.stdout, re.MULTILINE)
+    assert found is not None, listed.stdout[-500:]
+    assert 0.9 < int(found[1]) / int(said[1]) < 1.1

@@ -1,0 +1,194 @@
+"""Every page in three sizes and three languages: nothing overlaps, is cut or leaves its card; a job is seen as a whole."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import panel
+from support.panel import Person
+from support.screenshots import DEFECTS, OUT_OF_SIGHT, PALE, foreign_fonts
+from support.two_axes import lay_out_axes
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.browser,
+    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
+]
+EXAMPLES = Path(__file__).parents[2] / "hil" / "examples"
+SIZES = ((1366, 768), (1920, 1080), (1024, 768))
+PAGES = ("overview", "axes", "calibrate", "backlash", "lost_motion", "probe", "diagnosis", "parameters", "reports")
+BAR = ("stop", "chip.X", "header.job", "control.release", "events.open", "language", "looks")
+ESSENTIAL = {
+    "overview": ("overview.position", "overview.state", "plot.overview", "overview.power_off", "overview.reset_fault"),
+    "calibrate": (
+        "calibrate.steps",
+        "calibrate.verified",
+        "calibrate.step",
+        "calibrate.progress",
+        "calibrate.start",
+        "calibrate.verify",
+    ),
+    "backlash": (
+        "backlash.mean",
+        "backlash.step",
+        "backlash.plot",
+        "backlash.start",
+        "backlash.write",
+        "backlash.restore",
+    ),
+    "lost_motion": (
+        "lost_motion.amount",
+        "lost_motion.after",
+        "lost_motion.step",
+        "lost_motion.start",
+        "lost_motion.store",
+    ),
+    "diagnosis": (
+        "diagnosis.campaign",
+        "diagnosis.start",
+        "diagnosis.after",
+        "diagnosis.found",
+        "diagnosis.unexplained",
+        "diagnosis.residual",
+    ),
+    "diagnosis.loop": ("loop.steps", "loop.verdict", "loop.step", "loop.progress", "loop.start", "loop.live"),
+    "parameters": (
+        "parameters.file",
+        "parameters.backup",
+        "parameters.download",
+        "parameters.outcome",
+        "parameters.progress",
+        "parameters.bring",
+        "parameters.restore",
+        "parameters.differences",
+    ),
+}
+"""What a job needs: its start, its progress, its verdict, and the plot that matters. In the window without scrolling."""
+TABS = {"diagnosis": ("campaign", "loop")}
+WIDEST = "−888.888"
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
+    directory = tmp_path_factory.mktemp("machine")
+    paths = lay_out_axes(directory)
+    for path in EXAMPLES.glob("probe_*.toml"):
+        shutil.copy(path, directory)
+    return (*paths, directory / "probe_machine.toml")
+
+
+CHINESE = pytest.param("zh", marks=pytest.mark.skipif(bool(panel.NO_CHINESE), reason=panel.NO_CHINESE))
+
+
+@pytest.fixture(scope="module", params=["en", "de", CHINESE])
+def person(request: pytest.FixtureRequest, machine: tuple[Path, ...]) -> Iterator[Person]:
+    *axes, probe = machine
+    how = ("--probe", probe, "--pace", "0", "--lang", request.param)
+    with panel.served(*axes, *how) as (address, _), panel.browser() as one:
+        one.goes_to(f"{address}axis/X/overview")
+        one.clicks("control.take")
+        one.waits(lambda: one.finds("control.release").is_displayed(), "this browser holds control")
+        yield one
+        one.goes_to("about:blank")
+
+
+def sized(person: Person, size: tuple[int, int]) -> None:
+    metrics: dict[str, Any] = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    person.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}")
+def test_nothing_overlaps_is_cut_or_leaves_its_card(person: Person, size: tuple[int, int]) -> None:
+    sized(person, size)
+    wrong = []
+    for page in PAGES:
+        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
+        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        person.waits(lambda: not person.finds("no-data").is_displayed(), "a busy machine's server answers")
+        person.driver.execute_script(
+            "for (const one of document.querySelectorAll('.hil-value')) if (one.textContent === '–') one.textContent = arguments[0]",
+            WIDEST,
+        )
+        for tab in TABS.get(page, ("",)):
+            if tab:
+                person.turns_to(f"{page}.tab.{tab}")
+            wrong += [f"{page}: {one}" for one in person.driver.execute_script(DEFECTS)]
+            wanted = ESSENTIAL.get(f"{page}.{tab}", ESSENTIAL.get(page, ()))
+            person.driver.execute_script("window.scrollTo(0, 0)")
+            out = person.driver.execute_script(OUT_OF_SIGHT, [*BAR, *wanted])
+            wrong += [f"{page}: {name} is out of sight" for name in out]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_what_overlaps_is_cut_or_hidden_is_noticed(person: Person) -> None:
+    """What the test above would say of a page whose style is spoiled."""
+    sized(person, SIZES[0])
+    person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/backlash")
+    person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+    assert not person.driver.execute_script(DEFECTS)
+    spoil = "document.querySelector(`[data-name='${arguments[0]}']`).style.cssText = arguments[1]"
+    person.driver.execute_script(
+        spoil, "backlash.mean", "position: relative; display: inline-block; top: -30px; left: 20px"
+    )
+    person.driver.execute_script(spoil, "backlash.step", "width: 4px; height: 4px; overflow: hidden")
+    person.driver.execute_script("document.querySelector(`[data-name='backlash.step']`).textContent = 'a long step'")
+    found = "\n".join(person.driver.execute_script(DEFECTS))
+    assert "overlap" in found
+    assert "backlash.step is cut" in found
+    person.driver.execute_script(spoil, "backlash.start", "position: absolute; top: 5000px")
+    assert person.driver.execute_script(OUT_OF_SIGHT, ["backlash.start"]) == ["backlash.start"]
+
+
+def test_the_page_brings_its_fonts_so_that_it_looks_the_same_everywhere(
+    person: Person, request: pytest.FixtureRequest
+) -> None:
+    """All but Chinese, which is drawn in one font of the machine, with the shapes of that language."""
+    sized(person, SIZES[0])
+    chinese = request.node.callspec.params["person"] == "zh"
+    for page in PAGES:
+        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
+        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        person.waits(lambda: person.driver.execute_script("return window.did_handshake"), "the server hears it")
+        person.clicks("events.open")
+        person.waits(lambda: person.finds("events.close").is_displayed(), "what happened is shown, with its signs")
+        person.waits(
+            lambda: person.driver.execute_script("return document.fonts.status") == "loaded", "the fonts have come"
+        )
+        found = foreign_fonts(person)
+        assert len(found) == chinese, f"{page}: {found}"
+        assert all(not name.endswith((" JP", " KR", " TC", " HK")) for name in found), found
+
+
+def test_a_sign_that_the_page_does_not_bring_is_noticed(person: Person) -> None:
+    before = set(foreign_fonts(person))
+    person.driver.execute_script(
+        "document.querySelector(`[data-name='header.job']`).textContent = String.fromCodePoint(0x5d0)"
+    )
+    assert set(foreign_fonts(person)) > before
+
+
+@pytest.mark.parametrize("ground", ["dark", "light"])
+def test_every_text_is_legible(person: Person, request: pytest.FixtureRequest, ground: str) -> None:
+    """By the colours that the browser computes, also of what cannot be pressed."""
+    if request.node.callspec.params["person"] != "en":
+        pytest.skip("the colours are those of English")
+    sized(person, SIZES[0])
+    dark = "return document.body.classList.contains('body--dark')"
+    if person.driver.execute_script(dark) != (ground == "dark"):
+        person.clicks("looks")
+        person.waits(lambda: person.driver.execute_script(dark) == (ground == "dark"), f"it is {ground}")
+    wrong = []
+    for page in PAGES:
+        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
+        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        for _ in range(20):  # what has just come may still fade in
+            if not (pale := person.driver.execute_script(PALE)):
+                break
+        wrong += [f"{page}: {one}" for one in pale]
+    person.driver.execute_script("document.querySelector(`[data-name='header.state']`).style.opacity = 0.3")
+    assert any(one.startswith("header.state") for one in person.driver.execute_script(PALE))  # it notices
+    assert not wrong, "\n".join(wrong)

@@ -1,0 +1,83 @@
+"""A page of the operator's screen, drawn without a browser in an event loop of the test's own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import Client, core, ui
+from nicegui.page import page
+
+from hil.app.desk.desk import Desk
+from hil.app.panel.browsers import Browser
+from hil.app.panel.texts import Texts
+from hil.app.panel.view import View
+
+Draw = Callable[[View], object]
+
+
+class Screen:
+    """A page of a desk that is not connected, drawn inside the loop of a test."""
+
+    def __init__(self, desk: Desk, draw: Draw, language: str = "en", token: str | None = None) -> None:
+        self.desk, self.client = desk, Client(page("/"), request=None)
+        tokens = {} if token is None else {desk.name: token}
+        self.view = View(
+            desk, (desk, Desk(desk.axis)), Texts(language), Browser(1, language, tokens=tokens), self.client
+        )
+        with self.client:
+            draw(self.view)
+        self._timers = [(one.callback, one.parent_slot) for one in self.all(ui.timer)]
+
+    def all(self, kind: type) -> list[Any]:
+        return [one for one in self.client.elements.values() if isinstance(one, kind)]
+
+    def named(self, name: str) -> Any:
+        return next(one for one in self.client.elements.values() if one.props.get("data-name") == name)
+
+    def told(self) -> list[str]:
+        return [one.message for one in self.all(ui.notification)]
+
+    def begins(self, name: str) -> set[asyncio.Task[Any]]:
+        """Press a button; what it set going."""
+        before = asyncio.all_tasks()
+        for listener in self.named(name)._event_listeners.values():
+            listener.handler(None)
+        return asyncio.all_tasks() - before
+
+    async def presses(self, name: str) -> None:
+        """A button, until all that it does is done."""
+        await asyncio.gather(*self.begins(name))
+
+    def quick_timers(self) -> Callable[[], None]:
+        """Calls the timers that await nothing, once: the page's own refresh."""
+
+        def call() -> None:
+            for callback, place in self._timers:
+                if not asyncio.iscoroutinefunction(callback):
+                    with place:
+                        callback()
+
+        return call
+
+    async def refreshes(self) -> None:
+        """Every timer, once."""
+        for callback, place in self._timers:
+            with place:
+                done = callback()
+                if done is not None:
+                    await done
+
+
+def inside(work: Callable[[], Awaitable[None]]) -> None:
+    """In an event loop as the server's."""
+
+    async def served() -> None:
+        core.loop = asyncio.get_running_loop()
+        try:
+            await work()
+        finally:
+            core.loop = None
+
+    asyncio.run(served())
