@@ -89,9 +89,10 @@ ROOMS = {
     "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
     "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
     "parameters": Room(
-        ("hil/parameters/*.py",),
+        ("hil/parameters/[!p]*.py", "hil/parameters/pre*.py"),  # all but the page, which a browser's tests judge
         (
             f"{UNIT}/parameters",
+            "tests/integration/test_parameter_jobs.py",
             *(f"tests/integration/test_params_{name}.py" for name in ("download", "dcf", "lines", "verb")),
         ),
     ),
