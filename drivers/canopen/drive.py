@@ -20,7 +20,7 @@ from drivers.canopen.homing import Homing
 from drivers.canopen.identity import Identity, error_history, read_identity, stores_on_command
 from drivers.canopen.motion import ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
-from drivers.canopen.node import NmtCommand
+from drivers.canopen.node import NmtCommand, NmtState
 from drivers.canopen.objects import Entry
 from drivers.canopen.parameters import LOAD, ON_COMMAND, SAVE
 from drivers.canopen.pdo import PdoSpec
@@ -88,7 +88,14 @@ class CanOpenDrive(StoppableDrive):
         self.connection = Connection(self.node, self.settings)
         try:
             self.link.listen()
-            self.identity = read_identity(self.sdo)
+            try:
+                self.identity = read_identity(self.sdo)
+            except NoAnswerError as error:
+                if self.monitor.state is not NmtState.STOPPED:
+                    raise
+                raise NoAnswerError(
+                    f"{error}; its heartbeat says NMT stopped, where a node answers no SDO: start it"
+                ) from error
             settings = self.settings
             self.units = motion_units(
                 partial(self.sdo.read_if_shown, absent=None),

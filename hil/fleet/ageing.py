@@ -176,6 +176,8 @@ class FleetTrend:
 
     def stated(self) -> str:
         """The rate of false alarms in a sentence."""
+        if not self.aged:
+            return f"nothing is watched: no series has the {LEAST} values that it takes"
         return (
             f"{self.looks_per_year:.0f} looks a year in the whole fleet; threshold {self.threshold:.2f} standard"
             f" deviations: each CUSUM runs {self.run_length:.0f} values on the average without ageing, the fleet gives"

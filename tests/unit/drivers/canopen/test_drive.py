@@ -104,6 +104,20 @@ def make() -> Iterator[MakeRig]:
 # -- opening -------------------------------------------------------------------------------------------------------------
 
 
+def test_a_node_that_another_master_stopped_is_told_from_one_that_is_dead(make: MakeRig) -> None:
+    """CiA-301, 7.3.2.2.4: stopped, a node takes part in NMT and heartbeat alone."""
+    rig = make(parameters={(0x1017, 0): 100})
+    rig.link.send(0x000, bytes((0x02, NODE)))
+    rig.run(0.5)
+    with pytest.raises(NoAnswerError, match="heartbeat says NMT stopped"):
+        rig.drive.open()
+    rig.link.send(0x000, bytes((0x01, NODE)))
+    assert rig.opened().identity is not None
+    with pytest.raises(NoAnswerError) as silent:
+        make(CanFault(K.SDO_LOST)).drive.open()
+    assert "NMT" not in str(silent.value)
+
+
 def test_identity_and_capabilities(make: MakeRig) -> None:
     drive = make().opened()
     assert drive.identity is not None

@@ -75,6 +75,7 @@ def test_the_rate_is_of_the_whole_fleet() -> None:
         with pytest.raises(InputError):
             trends([], rate)
     assert "0.5 false alarms a year" in found.stated()
+    assert trends([]).stated().startswith("nothing is watched")
 
 
 def test_the_worn_axis_is_first_and_no_other_alarms() -> None:
