@@ -16,7 +16,7 @@ import logging
 import math
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
@@ -274,10 +274,7 @@ class PymodbusWire:
         if isinstance(endpoint, TcpEndpoint):
             self._port = TcpPort(endpoint.host, endpoint.port, endpoint.timeout_s, check)
             self._framer = FramerSocket(DecodePDU(False))
-            self._numbers, self._post_numbers = (
-                itertools.cycle(range(1, 0x8000)),
-                itertools.cycle(range(0x8000, 0x10000)),
-            )
+            self._numbers, self._post_numbers = over_and_over(range(1, 0x8000)), over_and_over(range(0x8000, 0x10000))
         else:
             self._port = SerialPort(
                 endpoint.device,
@@ -288,7 +285,7 @@ class PymodbusWire:
                 check=check,
             )
             self._framer = FramerRTU(DecodePDU(False))
-            self._numbers = self._post_numbers = itertools.cycle((0,))  # RTU has no numbers
+            self._numbers = self._post_numbers = itertools.repeat(0)  # RTU has no numbers
         self._requests = _Requests()  # type: ignore[no-untyped-call]
         self._unit_keyword = unit_keyword(self._requests.read_holding_registers)
         self._rest = b""  # bytes received and not decoded yet: on TCP the beginning of a frame
@@ -385,6 +382,15 @@ class PymodbusWire:
             pdu = method(request.address, count=request.count, **to)
         pdu.transaction_id = number
         return self._framer.buildFrame(pdu)
+
+
+def over_and_over(numbers: range) -> Iterator[int]:
+    """The numbers without end, for several threads. `itertools.cycle` keeps all that it has given: a megabyte for each connection."""
+
+    def number(turn: int) -> int:
+        return numbers[turn % len(numbers)]
+
+    return map(number, itertools.count())
 
 
 def unit_keyword(method: Callable[..., object]) -> str:

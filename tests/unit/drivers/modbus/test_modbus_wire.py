@@ -1,6 +1,7 @@
 """Endpoints from text, requests told apart by their replies, and the name this pymodbus has for the unit id."""
 
 import time
+import tracemalloc
 from unittest.mock import Mock
 
 import pytest
@@ -17,6 +18,7 @@ from drivers.modbus.wire import (
     Request,
     RtuEndpoint,
     TcpEndpoint,
+    over_and_over,
     parse_endpoint,
     unit_keyword,
 )
@@ -112,3 +114,18 @@ def test_traffic_that_never_pauses_keeps_nobody_from_being_heard() -> None:
 
 def test_after_the_last_slice_there_is_a_last_look() -> None:
     assert list(slices(time.monotonic() - 1.0, lambda: None)) == [0.0]
+
+
+def test_numbers_come_again_and_none_is_kept() -> None:
+    """A screen polls 20 times a second for months; what went by is not held."""
+    numbers = over_and_over(range(1, 0x8000))
+    assert [next(numbers), next(numbers)] == [1, 2]
+    tracemalloc.start()
+    try:
+        for _ in range(3, 0x8000):
+            last = next(numbers)
+        held_bytes, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held_bytes < 10_000
+    assert (last, next(numbers), next(numbers)) == (0x7FFF, 1, 2)
