@@ -128,13 +128,12 @@ def busy_processes(count: int) -> Iterator[None]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wire", ["slcan", pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])])
-def test_an_axis_is_calibrated_on_a_busy_computer(wire: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the default time-outs, while other processes compute: an answer that comes late is asked for again. Four here, two on the
-    emulated processors of the guest, which the tests beside it slow down."""
+def test_an_axis_is_calibrated_on_a_busy_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the default time-outs, while four other processes compute: an answer that comes late is asked for again. Not in the
+    guest: how late its emulated processors answer depends on the host, which then decides whether those time-outs are enough."""
     for name, value in PASSWORDS.items():
         monkeypatch.setenv(name, value)
-    with shop(wire, tmp_path, velocity=80.0) as at, busy_processes(4 if wire == "slcan" else 2):
+    with shop("slcan", tmp_path, velocity=80.0) as at, busy_processes(4):
         text = at.axis.read_text(encoding="utf-8")
         assert PATIENT["canopen"] in text
         at.axis.write_text(text.replace(PATIENT["canopen"], ""), encoding="utf-8")

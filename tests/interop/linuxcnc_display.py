@@ -12,6 +12,7 @@ from pathlib import Path
 import linuxcnc
 
 DEADLINE_S = 60.0
+THERE_MM = 5e-7  # half of the commanded text's last digit
 SETTLED_MM = 2e-9
 SETTLED_READINGS = 12  # some ten servo cycles apart in all
 
@@ -60,6 +61,11 @@ def main():
         command.mdi(f"G53 G0 X{position_mm:.6f}")
         complete()
         until(lambda: polled("inpos"), "in position")
+
+        def there(target_mm=position_mm):  # "in position" may be told early
+            return abs(polled("joint")[0]["output"] - target_mm) < THERE_MM
+
+        until(there, "at the position")
         seen = collections.deque([added_mm()], maxlen=SETTLED_READINGS)
 
         def settled(seen=seen):
