@@ -233,7 +233,10 @@ def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until:
     until(lambda: kept.exists() and kept.read_text().count("\n") >= 2, "two reversals measured")
     assert json.loads((folder / "backlash-before.json").read_text()) == {"2201h": 0.0, "2202h": 0.0}, "noted meanwhile"
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    try:
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert errors == "hil: interrupted; the axis was stopped, what was measured is kept\n"
     assert not (folder / "backlash-before.json").exists()

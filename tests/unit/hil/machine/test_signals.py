@@ -126,6 +126,66 @@ def test_a_way_out_that_ends_in_time_is_not_cut_off_and_the_second_signal_does_n
         assert ENDED not in errors
 
 
+FORGETS = """
+        def dawdle():
+            for _ in range(20): time.sleep(0.001)
+        class Forgets:
+            def __del__(self):
+                dawdle()
+        while True:
+            Forgets()
+            time.sleep(0.01)"""
+LEAKS = """
+        class Holds:
+            held = 0
+            def __enter__(self):
+                Holds.held += 1
+                for _ in range(20): time.sleep(0.001)
+            def __exit__(self, *_):
+                for _ in range(20): time.sleep(0.001)
+                Holds.held -= 1
+        while True:
+            with Holds():
+                time.sleep(0.01)
+            time.sleep(0.01)"""
+
+
+def test_an_interrupt_in_a_del_is_not_forgotten() -> None:
+    with Program(work=FORGETS, way_out="os.write(1, b'all put back\\n')") as program:
+        program.asked()
+        program.says(b"way out")
+        program.says(b"all put back")
+        assert b"ignored" not in program.ended()[2]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_entered_when_a_signal_comes_is_left_again(number: int) -> None:
+    with Program(work=LEAKS, way_out="os.write(1, b'held: %d\\n' % Holds.held)") as program:
+        time.sleep(0.05)
+        program.asked(number)
+        program.says(b"way out")
+        program.says(b"held: 0")
+        assert ENDED not in program.ended()[2]
+
+
+def test_a_context_manager_that_never_comes_back_is_interrupted_all_the_same() -> None:
+    stuck = "\n        class Stuck:\n            def __enter__(self): time.sleep(60)\n        with Stuck(): pass"
+    with Program(work=stuck, way_out="os.write(1, b'all put back\\n')") as program:
+        program.asked()
+        program.says(b"way out")
+        program.says(b"all put back")
+        assert ENDED not in program.ended()[2]
+
+
+def test_a_put_off_signal_and_one_more_are_two() -> None:
+    with Program(work=LEAKS, way_out="time.sleep(0.5)") as program:
+        program.asked()
+        program.says(b"way out")
+        program.asked(signal.SIGTERM)
+        program.says(b"stop frame")
+        assert ENDED not in program.ended()[2]
+
+
 def test_signals_that_another_handler_answers_are_not_counted() -> None:
     own = "import signal; seen = []; before = signal.signal(signal.SIGINT, lambda *_: seen.append(1)); os.write(1, b'own\\n')"
     again = "signal.signal(signal.SIGINT, before); signal.raise_signal(signal.SIGINT)"
