@@ -20,6 +20,7 @@ from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import LeftOver, left_over
 from hil.diagnosis.remainder.contest import beaten
+from hil.diagnosis.remainder.null import row_scale
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
 from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of, settle
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
@@ -106,10 +107,14 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     known_um = np.sum([term.error_um(rows.columns) for term in extended.found], axis=0)
     floor = pure_error(rows.columns, rows.error_um - known_um)
     explained_um = predicted_um(floor, parts, len(campaign), _held(problem, noise))
-    setup_um = Figures.of(left_out.setup).rms_um
     wanders = any(choice.form.shrunk for choice in chosen.kept)  # which no other run can predict
     unpredicted = not wanders and left_out.usual_um > policy().unpredicted * explained_um
-    unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts)
+    residual_um = rows.error_um - extended.whole.error_um(rows.columns)
+    unexplained = (
+        unexplained
+        or unpredicted
+        or exceeds_repeats(floor, parts, _noise_of_repeats(floor, campaign, rows, residual_um))
+    )
     doubted = {
         f.effect for f in findings if unpredicted or f.effect in courses or is_unsure(f, findings, campaign)
     } | required
@@ -129,7 +134,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         before_um=left_out.before,
         after_um=left_out.after,
         setup_um=left_out.setup,
-        residual_um=rows.error_um - extended.whole.error_um(rows.columns),
+        residual_um=residual_um,
         held_out=left_out.how,
         recommended=after.rms_um < alone.rms_um,
         notes=(
@@ -138,7 +143,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *courses.values(),
-            *beyond_noise(floor, parts, setup_um, explained_um, len(campaign)),
+            *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, explained_um, len(campaign)),
             *(_suspicion(term) for term in extended.found if extended is not chosen.fit),
         ),
     )
@@ -202,12 +207,23 @@ def beyond_noise(
         )
 
 
-def exceeds_repeats(floor: PureError | None, parts: NoiseParts) -> bool:
-    """Whether what is left from row to row is far more than repeats of one target differ by, even at the upper end of their 95 %."""
+def exceeds_repeats(floor: PureError | None, parts: NoiseParts, alike: float = 1.0) -> bool:
+    """Whether what is left from row to row is far more than repeats of one target differ by, even at the upper end of their 95 %.
+
+    alike: noise of the rows that were repeated over that of all; it may grow with the speed, and repeats are often at rest
+    """
     if floor is None:
         return False
     upper_um = floor.std_um.value * math.sqrt(floor.dof / float(chdtri(floor.dof, 0.975)))
-    return parts.white_um > policy().beyond_repeats * upper_um
+    return parts.white_um * alike > policy().beyond_repeats * upper_um
+
+
+def _noise_of_repeats(floor: PureError | None, campaign: CampaignRows, rows: AllRows, residual_um: Floats) -> float:
+    """Noise of the rows that were repeated over that of all rows, by the run, the speed and the quarter of the travel of each."""
+    mine = np.isin(rows.kept, () if floor is None else floor.rows)
+    if not np.any(mine):
+        return 1.0
+    return float(np.sqrt(np.mean(row_scale(residual_um[rows.kept], campaign)[mine] ** 2)))
 
 
 def _notes(

@@ -120,9 +120,20 @@ class Policy:
     unknown_share: float = _number(0.5, NOISE, "of the nodes of a declared table that states none", "set by hand")
     # -- what is left ----------------------------------------------------------------------------------------------------
     scan_fires_at: float = _number(
-        3.0, "-log10 probability", "with the number of groups, of a wave left", "an earlier trial; 1 in 1000"
+        2.5,
+        "-log10 probability",
+        "with the number of groups, of a wave left",
+        "1 in 300 by itself; of 150 tuning machines without a cause none came beyond 1.7",
     )
-    block_fires_at: float = _number(8.0, LOG, "of a smooth function left", "66 pairs reach 16 of 2·log odds in 0.2 %")
+    block_fires_at: float = _number(
+        6.0, LOG, "of a smooth function left", "of 150 tuning machines without a cause 2 came beyond 5.9"
+    )
+    process_fires_at: float = _number(
+        8.0,
+        LOG,
+        "of a process in time left, of which four times as many are tried",
+        "of the same 150 one came beyond 6.3, none beyond 7.7",
+    )
     nearly_all: float = _number(
         0.98,
         SHARE,

@@ -199,7 +199,7 @@ class Projection:
         self.out = None if out is None else np.flatnonzero(out)
         self.extra = Extra.none(len(y)) if beside is None else beside
         self.beside = self.prepared(np.hstack([self.extra.random, self.extra.free]))
-        self.y = self.prepared(y)
+        self.errors, self.y = y, self.prepared(y)
         q, s = self.extra.free.shape[1], self.extra.random.shape[1]
         ridge = np.concatenate([whitened.columns.ridge(noise), np.ones(s), np.zeros(q)])
         gram = whitened.gram
@@ -254,6 +254,13 @@ class Projection:
         if self.out is not None:
             rest[self.out] = 0.0
         return np.asarray(rest)
+
+    @property
+    def unexplained(self) -> Floats:
+        """Whitened errors less what the rows that were not left out give the projected columns, of every row, shape (n,)."""
+        coefficients = self.inverse_lower.T @ self.y_shadow
+        design = np.hstack([self.whitened.table, self.whitened.whiten(np.hstack([self.extra.random, self.extra.free]))])
+        return np.asarray(self.whitened.whiten(self.errors) - design @ coefficients)
 
     def solve_lower(self, cross: Floats) -> Floats:
         """R⁻ᵀ of cross products with the projected columns, shape (p + q, …)."""

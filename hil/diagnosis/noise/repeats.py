@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,12 @@ SET = re.compile(r"velocity_mm_s|load_kg|abbe_offset_mm|pos_\w+_mm")
 
 @dataclass(frozen=True)
 class PureError:
-    """Standard deviation of true repeats, µm, with its uncertainty, its degrees of freedom, and which repeats they are."""
+    """Standard deviation of true repeats, µm, with its uncertainty, its degrees of freedom, which repeats they are, and their rows."""
 
     std_um: Estimate
     dof: int
     how: str
+    rows: Ints = field(compare=False, repr=False)
 
 
 def pure_error(columns: Mapping[str, Floats], error_um: Floats) -> PureError | None:
@@ -43,13 +44,13 @@ def pure_error(columns: Mapping[str, Floats], error_um: Floats) -> PureError | N
     difference of each pass.
     """
     cell = _cells(columns)
-    for squares, dof, how in (
+    for squares, dof, how, rows in (
         _within_seconds(columns, cell, error_um),
         _in_pairs(columns, cell, error_um),
     ):
         if dof >= policy().least_dof:
             std = math.sqrt(squares / dof)
-            return PureError(Estimate(std, std / math.sqrt(2 * dof)), dof, how)
+            return PureError(Estimate(std, std / math.sqrt(2 * dof)), dof, how, rows)
     return None
 
 
@@ -63,8 +64,8 @@ def _cells(columns: Mapping[str, Floats]) -> Ints:
     return np.asarray(np.unique(np.column_stack(keys), axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
-def _within_seconds(columns: Mapping[str, Floats], cell: Ints, error_um: Floats) -> tuple[float, int, str]:
-    """Sum of squares about the mean of each group of repeats, and its degrees of freedom."""
+def _within_seconds(columns: Mapping[str, Floats], cell: Ints, error_um: Floats) -> tuple[float, int, str, Ints]:
+    """Sum of squares about the mean of each group of repeats, its degrees of freedom, and their rows."""
     time = columns[time_column(columns)]
     within = policy().within_s if time_column(columns) == "time_s" else policy().within_rows
     order = np.lexsort((np.arange(len(cell)), cell))
@@ -74,12 +75,14 @@ def _within_seconds(columns: Mapping[str, Floats], cell: Ints, error_um: Floats)
     count = np.bincount(group)
     y = error_um[order]
     mean = np.bincount(group, weights=y) / count
-    return float(np.sum((y - mean[group]) ** 2)), int(np.sum(count - 1)), "repeats within seconds"
+    squares = float(np.sum((y - mean[group]) ** 2))
+    return squares, int(np.sum(count - 1)), "repeats within seconds", order[count[group] > 1]
 
 
-def _in_pairs(columns: Mapping[str, Floats], cell: Ints, error_um: Floats) -> tuple[float, int, str]:
+def _in_pairs(columns: Mapping[str, Floats], cell: Ints, error_um: Floats) -> tuple[float, int, str, Ints]:
     """The same from runs two by two, each once: half the squared differences about the mean of each direction."""
     squares, dof = 0.0, 0
+    rows: list[Ints] = []
     run, direction = columns["run"], columns["direction"]
     numbers = np.unique(run)
     for first, second in zip(numbers[:-1:2], numbers[1::2], strict=False):
@@ -91,4 +94,5 @@ def _in_pairs(columns: Mapping[str, Floats], cell: Ints, error_um: Floats) -> tu
             apart = error_um[b[j]] - error_um[a[i]]
             squares += float(np.sum((apart - np.mean(apart)) ** 2)) / 2.0
             dof += len(i) - 1
-    return squares, dof, "runs in pairs"
+            rows += [a[i], b[j]]
+    return squares, dof, "runs in pairs", np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)

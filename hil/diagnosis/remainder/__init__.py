@@ -18,10 +18,11 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import block as blocks
 from hil.diagnosis.remainder import scan as waves
 from hil.diagnosis.remainder.block import Block
-from hil.diagnosis.remainder.hits import every_so_many, hit_rows
+from hil.diagnosis.remainder.carriers import Carried, carried
+from hil.diagnosis.remainder.hits import beside_the_bulk, every_so_many, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null
 from hil.diagnosis.remainder.one_run import in_one_run
-from hil.diagnosis.remainder.scan import Group, Scan, Variable
+from hil.diagnosis.remainder.scan import Variable
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.judge import Hit
 from hil.diagnosis.search.searcher import Searcher
@@ -33,8 +34,6 @@ Floats = NDArray[np.float64]
 
 MOST_ROUNDS = 3
 """Most times that the rest is scanned again beside what was found in it."""
-CONTENDING = 6
-"""Sets of columns of the best groups that are compared by their evidence."""
 
 
 @dataclass(frozen=True)
@@ -70,31 +69,34 @@ def left_over(
     x = next((v for v in columns if v.name == "target_mm" and not v.levels), None)
     found: dict[tuple[str, ...], list[Floats]] = {}
     sure: dict[tuple[str, ...], float] = {}
+    equivalent: dict[tuple[str, ...], dict[str, tuple[str, ...]]] = {}
     for _ in range(MOST_ROUNDS):
         scanned = waves.scan(null, columns)
         best = _clearest_block(null, columns, x, d) if scanned.score < policy().scan_fires_at else None
-        carried: Block | None = None
+        carrier: Carried | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
-            carried = _carried(null, columns, scanned, best, d)
+            carrier = carried(null, columns, scanned, best, d)
         elif x is not None and not found:
-            carried = in_one_run(null, searcher.raw, x, d) or every_so_many(null, x, d)
-        if carried is None:
+            other = in_one_run(null, searcher.raw, x, d) or every_so_many(null, x, d)
+            carrier = None if other is None else Carried(other, {})
+        if carrier is None:
             break
-        probability = min(10.0**-scanned.score, math.exp(-max(carried.evidence, 0.0)))
-        own = blocks.outside_table(null, carried)
+        block = carrier.block
+        own = blocks.outside_table(null, block)
         if not own.shape[1]:
             break
-        found.setdefault(carried.columns, []).append(own)
-        sure.setdefault(carried.columns, probability)
+        found.setdefault(block.columns, []).append(own)
+        sure.setdefault(block.columns, min(10.0**-scanned.score, math.exp(-max(block.evidence, 0.0))))
+        equivalent.setdefault(block.columns, carrier.equivalent)
         null = null.plus(own)
     if not found:
-        return () if x is None else _of_hit_rows(null, x, d, searcher.raw)
+        return _of_hit_rows(null, columns, d, searcher.raw)
     parts = {name: np.hstack(own) for name, own in found.items()}
     fitted = blocks.fitted(linear, searcher.raw, beside, noise, list(parts.values()))
     out = [
         LeftOver(
             name,
-            {one: alike for one in name if (alike := _equivalent(one, columns))},
+            equivalent[name],
             part.rms,
             Extra(part.columns[:, :0], part.columns),
             sure[name],
@@ -107,18 +109,22 @@ def left_over(
     )
 
 
-def _of_hit_rows(null: Null, x: Variable, d: Floats | None, raw: Floats) -> tuple[LeftOver, ...]:
+def _of_hit_rows(null: Null, columns: Sequence[Variable], d: Floats | None, raw: Floats) -> tuple[LeftOver, ...]:
     """What a part of the rows has and the others have not, with the rows as its columns; none where chance does as much."""
-    hit = hit_rows(null, x, d)
+    off, size = beside_the_bulk(null, raw)
+    hit = gross_rows(null, off, size, columns)
+    if hit is None:
+        x = next((v for v in columns if v.name == "target_mm" and not v.levels), None)
+        hit = None if x is None else hit_rows(x, d, off, size)
     if hit is None:
         return ()
+    off = off * null.scale
     rows = hit.rows
-    white = null.linear.projection(null.noise, raw / null.scale, null.beside).rest * null.scale
-    usual_um = 1.4826 * float(np.median(np.abs(np.delete(white, rows))))
-    rms = math.sqrt(max(float(np.sum(white[rows] ** 2)) - len(rows) * usual_um**2, 0.0) / len(raw))
-    size = float(np.max(np.abs(white[rows]))) / usual_um
+    usual_um = 1.4826 * float(np.median(np.abs(np.delete(off, rows))))
+    rms = math.sqrt(max(float(np.sum(off[rows] ** 2)) - len(rows) * usual_um**2, 0.0) / len(raw))
+    largest = float(np.max(np.abs(off[rows]))) / usual_um
     alone = np.zeros((len(raw), len(rows)))
-    alone[rows, np.arange(len(rows))] = size
+    alone[rows, np.arange(len(rows))] = largest
     std = rms / math.sqrt(2.0 * len(rows))
     return (LeftOver(hit.columns, {}, Estimate(rms, std), Extra(alone[:, :0], alone), hit.probability),)
 
@@ -142,17 +148,17 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
 
 def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None) -> Block | None:
     """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model."""
-    best: Block | None = None
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
-    processes = () if time is None else _processes(time, x, d)
-    for names, design in itertools.chain(_smooth(columns), processes):
-        trial = blocks.block(null, names, design)
-        if trial.evidence > policy().block_fires_at and (best is None or trial.evidence > best.evidence):
-            best = trial
-    if best is None:
-        return None
-    sure = blocks.block(null, best.columns, best.design, surely=True)
-    return best if sure.evidence > policy().block_fires_at else None
+    kinds = ((_smooth(columns), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))
+    best: list[tuple[float, Block]] = []
+    for designs, limit in kinds:
+        clearest = max((blocks.block(null, *one) for one in designs), key=lambda trial: trial.evidence, default=None)
+        if clearest is None or clearest.evidence <= limit:
+            continue
+        sure = blocks.block(null, clearest.columns, clearest.design, surely=True)
+        if sure.evidence > limit:
+            best.append((clearest.evidence - limit, clearest))
+    return max(best, key=lambda one: one[0])[1] if best else None
 
 
 def _smooth(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Floats]]:
@@ -161,11 +167,16 @@ def _smooth(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Floa
         if v.name != "target_mm":
             yield (v.name,), blocks.design_of(v, None, None)
     for first, second in itertools.combinations(columns, 2):
-        yield (first.name, second.name), blocks.design_of(first, second, None)
+        names = first.name, second.name
+        yield names, blocks.design_of(first, second, None)
+        if "target_mm" in names:
+            yield names, blocks.design_of(first, second, None, fine=True)
 
 
-def _processes(time: Variable, x: Variable | None, d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
+def _processes(time: Variable | None, x: Variable | None, d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
     """The same of a process in time that multiplies the direction, or a wave along the position, with the direction or without."""
+    if time is None:
+        return
     yield (time.name,), blocks.process_of(np.ones((len(time.u), 1)), time)
     if d is not None:
         yield (time.name, "direction"), blocks.process_of(d[:, None], time)
@@ -173,40 +184,3 @@ def _processes(time: Variable, x: Variable | None, d: Floats | None) -> Iterator
         yield ("target_mm", time.name), blocks.process_of(wave.T, time)
         if d is not None:
             yield ("target_mm", time.name, "direction"), blocks.process_of(wave.T * d[:, None], time)
-
-
-def _carried(null: Null, columns: Sequence[Variable], found: Scan, best: Block | None, d: Floats | None) -> Block:
-    """The set of columns of highest evidence among those of the best groups, and the block that fired."""
-    named = {v.name: v for v in columns}
-    sets: dict[tuple[str, ...], list[Group]] = {}
-    for group, _ in found.best:
-        sets.setdefault(group.columns, []).append(group)
-    trials = [] if best is None else [best]
-    for names, groups in list(sets.items())[:CONTENDING]:
-        plain = [named[name] for name in names if name != "direction"]
-        directed = d if "direction" in names else None
-        design = blocks.design_of(plain[0], plain[1] if len(plain) > 1 else None, directed, (groups[0],))
-        trials.append(blocks.block(null, names, design))
-    if best is not None:
-        trials += [
-            blocks.block(null, (name,), blocks.design_of(named[name], None, None))
-            for name in best.columns
-            if name in named and name != "target_mm"
-        ]
-    return max(trials, key=lambda trial: trial.evidence - policy().simpler * len(trial.columns))
-
-
-def _equivalent(name: str, columns: Sequence[Variable]) -> tuple[str, ...]:
-    """Other columns of which this one is a smooth function."""
-    mine = next((v.u for v in columns if v.name == name), None)
-    if mine is None or name == "target_mm":
-        return ()
-    out = []
-    for other in columns:
-        if other.name in (name, "target_mm"):
-            continue
-        cubic = np.vander(np.clip(other.u, -0.5, 1.5), 4)
-        rest = mine - cubic @ np.linalg.lstsq(cubic, mine, rcond=None)[0]
-        if np.var(rest) < (1.0 - policy().equivalent) * np.var(mine):
-            out.append(other.name)
-    return tuple(out)

@@ -23,6 +23,8 @@ from hil.effects import Estimate
 Floats = NDArray[np.float64]
 
 MOST_PERIODS = 2.5
+FINE_POSITION = 6.5
+"""Periods along the position up to which a function is resolved whose columns are to be named."""
 RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Variances of the block tried, over that of the white noise."""
 SMALL = 0.3
@@ -60,21 +62,33 @@ class Fitted:
     rms: Estimate
 
 
-def harmonics(variable: Variable) -> tuple[Floats, Floats]:
+def harmonics(variable: Variable, most: float = MOST_PERIODS) -> tuple[Floats, Floats]:
     """A constant and the waves or steps along a column, (n, r), and the square of each one's periods, 0 for steps, (r,)."""
-    periods = variable.periods(MOST_PERIODS)
+    periods = variable.periods(most)
     values = variable.waves(periods).reshape(-1, len(variable.u)).T
     fall = np.zeros(len(periods)) if variable.levels else periods**2
     return np.column_stack([np.ones(len(variable.u)), values]), np.concatenate([[0.0], np.repeat(fall, 2)])
 
 
 def design_of(
-    first: Variable, second: Variable | None, direction: Floats | None, waves: tuple[Group, ...] = ()
+    first: Variable,
+    second: Variable | None,
+    direction: Floats | None,
+    waves: tuple[Group, ...] = (),
+    *,
+    fine: bool = False,
 ) -> Floats:
-    """Columns of a block, (n, r): all products, times the direction where it is given, and some single groups of the scan."""
-    values, falls = harmonics(first)
+    """Columns of a block, (n, r): all products, times the direction where it is given, and some single groups of the scan.
+
+    fine: whether the position is resolved to FINE_POSITION
+    """
+    most = [
+        FINE_POSITION if fine and one is not None and one.name == "target_mm" else MOST_PERIODS
+        for one in (first, second)
+    ]
+    values, falls = harmonics(first, most[0])
     if second is not None:
-        other, more = harmonics(second)
+        other, more = harmonics(second, most[1])
         values = (values[:, :, None] * other[:, None, :]).reshape(len(values), -1)
         falls = (falls[:, None] + more[None, :]).ravel()
     scaled = (values / np.sqrt(1.0 + falls))[:, 1:]

@@ -1,21 +1,23 @@
-"""Rows hit by something that follows the position and that no column announces: each tenth row, or one in ten at random.
+"""Rows hit by something that no column announces: each tenth row, or one in ten at random.
 
 Their mean is too small for the scan, and the limit of outliers takes them for noise. Rows that come back every so many rows are
-tested as groups of the scan are, each on its own rows alone. Of rows at random noise of heavy tails has large ones too, but its signs
-are drawn: given the sizes, every choice of signs is as likely. So a wave along the position on a few rows is compared with the mean
-of itself over all choices of signs. That ratio has the mean 1 in noise of any symmetric distribution, and so has its average over
-many waves; it exceeds 1 / p with a chance of p at most (Markov's inequality). Other columns are not asked: twenty rows do not carry a
-search over all of them.
+tested as groups of the scan are, each on its own rows alone. Of rows at random noise of heavy tails has large ones too. More rows
+beyond six standard deviations than Student's t with two degrees of freedom has are no noise, whatever their signs (`gross_rows`).
+Smaller ones are known by their signs, which noise draws: given the sizes, every choice of signs is as likely. So a wave along the
+position on a few rows is compared with the mean of itself over all choices of signs. That ratio has the mean 1 in noise of any
+symmetric distribution, and so has its average over many waves; it exceeds 1 / p with a chance of p at most (Markov's inequality).
+Other columns are not asked there: twenty rows do not carry a search over all of them.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import bdtrc, fdtrc, logsumexp
 
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder.block import RATIOS, Block
@@ -33,11 +35,22 @@ SHARES = (0.03, 0.1, 0.3)
 """Parts of the rows that may be hit."""
 AMPLITUDES = (2.0, 3.0, 4.5)
 """Amplitudes of a wave on them, in standard deviations of the noise; sizes of residuals beyond the largest count as that."""
+AGAINST = (0.0, 0.15)
+"""Share of the rows that are hit which have the other sign: a table bent by the rows that were hit turns some over."""
+FAR, INSIDE = 6.0, 3.5
+"""Robust standard deviations beyond which a row lies far off, and within which the rows are that the table is fitted to."""
+HEAVIEST = 0.0184
+"""Share of Student's t with two degrees of freedom beyond FAR: 1 - z/√(2 + z²) at z = 6 · 1.4826 · √(2/3). It has no variance."""
+TRIMMINGS = 4
+MOST_SHARE = 0.35
+"""Of the rows, beyond which those outside are not the few."""
+NOT_FOLLOWED = 0.01
+"""Chance of as much, with the number of columns, from which the rows that are far off follow none."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Columns along which residuals of a few rows follow a wave, those rows, (m,), and the chance of as much in noise."""
+    """Columns that residuals of a few rows follow, those rows, (m,), and the chance of as much in noise."""
 
     columns: tuple[str, ...]
     rows: NDArray[np.int64]
@@ -66,26 +79,78 @@ def every_so_many(null: Null, x: Variable, d: Floats | None) -> Block | None:
     return Block(names, design.T * null.scale[:, None], score * np.log(10.0), RATIOS[-1])
 
 
-def hit_rows(null: Null, x: Variable, d: Floats | None) -> Hits | None:
-    """The rows hit at random by a cause along the position x; None where chance does as much."""
-    rest = null.best.rest
-    size = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+def beside_the_bulk(null: Null, raw: Floats) -> tuple[Floats, float]:
+    """Errors raw (n,) in µm less what the bulk of the rows gives the null, over the scale of each row, and their robust size."""
+    out = np.zeros(len(raw), dtype=np.bool_)
+    off, size = raw, 0.0
+    for _ in range(TRIMMINGS):
+        off = null.linear.projection(null.noise.calm(), raw / null.scale, null.beside, out).unexplained
+        size = 1.4826 * float(np.median(np.abs(off[~out] - np.median(off[~out]))))
+        again = np.abs(off) > INSIDE * size
+        if np.mean(again) > MOST_SHARE:
+            break
+        out = again
+    return off, size
+
+
+def gross_rows(null: Null, off: Floats, size: float, columns: Sequence[Variable]) -> Hits | None:
+    """The rows that lie far off the others, from what `beside_the_bulk` returns; None where heavy tails do as much."""
     if size <= 0.0:
         return None
-    z = np.clip(rest / size, -AMPLITUDES[-1], AMPLITUDES[-1])
+    far = np.flatnonzero(np.abs(off) > FAR * size).astype(np.int64)
+    probability = float(bdtrc(len(far) - 1, len(off), HEAVIEST)) if len(far) else 1.0
+    if probability >= policy().false_hits:
+        return None
+    campaign = null.linear.campaign
+    d = campaign.d if campaign.survey.has("direction") else None
+    return Hits(_followed(off[far], far, columns, d), far, probability)
+
+
+def _followed(off: Floats, rows: NDArray[np.int64], columns: Sequence[Variable], d: Floats | None) -> tuple[str, ...]:
+    """The column that the residuals (m,) of some rows follow most clearly, with the direction or without; the row order if none.
+
+    Angles are functions of the position: another column must be clearer than that by far.
+    """
+    best: tuple[float, tuple[str, ...]] = (NOT_FOLLOWED, ("row_order",))
+    for v in columns:
+        waves = v.waves(v.periods(1.0))[:, :, rows].reshape(-1, len(rows)).T
+        for sign, names in ((None, (v.name,)), (d, (v.name, "direction"))):
+            if sign is None and names[-1] == "direction":
+                continue
+            ones = np.ones(len(rows)) if sign is None else sign[rows]
+            design = np.column_stack([ones, waves * ones[:, None]])
+            design = design[:, np.ptp(design, axis=0) + np.abs(design[0]) > 0.0]
+            rest = len(rows) - np.linalg.matrix_rank(design)
+            if rest < 3:
+                continue
+            left = off - design @ np.linalg.lstsq(design, off, rcond=None)[0]
+            width = len(rows) - rest
+            explained = float(off @ off - left @ left)
+            ratio = explained / width / max(float(left @ left) / rest, 1e-300)
+            chance = float(fdtrc(width, rest, ratio)) * (1 if v.name == "target_mm" else 2 * len(columns))
+            best = min(best, (chance, names))
+    return best[1]
+
+
+def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | None:
+    """The rows hit at random by a cause along the position x, from what `beside_the_bulk` returns; None where chance does as much."""
+    if size <= 0.0:
+        return None
+    z = np.clip(off / size, -AMPLITUDES[-1], AMPLITUDES[-1])
     signs, prior = _sign_waves(x, d)
-    trials, ratios = tuple(itertools.product(AMPLITUDES, SHARES)), []
-    for amplitude, share in trials:
-        wave = amplitude * signs
+    trials, ratios = tuple(itertools.product(AMPLITUDES, SHARES, AGAINST)), []
+    for amplitude, share, against in trials:
+        wave = np.exp(amplitude * signs * z)
         bare = share * np.exp(-0.5 * amplitude**2)
-        hit = np.log1p(bare * np.exp(wave * z) - share) - np.log1p(bare * np.cosh(amplitude * z) - share)
+        follows = (1.0 - against) * wave + against / wave
+        hit = np.log1p(bare * follows - share) - np.log1p(bare * np.cosh(amplitude * z) - share)
         ratios.append(np.sum(hit, axis=1))
     log_ratio = np.array(ratios)
     probability = float(np.exp(min(np.log(len(ratios)) - logsumexp(log_ratio, b=prior), 0.0)))
     if probability >= policy().false_hits:
         return None
     which, best = np.unravel_index(int(np.argmax(log_ratio + np.log(prior))), log_ratio.shape)
-    amplitude, share = trials[which]
+    amplitude, share, _ = trials[which]
     odds = share / (1.0 - share) * np.exp(amplitude * signs[best] * z - 0.5 * amplitude**2)
     directed = d is not None and best >= len(signs) // 2
     rows = np.flatnonzero(odds > 1.0).astype(np.int64)

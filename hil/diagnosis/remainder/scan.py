@@ -27,10 +27,16 @@ COARSE, STEP = 3.5, 0.5
 """Most periods along a column, and the step between them: 1, 2 and 3.5 periods found 22, 29 and 30 of 30 causes of one set."""
 FINE_POSITION, FINE_TIME = 16.0, 12.0
 """The same along position and along time, together."""
+FINER_POSITION, COARSER = 8.0, 2.0
+"""The same along the position where up to so few along another column multiply it: a part that turns, and what changes its error."""
 FEW_LEVELS = 8
 """Distinct values up to which a column is set in steps."""
 RESCORED = 25
 """Best groups that are tested under every noise model nearly as good."""
+WORSE = 12.0
+"""-log10 of a probability by which a group may be behind the best of its batch to stand for its columns."""
+GROUPS = 2
+"""Groups that stand for a set of columns."""
 LEFT = 1e-4
 """Share of a product's squared norm that must be left beside the null; single precision resolves no less."""
 BATCH = 1024
@@ -99,10 +105,14 @@ class Group:
 
 @dataclass(frozen=True)
 class Scan:
-    """The best groups with -log10 of their probability in noise, best first, and the number of groups tested."""
+    """The best groups with -log10 of their probability in noise, best first, and the number of groups tested.
+
+    by_columns: the best groups of each set of columns, at most GROUPS, the best set first
+    """
 
     best: tuple[tuple[Group, float], ...]
     tested: int
+    by_columns: tuple[tuple[Group, ...], ...]
 
     @property
     def score(self) -> float:
@@ -112,16 +122,17 @@ class Scan:
 
 def variables(campaign: CampaignRows) -> tuple[Variable, ...]:
     """The columns that vary and may carry something."""
-    found = []
-    for name in usable_columns(campaign):
-        values = campaign.columns[name]
-        low, high = np.quantile(values, (0.02, 0.98))
-        if high <= low:
-            low, high = float(np.min(values)), float(np.max(values))
-        u = (values - low) / (high - low)
-        levels = np.unique(np.round(u, 3))
-        found.append(Variable(name, u, tuple(levels.tolist()) if len(levels) <= FEW_LEVELS else ()))
-    return tuple(found)
+    return tuple(scaled(name, campaign.columns[name]) for name in usable_columns(campaign))
+
+
+def scaled(name: str, values: Floats) -> Variable:
+    """A column that varies, from its values (n,)."""
+    low, high = np.quantile(values, (0.02, 0.98))
+    if high <= low:
+        low, high = float(np.min(values)), float(np.max(values))
+    u = (values - low) / (high - low)
+    levels = np.unique(np.round(u, 3))
+    return Variable(name, u, tuple(levels.tolist()) if len(levels) <= FEW_LEVELS else ())
 
 
 def scan(null: Null, columns: Sequence[Variable]) -> Scan:
@@ -129,6 +140,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None
     found: list[tuple[float, Group]] = []
+    sets: dict[tuple[str, str, bool], list[tuple[float, Group]]] = {}
     tested = 0
     weight = (1.0 / null.scale).astype(np.float32)
     for groups, design in _batches(columns, d):
@@ -137,6 +149,10 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         top = np.argsort(-scores)[:RESCORED]
         found.extend((float(scores[i]), groups[i]) for i in top)
         found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
+        for i in np.flatnonzero(scores > np.max(scores) - WORSE):
+            one = groups[i]
+            key = one.first.name, one.second.name if one.second else "", one.with_direction
+            sets.setdefault(key, []).append((float(scores[i]), one))
     known = float(np.log10(max(tested, 1)))
     scores = np.array([score for score, _ in found])
     for width in (2, 4):
@@ -148,7 +164,9 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         for projection in null.nearly_as_good:
             scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked))
     best = [(group, float(score) - known) for (_, group), score in zip(found, scores, strict=True)]
-    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tested)
+    ordered = [sorted(own, key=lambda pair: -pair[0])[:GROUPS] for own in sets.values()]
+    by_columns = [tuple(group for _, group in own) for own in sorted(ordered, key=lambda own: -own[0][0])]
+    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tested, tuple(by_columns))
 
 
 def log10_probability(projection: Projection, design: Singles) -> Floats:
@@ -200,14 +218,36 @@ def _batches(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[li
                 ka, kb = (k if v.levels else k[k <= COARSE] for v, k in ((a, ka), (b, kb)))
             if not len(ka) or not len(kb):
                 continue
-            product = wa[: len(ka), None, :, None] * (wb[: len(kb), None, :] * sign)[None]
-            groups += [Group(a, float(i), b, float(j), with_direction=directed) for i, j in itertools.product(ka, kb)]
-            parts.append(product.reshape(len(ka) * len(kb), 4, -1))
+            more = [] if directed or both_fine else _finer(a, waves[a.name], b, waves[b.name])
+            for (i, wi), (j, wj) in [((ka, wa[: len(ka)]), (kb, wb[: len(kb)])), *more]:
+                product = wi[:, None, :, None] * (wj[:, None, :] * sign)[None]
+                groups += [Group(a, float(m), b, float(n), with_direction=directed) for m, n in itertools.product(i, j)]
+                parts.append(product.reshape(len(i) * len(j), 4, -1))
             if len(groups) >= BATCH:
                 yield groups, np.concatenate(parts)
                 groups, parts = [], []
         if groups:
             yield groups, np.concatenate(parts)
+
+
+Waves = tuple[Floats, Singles]
+
+
+def _finer(a: Variable, first: Waves, b: Variable, second: Waves) -> list[tuple[Waves, Waves]]:
+    """The waves of two columns of which one is the position, finer along that one than the products of all columns are."""
+    if "target_mm" not in (a.name, b.name):
+        return []
+
+    def taken(v: Variable, own: Waves) -> Waves:
+        k, w = own
+        if v.name == "target_mm":
+            which = (k > COARSE) & (k <= FINER_POSITION)
+        else:
+            which = np.ones(len(k), dtype=np.bool_) if v.levels else k <= COARSER
+        return k[which], w[which]
+
+    pair = taken(a, first), taken(b, second)
+    return [pair] if len(pair[0][0]) and len(pair[1][0]) else []
 
 
 def _fine(variable: Variable) -> float:

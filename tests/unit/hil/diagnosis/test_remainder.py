@@ -15,7 +15,7 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.diagnose import exceeds_repeats
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.remainder import LeftOver, left_over
-from hil.diagnosis.remainder.hits import hit_rows
+from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import scan, variables
 from hil.diagnosis.result import Carrier, Finding, NoiseParts
@@ -191,8 +191,45 @@ def test_large_rows_of_random_sign_are_noise(draws: str) -> None:
         )
         y = NOISE_UM * np.where(large, np.clip(tails, -15.0, 15.0), rng.normal(size=len(campaign)))
         null = Null.of(searcher.linear, y, searcher.always, noise)
-        taken += hit_rows(null, x, campaign.d) is not None
+        taken += hit_rows(x, campaign.d, *beside_the_bulk(null, y)) is not None
     assert taken <= 2
+
+
+@pytest.mark.parametrize(("degrees", "most"), [(2, 1), (3, 0)])
+def test_rows_far_off_are_noticed_whatever_their_signs_and_heavy_tails_are_not(degrees: int, most: int) -> None:
+    """One row in twelve ten standard deviations off, up or down at random; then Student's t, which has no variance at 2."""
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
+    columns = variables(campaign)
+    n, heavy = len(campaign), 0
+    for seed in range(8):
+        rng = np.random.default_rng([seed, 12])
+        rows = rng.random(n) < 1.0 / 12.0
+        y = rng.normal(size=n) + np.where(rows, 10.0 * np.sign(rng.normal(size=n)), 0.0)
+        null = Null.of(searcher.linear, y, searcher.always, start_noise(campaign))
+        found = gross_rows(null, *beside_the_bulk(null, y), columns)
+        assert found is not None
+        assert len({*found.rows} ^ {*np.flatnonzero(rows)}) <= 3
+        tails = rng.standard_t(degrees, n)
+        null = Null.of(searcher.linear, tails, searcher.always, start_noise(campaign))
+        heavy += gross_rows(null, *beside_the_bulk(null, tails), columns) is not None
+    assert heavy <= most
+
+
+def test_the_column_that_rows_far_off_follow_is_named() -> None:
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
+    rng = np.random.default_rng(4)
+    n = len(campaign)
+    rows = rng.random(n) < 0.1
+    for name in ("load_kg", "target_mm"):
+        values = campaign.columns[name]
+        along = np.where(values > np.mean(values), 1.0, -1.0)
+        y = rng.normal(size=n) + np.where(rows, 12.0 * along, 0.0)
+        null = Null.of(searcher.linear, y, searcher.always, start_noise(campaign))
+        found = gross_rows(null, *beside_the_bulk(null, y), variables(campaign))
+        assert found is not None
+        assert found.columns[0] == name
 
 
 def test_a_function_of_another_column_takes_the_place_of_the_effect_it_resembles() -> None:
@@ -206,10 +243,13 @@ def test_a_function_of_another_column_takes_the_place_of_the_effect_it_resembles
 
 def test_rows_that_vary_far_more_than_their_repeats_are_unexplained() -> None:
     noise = NoiseParts(1.0, 0.0, 0.0, 0.0)
-    close, far = (PureError(Estimate(um, 0.1 * um), 8, True) for um in (0.6, 0.2))
+    close, far = (PureError(Estimate(um, 0.1 * um), 8, "", np.arange(16)) for um in (0.6, 0.2))
     assert not exceeds_repeats(None, noise)
     assert not exceeds_repeats(close, noise), "eight degrees of freedom do not tell 0.6 from 1"
     assert exceeds_repeats(far, noise)
+    assert not exceeds_repeats(far, noise, 0.2), (
+        "the rows that were repeated stood still, and moving ones have five times the noise"
+    )
 
 
 def test_a_jump_from_one_run_to_the_next_may_be_anything_that_was_set_there() -> None:
