@@ -54,6 +54,26 @@ def test_a_new_password_is_asked_for_twice_with_what_it_has_to_be(
     assert "at least 15 characters" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("variable", [READING, KEY])
+def test_a_password_that_is_chosen_now_is_not_said_to_have_been_chosen(
+    variable: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Keyboard(monkeypatch, "a long enough one", "a long enough one")
+    assert password(None, variable, "password of the new key", {}, new=True) == "a long enough one"
+    told = capsys.readouterr().err
+    assert "will open" in told
+    assert "chosen with" not in told
+    assert "whoever made them" not in told
+
+
+def test_a_new_password_that_is_too_short_is_refused_before_it_is_asked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Keyboard(monkeypatch, "short")
+    with pytest.raises(InputError, match="has 5 characters, 5 of them different: expected at least 15"):
+        password(None, KEY, "password of the new key", {}, new=True)
+
+
 def test_a_wrong_password_says_where_it_was_taken_from() -> None:
     """The environment goes before the file that the axis file names: without this nobody would look for it there."""
     args = {"axis": "x.toml", "password_file": None, "key_password_file": None}
