@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -81,25 +82,60 @@ def number(value: float | None, decimals: int = 2) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
 
 
+def from_here(path: Path) -> str:
+    """A path as it is typed in the working directory; whole where it lies elsewhere."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
 def times(count: int) -> str:
     """ "once", "twice", "3 times" …"""
     return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 def print_table(
-    columns: Sequence[str | tuple[str, Align]], rows: Iterable[Sequence[str]], title: str | None = None
+    columns: Sequence[str | tuple[str, Align]],
+    rows: Iterable[Sequence[str]],
+    title: str | None = None,
+    *,
+    paths: str | None = None,
 ) -> None:
-    """A table on standard output. The first column is left aligned, the others right, unless a column says otherwise."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for index, column in enumerate(columns):
-        name, align = column if isinstance(column, tuple) else (column, "right" if index else "left")
-        table.add_column(name, justify=align, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
+    """A table on standard output. The first column is left aligned, the others right, unless a column says otherwise.
+
+    paths: a column of paths, broken between their names alone; the other columns wrap first
+    """
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, emoji=False, width=_pipe_width())
+    cells = [list(row) for row in rows]
+    named = [
+        column if isinstance(column, tuple) else (column, "right" if i else "left") for i, column in enumerate(columns)
+    ]
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    if paths is not None:
+        at = [name for name, _ in named].index(paths)
+        others = sum(_longest_word([name, *(row[i] for row in cells)]) for i, (name, _) in enumerate(named) if i != at)
+        room = console.width - 3 * len(named) - 1 - others
+        for row in cells:
+            row[at] = _between_names(row[at], room)
+    for name, align in named:
+        table.add_column(name, justify=align, overflow="fold", no_wrap=name == paths)
+    for row in cells:
+        table.add_row(*row)
     console.print(table)
+
+
+def _longest_word(texts: Sequence[str]) -> int:
+    return max(len(word) for text in texts for word in text.split() or [""])
+
+
+def _between_names(path: str, room: int) -> str:
+    """A path on as many lines as `room`, characters, asks for, each but the last ended by its "/"."""
+    lines = [""]
+    for part in re.findall(r"[^/]*/|[^/]+$", path):
+        if lines[-1] and len(lines[-1]) + len(part) > room:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def _pipe_width() -> int:
