@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import Any, Literal, TextIO
 
 from rich import box
 from rich.console import Console
@@ -147,8 +147,28 @@ def binding_facts(binding: Binding | None) -> dict[str, str]:
     """The binding of a sealed file, name -> text: number and date of resealings, and what it belongs to."""
     if binding is None:
         return {"bound to": "nothing: the file was made before sealed files stated what they belong to"}
-    of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"
-    return {"counter": str(binding.counter), "resealed": binding.date, "bound to": of}
+    told = {"counter": str(binding.counter), "resealed": binding.date}
+    axes = binding.of.get("axes")
+    if not isinstance(axes, Mapping) or len(binding.of) != 1:
+        of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"
+        return {**told, "bound to": of}
+    return told | {f"bound to {name}": _bound(of) for name, of in sorted(axes.items())}
+
+
+def _bound(of: Any) -> str:
+    """What the tables of an axis belong to: its zero, its drive, and how many settings of the drive; all of it is in --json."""
+    zero = _mapping(_mapping(of).get("zero"))
+    drive = _mapping(zero.get("drive"))
+    parts = [f"the zero of {zero['made']}" if zero.get("made") else ""]
+    parts.append("the drive with " + ", ".join(f"{name} {value}" for name, value in drive.items()) if drive else "")
+    settings = sum(len(_mapping(group)) for group in _mapping(_mapping(of).get("made_with")).values())
+    parts.append(f"{settings} settings of the drive as they were" if settings else "")
+    return ", ".join(part for part in parts if part) or "no zero and no drive"
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    """The value where it is a mapping; else an empty one: a file's header may hold anything."""
+    return value if isinstance(value, Mapping) else {}
 
 
 def print_facts(facts: Mapping[str, str]) -> None:

@@ -102,7 +102,7 @@ def password(
 ) -> str:
     """One password: from `file`, else the environment's `variable`, else the file `usual`, else asked for (`new`: twice).
 
-    Raises InputError where there is none, for an empty one, and for a new one that is typed and too weak.
+    Raises InputError where there is none, for an empty one, and for one of a new key that is typed and too weak.
     """
     if file is not None:
         return read_password_file(file)
@@ -123,7 +123,7 @@ def password(
     first = asked(f"{what}: ", what)
     if not first:
         raise InputError(f"{what} is empty, expected at least one character")
-    if new:
+    if new and variable == KEY:  # a reading password may be that of entries that exist, which `hil seal --update` keeps
         require_strong(first, what)
     if new and asked(f"{what}, again: ", what) != first:
         raise InputError(f"{what}: the two entries differ")
