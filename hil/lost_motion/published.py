@@ -41,8 +41,9 @@ class BesidePublished:
         first = sum(move.branch == 1 for move in self.moves)
         scaled = sum(move.stroke_mm < self.form.onset_2_mm for move in self.moves)
         return (
-            f"in these moves up to {self.apart_um:.2f} µm from the running form, steps of up to {self.step_um:.2f} µm at a reversal"
-            f" ({first} of {len(self.moves)} moves by |Pbm| < Pc2, {scaled} after a stroke shorter than b2)"
+            f"for comparison, not in force: the two tanh terms of the published document would correct these {len(self.moves)} moves"
+            f" differently by up to {self.apart_um:.2f} µm, and step by up to {self.step_um:.2f} µm at a reversal"
+            f" ({first} by its case for a small last correction, {scaled} after a stroke too short for its second term)"
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
-from hil.app.terminal.output import Align, add_json_option, number, print_facts, print_table, write_json
+from hil.app.terminal.output import Align, add_json_option, from_here, number, print_facts, print_table, write_json
 from hil.app.terminal.resume_hints import resume_command, state_of
 from hil.correction.formats import wide_iso
 from hil.figures.history import (
@@ -98,19 +98,19 @@ def _list(args: argparse.Namespace) -> int:
             one.kind,
             str(len(one.passes)),
             str(sum(_rows(part) for part in one.passes)),
-            str(one.directory),
+            from_here(one.directory),
             state_of(one) or "–",
         ]
         for one in campaigns
     ]
     heads: list[str | tuple[str, Align]] = ["begun", ("axis", "left"), ("kind", "left"), "passes", "rows"]
     if rows:
-        print_table([*heads, ("campaign", "left"), ("state", "left")], rows)
+        print_table([*heads, ("campaign", "left"), ("state", "left")], rows, paths="campaign")
     else:
         print(f"no campaign below {', '.join(map(str, args.places))}")
     for one in campaigns:
         if said := resume_command(one).sentence():
-            print(f"{one.directory}: {said}")
+            print(f"{from_here(one.directory)}: {said}")
     if args.json:
         write_json(args.json, {"campaigns": [_campaign_form(one) for one in campaigns]})
     return 0

@@ -161,11 +161,12 @@ def _dcc(shown: Shown) -> Figures:
     ns = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
     root = ElementTree.fromstring(shown.dcc)
     values, known = {}, {}
-    for quantity in root.iterfind(".//dcc:quantity[@id]", ns):
-        if quantity.find("si:real", ns) is not None:
+    for quantity in root.iterfind(".//dcc:quantity", ns):
+        _, own, name = str(quantity.get("refType")).partition(" hil_")
+        if own and quantity.find("si:real", ns) is not None:
             assert quantity.findtext("si:real/si:unit", "", ns) == r"\micro\metre"
-            values[str(quantity.get("id"))] = float(quantity.findtext("si:real/si:value", "", ns))
-            known[str(quantity.get("id"))] = float(quantity.findtext("si:real/si:expandedUnc/si:uncertainty", "", ns))
+            values[name] = float(quantity.findtext("si:real/si:value", "", ns))
+            known[name] = float(quantity.findtext("si:real/si:expandedUnc/si:uncertainty", "", ns))
     return _rounded(values, known) | {"decision": root.findtext(".//dcc:conformity", "", ns)}
 
 

@@ -34,6 +34,9 @@ from hil.lost_motion.circle.figures import Trace
 from hil.lost_motion.circle.report import CircleReport, polar_plot
 from hil.records.rows import Floats, Records
 
+NOT_RECORDED = "not recorded with the measurement"
+"""What a certificate says of an environment that its records do not hold."""
+
 UNITS: Mapping[str, str] = MappingProxyType(
     {
         "µm": r"\micro\metre",
@@ -381,7 +384,7 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
                     for name, text in certificate.setup.items()
                     if name not in ("Travel", "Drive", "Instrument")
                 },
-                **certificate.surroundings,
+                **(certificate.surroundings or ({} if certificate.conditions else {"Environment": NOT_RECORDED})),
             }
         ),
         Heading("How"),

@@ -5,8 +5,8 @@ Elements and their order are those of PTB's schema `dcc.xsd` (namespace https://
 no empty text, a unit of the D-SI, a finite number. `schema_errors` holds a file against the schema itself, where it is on
 the computer: it is neither in this package nor in one of a registry.
 
-Each figure is a quantity with `id` and `refType`, `basic_measuredValue` for what was measured and `basic_parameter` for
-targets.
+Each figure is a quantity with two words as `refType`: `basic_measuredValue` for what was measured or `basic_parameter` for targets,
+and the figure's own, such as `hil_A`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from drivers.errors import InputError
-from hil.app.report.certificate import UNITS, Certificate, Stated
+from hil.app.report.certificate import NOT_RECORDED, UNITS, Certificate, Stated
 from hil.axis.certificate import Device, Party
 from hil.figures.uncertainty import CONFORMITY_RULE, Conformity
 
@@ -87,13 +87,18 @@ def _identified(parent: ET.Element, issuer: str, value: str, name: str) -> None:
     _named(one, "name", name)
 
 
+def _software(parent: ET.Element) -> None:
+    """This program. PTB's rules of good practice want a letter before the numbers of a release."""
+    software = _add(parent, "software")
+    _named(software, "name", "hil")
+    _add(software, "release", f"v{version('hil')}")
+    _add(software, "type", "application")
+
+
 def _administrative(root: ET.Element, certificate: Certificate) -> None:
     config = certificate.config
     data = _add(root, "administrativeData")
-    software = _add(_add(data, "dccSoftware"), "software")
-    _named(software, "name", "hil")
-    _add(software, "release", version("hil"))
-    _add(software, "type", "application")
+    _software(_add(data, "dccSoftware"))
 
     core = _add(data, "coreData")
     _add(core, "countryCodeISO3166_1", config.laboratory.country)
@@ -146,9 +151,14 @@ def _result(result: ET.Element, certificate: Certificate) -> None:
     _named(method, "name", f"{certificate.standard}, {certificate.clauses}")
     _named(method, "description", certificate.method)
     _add(method, "norm", certificate.standard)
+    _software(_add(result, "usedSoftware"))
     _equipment(result, certificate)
-    if certificate.conditions:
-        conditions = _add(result, "influenceConditions")
+    conditions = _add(result, "influenceConditions")
+    if not certificate.conditions:  # PTB's rules do not accept a certificate that is silent about them
+        condition = _add(conditions, "influenceCondition")
+        _named(condition, "name", "environment")
+        _named(_add(condition, "data"), "text", NOT_RECORDED)
+    else:
         for name, (unit, low, high) in certificate.conditions.items():
             condition = _add(conditions, "influenceCondition", refType=_ref(name))
             _named(condition, "name", name)
@@ -169,7 +179,7 @@ def _result(result: ET.Element, certificate: Certificate) -> None:
         rows = _add(_add(series, "data"), "list", refType="basic_tableContent")
         for index, (name, (unit, values)) in enumerate(certificate.series.columns.items()):
             kind = "basic_parameter" if index == 0 else "basic_measuredValue"
-            quantity = _add(rows, "quantity", id=_ref(f"series {name}"), refType=kind)
+            quantity = _add(rows, "quantity", refType=f"{kind} {_own(name)}")
             _named(quantity, "name", name)
             _real_list(quantity, values.tolist(), unit)
 
@@ -190,7 +200,7 @@ def _equipment(result: ET.Element, certificate: Certificate) -> None:
 
 
 def _quantity(data: ET.Element, one: Stated) -> None:
-    quantity = _add(data, "quantity", id=_ref(one.symbol), refType="basic_measuredValue")
+    quantity = _add(data, "quantity", refType=f"basic_measuredValue {_own(one.symbol)}")
     _named(quantity, "name", one.symbol)
     _named(quantity, "description", one.meaning)
     _real(quantity, one.value, one.unit, one.expanded)
@@ -239,6 +249,11 @@ def _real_list(parent: ET.Element, values: Sequence[float], unit: str) -> None:
     real = ET.SubElement(parent, f"{{{SI}}}realListXMLList")
     _si(real, "valueXMLList", " ".join(map(number, values)))
     _si(real, "unitXMLList", unit_of(unit))
+
+
+def _own(name: str) -> str:
+    """The type of a quantity in this program's namespace. No id: by PTB's rules of good practice one is there to be referred to."""
+    return f"hil_{_ref(name)}"
 
 
 def _ref(name: str) -> str:

@@ -7,11 +7,12 @@ import io
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import Any, Literal, TextIO
 
 from rich import box
 from rich.console import Console
@@ -81,25 +82,60 @@ def number(value: float | None, decimals: int = 2) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
 
 
+def from_here(path: Path) -> str:
+    """A path as it is typed in the working directory; whole where it lies elsewhere."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
 def times(count: int) -> str:
     """ "once", "twice", "3 times" …"""
     return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 def print_table(
-    columns: Sequence[str | tuple[str, Align]], rows: Iterable[Sequence[str]], title: str | None = None
+    columns: Sequence[str | tuple[str, Align]],
+    rows: Iterable[Sequence[str]],
+    title: str | None = None,
+    *,
+    paths: str | None = None,
 ) -> None:
-    """A table on standard output. The first column is left aligned, the others right, unless a column says otherwise."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for index, column in enumerate(columns):
-        name, align = column if isinstance(column, tuple) else (column, "right" if index else "left")
-        table.add_column(name, justify=align, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
+    """A table on standard output. The first column is left aligned, the others right, unless a column says otherwise.
+
+    paths: a column of paths, broken between their names alone; the other columns wrap first
+    """
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, emoji=False, width=_pipe_width())
+    cells = [list(row) for row in rows]
+    named = [
+        column if isinstance(column, tuple) else (column, "right" if i else "left") for i, column in enumerate(columns)
+    ]
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    if paths is not None:
+        at = [name for name, _ in named].index(paths)
+        others = sum(_longest_word([name, *(row[i] for row in cells)]) for i, (name, _) in enumerate(named) if i != at)
+        room = console.width - 3 * len(named) - 1 - others
+        for row in cells:
+            row[at] = _between_names(row[at], room)
+    for name, align in named:
+        table.add_column(name, justify=align, overflow="fold", no_wrap=name == paths)
+    for row in cells:
+        table.add_row(*row)
     console.print(table)
+
+
+def _longest_word(texts: Sequence[str]) -> int:
+    return max(len(word) for text in texts for word in text.split() or [""])
+
+
+def _between_names(path: str, room: int) -> str:
+    """A path on as many lines as `room`, characters, asks for, each but the last ended by its "/"."""
+    lines = [""]
+    for part in re.findall(r"[^/]*/|[^/]+$", path):
+        if lines[-1] and len(lines[-1]) + len(part) > room:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def _pipe_width() -> int:
@@ -111,8 +147,28 @@ def binding_facts(binding: Binding | None) -> dict[str, str]:
     """The binding of a sealed file, name -> text: number and date of resealings, and what it belongs to."""
     if binding is None:
         return {"bound to": "nothing: the file was made before sealed files stated what they belong to"}
-    of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"
-    return {"counter": str(binding.counter), "resealed": binding.date, "bound to": of}
+    told = {"counter": str(binding.counter), "resealed": binding.date}
+    axes = binding.of.get("axes")
+    if not isinstance(axes, Mapping) or len(binding.of) != 1:
+        of = json.dumps(binding.of, sort_keys=True, ensure_ascii=False) if binding.of else "nothing"
+        return {**told, "bound to": of}
+    return told | {f"bound to {name}": _bound(of) for name, of in sorted(axes.items())}
+
+
+def _bound(of: Any) -> str:
+    """What the tables of an axis belong to: its zero, its drive, and how many settings of the drive; all of it is in --json."""
+    zero = _mapping(_mapping(of).get("zero"))
+    drive = _mapping(zero.get("drive"))
+    parts = [f"the zero of {zero['made']}" if zero.get("made") else ""]
+    parts.append("the drive with " + ", ".join(f"{name} {value}" for name, value in drive.items()) if drive else "")
+    settings = sum(len(_mapping(group)) for group in _mapping(_mapping(of).get("made_with")).values())
+    parts.append(f"{settings} settings of the drive as they were" if settings else "")
+    return ", ".join(part for part in parts if part) or "no zero and no drive"
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    """The value where it is a mapping; else an empty one: a file's header may hold anything."""
+    return value if isinstance(value, Mapping) else {}
 
 
 def print_facts(facts: Mapping[str, str]) -> None:

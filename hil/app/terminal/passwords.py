@@ -13,16 +13,22 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from hil.correction.sealed.errors import WrongKeyPasswordError, WrongPasswordError
-from hil.correction.sealed.keys import NEW_CHARACTERS
+from hil.correction.sealed.keys import NEW_CHARACTERS, require_strong
 from hil.records.files import split_lines
 
 READING = "HIL_PASSWORD"
 KEY = "HIL_KEY_PASSWORD"
 MEANING = {
     READING: "opens the sealed tables; whoever made them chose it (`hil demo` writes its own to hil-demo/password)",
-    KEY: "opens the builder's private key, with which new tables are signed; it was chosen with `hil sign --new-key`",
+    KEY: "opens the builder's private key, with which tables, reports and certificates are signed; it was chosen with"
+    " `hil sign --new-key`",
 }
 """What each password is for, told where it is asked for."""
+NEW_MEANING = {
+    READING: "will open the sealed file",
+    KEY: "will open the builder's private key, with which tables, reports and certificates are signed",
+}
+"""The same of a password that is chosen now."""
 
 
 def add_reading_options(parser: argparse.ArgumentParser) -> None:
@@ -96,7 +102,7 @@ def password(
 ) -> str:
     """One password: from `file`, else the environment's `variable`, else the file `usual`, else asked for (`new`: twice).
 
-    Raises InputError where there is none, or for an empty one.
+    Raises InputError where there is none, for an empty one, and for one of a new key that is typed and too weak.
     """
     if file is not None:
         return read_password_file(file)
@@ -104,18 +110,21 @@ def password(
         return environment[variable]
     if usual is not None:
         return read_password_file(usual)
+    meaning = (NEW_MEANING if new else MEANING)[variable]
     if not sys.stdin.isatty():
         option = "--key-password-file" if variable == KEY else "--password-file"
-        raise InputError(f"no {what}: give {option} FILE or set {variable}; it {MEANING[variable]}")
-    print(f"the {what} {MEANING[variable]}", file=sys.stderr)
+        raise InputError(f"no {what}: give {option} FILE or set {variable}; it {meaning}")
+    print(f"the {what} {meaning}", file=sys.stderr)
     if new:
         print(
-            f"nothing is sealed with it yet: choose one of at least {NEW_CHARACTERS} characters, and keep it",
+            f"choose one of at least {NEW_CHARACTERS} characters, and keep it: a lost password cannot be recovered",
             file=sys.stderr,
         )
     first = asked(f"{what}: ", what)
     if not first:
         raise InputError(f"{what} is empty, expected at least one character")
+    if new and variable == KEY:  # a reading password may be that of entries that exist, which `hil seal --update` keeps
+        require_strong(first, what)
     if new and asked(f"{what}, again: ", what) != first:
         raise InputError(f"{what}: the two entries differ")
     return first

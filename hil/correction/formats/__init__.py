@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from drivers.errors import InputError
 from hil.correction.formats import (
     fanuc,
@@ -25,7 +27,7 @@ from hil.correction.formats import (
     twincat,
     wide_iso,
 )
-from hil.correction.formats.common import Export
+from hil.correction.formats.common import Export, enough
 from hil.correction.tables import TableSet
 from hil.records.rows import Records
 
@@ -52,31 +54,36 @@ class Measurement:
 def export_within(controller: Controller, tables: TableSet, settings: Any) -> Export:
     """A controller's file that deviates from the tables by no more than `settings.tolerance_um`, resampling and rounding together.
 
-    A format's own tolerance is of the resampling alone; it is narrowed until the whole keeps what was asked for. Raises InputError
-    where the format cannot keep it, with what it does reach.
+    A format's own tolerance is of its parts; that of the resampling is narrowed until the whole keeps what was asked for. Raises
+    InputError where the format cannot keep it, with the least deviation found: asked for, that one is kept.
     """
     asked = settings.tolerance_um
-    best: Export | None = None
-    for share in _SHARES:
+    part = "resampling_um" if hasattr(settings, "resampling_um") else "tolerance_um"
+    best_um, refused = np.inf, None
+    for resampling_um in (asked, *(step for step in _RESAMPLING_UM if step < asked)):
         try:
-            made = controller.export(tables, replace(settings, tolerance_um=share * asked))
-        except InputError:
-            if best is None:
-                raise
-            break
-        if best is None or made.deviation_um < best.deviation_um:
-            best = made
+            made = controller.export(tables, replace(settings, **{part: resampling_um}))
+        except InputError as error:
+            refused = refused or error
+            if np.isfinite(best_um):  # narrower still needs more points than fit
+                break
+            continue
         if made.deviation_um <= asked + _ROUNDING_UM:
             return made
-    reached = "" if best is None else f" The best it reaches is {best.deviation_um:.3f} µm."
+        if resampling_um < asked:  # a step of the ladder, which is tried for each larger tolerance too
+            best_um = min(best_um, made.deviation_um)
+    if refused is not None and not np.isfinite(best_um):
+        raise refused
+    reached = f" The best it reaches is {enough(best_um)} µm." if np.isfinite(best_um) else ""
     raise InputError(
-        f"{controller.name} cannot keep {asked:g} µm: its values are rounded to steps, which resampling adds to.{reached}"
-        " Allow that (tolerance_um), or choose finer steps of the format"
+        f"{controller.name} cannot keep {asked:g} µm: rounding to its steps, the distance of its points and, with one table for"
+        f" both directions, a constant backlash add up to more.{reached} Allow that (tolerance_um), or choose finer steps of the"
+        " format"
     )
 
 
-_SHARES = (1.0, 0.7, 0.5, 0.3, 0.1)
-"""Shares of the tolerance that resampling may use, tried in this order: the widest points that keep it are written."""
+_RESAMPLING_UM = tuple(10.0 * 0.85**step for step in range(43))
+"""Deviations by resampling that are tried, µm, 10 to 0.01: the widest points with which the whole keeps the tolerance are written."""
 _ROUNDING_UM = 1e-9
 """Of the comparison itself."""
 

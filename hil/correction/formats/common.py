@@ -100,7 +100,7 @@ def anchored(
     if abs(value) > tolerance_um and not allow_shift:
         raise InputError(
             f"the correction at the reference point {reference_mm:g} mm is {value:.3f} µm and the format needs zero there;"
-            f" name a reference where it is zero, or allow the shift (allow_shift): the axis as a whole then stands"
+            f" name a reference where it is zero (reference_mm), or allow the shift (allow_shift): the axis as a whole then stands"
             f" {-value:+.3f} µm elsewhere"
         )
     return shifted(table, -value), value
@@ -122,7 +122,8 @@ def one_directional(table: DirectionalTable, tolerance_um: float) -> tuple[Singl
     if (high - low) / 4 > tolerance_um:
         raise InputError(
             f"the two directions differ by {low:.3f} to {high:.3f} µm along the axis, and one table with one backlash holds a"
-            f" constant; export both directions, or allow a deviation (tolerance_um) of {enough((high - low) / 4)}"
+            f" constant; export both directions where the format has two tables, or allow a deviation (tolerance_um) of"
+            f" {enough((high - low) / 4)} and what points and rounding add"
         )
     backlash = (low + high) / 2
     return SingleTable(table.position_mm, (table.plus_um + table.minus_um + backlash) / 2), backlash

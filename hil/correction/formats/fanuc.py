@@ -65,9 +65,10 @@ class FanucSettings:
     first_number: lowest point number that is free for this axis
     reference_mm: machine coordinate of the reference position; reference_direction: direction of reference return, +1 or -1
     allow_shift: whether the correction at the reference position may be subtracted from the whole table
-    step_mm: interval 3624; None: the widest that keeps tolerance_um; setting_unit_mm: unit of 3624 (0.001 mm with IS-B)
+    step_mm: interval 3624; None: the widest that keeps the tolerance of resampling; setting_unit_mm: unit of 3624 (0.001 mm with IS-B)
     rapid_mm_min: highest feed of the axis; None: the interval is not checked against feed/7500
-    tolerance_um: largest deviation from the tables by resampling
+    tolerance_um: largest deviation from the tables by one backlash for both directions, and by resampling where resampling_um is None
+    resampling_um: largest deviation by resampling
     bidirectional: 3605#0; False: one set of points and 1851; bits_3605: the other bits of 3605, which the program writes too
     program: O number of the program
     """
@@ -83,6 +84,7 @@ class FanucSettings:
     setting_unit_mm: float = 0.001
     rapid_mm_min: float | None = None
     tolerance_um: float = 0.1
+    resampling_um: float | None = None
     bidirectional: bool = True
     bits_3605: int = 0
     program: int = 9000
@@ -127,7 +129,7 @@ def export(tables: TableSet, settings: FanucSettings = FanucSettings()) -> Expor
         settings.step_mm,
         resolution_mm=settings.setting_unit_mm,
         max_points=(LAST_NUMBER - settings.first_number) // sets,
-        tolerance_um=settings.tolerance_um,
+        tolerance_um=settings.tolerance_um if settings.resampling_um is None else settings.resampling_um,
         origin_mm=settings.reference_mm,
     )
     _check_interval(interval, settings)

@@ -49,12 +49,15 @@ class Mach4Settings:
     """asymmetric: a map for each way (build 4780 and later); else one map and a backlash.
 
     step_mm: None: the widest that is good enough
+    tolerance_um: largest deviation from the tables by one map for both ways, and by resampling where resampling_um is None
+    resampling_um: largest deviation by resampling
     """
 
     asymmetric: bool = True
     step_mm: float | None = None
     max_points: int = 1000
     tolerance_um: float = 0.1
+    resampling_um: float | None = None
 
     def __post_init__(self) -> None:
         require(self.max_points >= 2, f"number of points is {self.max_points}, expected 2 or more")
@@ -84,7 +87,7 @@ def export(tables: TableSet, settings: Mach4Settings = Mach4Settings()) -> Expor
         settings.step_mm,
         resolution_mm=0.001,
         max_points=settings.max_points,
-        tolerance_um=settings.tolerance_um,
+        tolerance_um=settings.tolerance_um if settings.resampling_um is None else settings.resampling_um,
     )
     mach3 = isinstance(settings, Mach3Settings)
     at, plus, minus = grid.position_mm, grid.plus_um / UM_PER_MM, grid.minus_um / UM_PER_MM

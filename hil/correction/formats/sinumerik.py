@@ -202,8 +202,10 @@ class SinumerikSettings:
     axis: name of the machine axis, such as X1 or AX1; index: that of the first CEC table, or the encoder of an EEC table
     reference_mm, reference_direction: position of the reference point, and direction of its approach (+1, -1): the value there is zero
     allow_shift: whether the correction at the reference point may be subtracted from the whole table
-    step_mm: distance of the points; None: the widest that keeps tolerance_um; max_points: MD38000 (EEC) or MD18342 (CEC)
-    max_correction_um: MD32720 (CEC); tolerance_um: largest deviation from the tables by resampling
+    step_mm: distance of the points; None: the widest that keeps the tolerance of resampling
+    max_points: MD38000 (EEC) or MD18342 (CEC)
+    max_correction_um: MD32720 (CEC); tolerance_um: largest deviation from the tables by one backlash for both
+        directions (EEC), and by resampling where resampling_um is None; resampling_um: largest deviation by resampling
     cross_axis: machine axis that a straightness table corrects (CEC); "": its name in the tables
     """
 
@@ -217,6 +219,7 @@ class SinumerikSettings:
     max_points: int = 200
     max_correction_um: float = 1000.0
     tolerance_um: float = 0.1
+    resampling_um: float | None = None
     cross_axis: str = ""
 
     def __post_init__(self) -> None:
@@ -259,7 +262,7 @@ def _resampled(table: DirectionalTable, settings: SinumerikSettings) -> tuple[Di
         settings.step_mm,
         resolution_mm=RESOLUTION_MM,
         max_points=settings.max_points,
-        tolerance_um=settings.tolerance_um,
+        tolerance_um=settings.tolerance_um if settings.resampling_um is None else settings.resampling_um,
     )
 
 

@@ -90,7 +90,7 @@ class DrivenCircle:
         if abs(after.bump_mean_um - tables.bump_mean_um) <= max(tables.floor_um, after.floor_um):
             return f"{figures}: the two corrections differ by less than the floor"
         better = after.bump_mean_um < tables.bump_mean_um
-        return f"{figures}: on this circle {'it' if better else 'tables alone'} did better"
+        return f"{figures}: on this circle {'the lost motion' if better else 'the tables alone'} did better"
 
     @property
     def uncorrected(self) -> str:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.bench_axis import lay_out
 
 from drivers.errors import InputError
+from hil.app.jobs.identity import identity
 from hil.app.terminal import main as terminal
-from hil.app.terminal.output import print_table, times, write_json
+from hil.app.terminal.axis_options import tell_bench
+from hil.app.terminal.output import binding_facts, print_table, times, write_json
 from hil.app.terminal.passwords import KEY, MEANING, READING, password, password_source
-from hil.correction.sealed import WrongKeyPasswordError, WrongPasswordError
+from hil.axis.axis_file import load_axis
+from hil.correction.sealed import Binding, WrongKeyPasswordError, WrongPasswordError
 from hil.doctor.procedure import Check
 
 
@@ -52,6 +56,28 @@ def test_a_new_password_is_asked_for_twice_with_what_it_has_to_be(
     with pytest.raises(InputError, match="differ"):
         password(None, READING, "reading password", {}, new=True)
     assert "at least 15 characters" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("variable", [READING, KEY])
+def test_a_password_that_is_chosen_now_is_not_said_to_have_been_chosen(
+    variable: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Keyboard(monkeypatch, "a long enough one", "a long enough one")
+    assert password(None, variable, "password of the new key", {}, new=True) == "a long enough one"
+    told = capsys.readouterr().err
+    assert "will open" in told
+    assert "chosen with" not in told
+    assert "whoever made them" not in told
+
+
+def test_a_new_password_that_is_too_short_is_refused_before_it_is_asked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Keyboard(monkeypatch, "short")
+    with pytest.raises(InputError, match="has 5 characters, 5 of them different: expected at least 15"):
+        password(None, KEY, "password of the new key", {}, new=True)
+    Keyboard(monkeypatch, "short", "short")  # of entries that exist, which are sealed again with the password they have
+    assert password(None, READING, "reading password", {}, new=True) == "short"
 
 
 def test_a_wrong_password_says_where_it_was_taken_from() -> None:
@@ -167,6 +193,40 @@ def test_a_table_in_a_pipe_keeps_to_columns(
     monkeypatch.delenv("COLUMNS")
     print_table(["check", ("found", "left")], rows)
     assert max(map(len, capsys.readouterr().out.splitlines())) > 100
+
+
+def test_what_a_sealed_file_is_bound_to_is_said_in_words() -> None:
+    drive = {"vendor": 1249, "product": 1026, "serial": 7}
+    zero = {"made": "2026-11-25T16:38:14+00:00", "drive": drive}
+    axes = {
+        "X": {"zero": zero, "made_with": {"backlash": {}, "units": {"608Fh:01": 1e6, "608Fh:02": 1.0}}},
+        "Y": {},
+        "Z": {"zero": [1]},
+    }
+    facts = binding_facts(Binding(3, "2026-11-26T08:00:00+00:00", {"axes": axes}))
+    assert facts["bound to X"] == (
+        "the zero of 2026-11-25T16:38:14+00:00, the drive with vendor 1249, product 1026, serial 7,"
+        " 2 settings of the drive as they were"
+    )
+    assert facts["bound to Y"] == facts["bound to Z"] == "no zero and no drive"
+    assert "{" not in "".join(facts.values())
+
+
+def test_the_bench_says_that_it_forgets_what_was_written_and_a_drive_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axis = load_axis(lay_out(tmp_path / "axis"))
+    tell_bench(axis)
+    assert "the next one does not find what was written" in capsys.readouterr().out
+    tell_bench(replace(axis, drive=replace(axis.drive, backend="canopen")))
+    assert not capsys.readouterr().out
+
+
+def test_a_drive_on_modbus_is_named_by_its_unit_in_a_report(tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path / "axis"))
+    modbus = replace(axis.drive, backend="modbus", node_id=5, url="tcp://h:502", register_map="leadshine_el7")
+    said = identity(replace(axis, drive=modbus))["Drive"]
+    assert said == "Modbus unit 5 on tcp://h:502, leadshine_el7"
 
 
 def test_a_risk_is_not_called_good() -> None:

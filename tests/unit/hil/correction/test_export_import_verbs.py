@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -287,3 +288,34 @@ def test_the_tolerance_that_was_asked_for_is_kept_or_refused(
     assert kept + refused == 12
     if name == "fanuc" and asked == 0.3:
         assert refused >= 6  # a detection unit of 1 µm rounds by up to 0.5
+
+
+@pytest.mark.parametrize("name", ["fanuc", "sinumerik", "twincat", "linuxcnc", "mach3", "mach4"])
+def test_the_tolerance_that_a_refusal_names_is_kept(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two directions whose difference varies along the axis by 1.2 µm: one map with a constant backlash is off by 0.3 µm at least."""
+    at = np.arange(0.0, 501.0, 2.5)
+    plus = 1.3 * np.sin(2 * np.pi * at / 97.0)
+    minus = plus - 9.0 - 0.6 * np.cos(2 * np.pi * at / 500.0)
+    source, out = tmp_path / "t.csv", tmp_path / "there"
+    curves = "".join(f"{x},{up:.4f},{down:.4f}\n" for x, up, down in zip(at, plus, minus, strict=True))
+    source.write_text(f"position_mm,plus_um,minus_um\n{curves}")
+    argv = ["export", str(source), "--format", name, "--out", str(out)]
+    argv += OPTIONS.get(name, [])[:2] if name == "fanuc" else OPTIONS.get(name, [])
+    said = ""
+    for asked in (0.32, 0.0005):
+        if main([*argv, "--tolerance-um", f"{asked}"]) == 2:
+            said = capsys.readouterr().err
+            break
+    advised = re.search(r"The best it reaches is ([\d.]+) µm\. Allow that \(--tolerance-um\)", said)
+    if name in ("fanuc", "mach3"):
+        assert advised is not None, said
+    if advised is None:
+        return
+    assert not out.exists()
+    assert main([*argv, "--tolerance-um", advised[1]]) == 0
+    if name == "mach3":
+        assert (
+            float(advised[1]) < 0.5
+        )  # 0.3 by the constant backlash, 0.05 by the digits of each part, the rest by the points

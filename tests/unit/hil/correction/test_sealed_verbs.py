@@ -166,7 +166,7 @@ def test_the_keyboard_asks_twice_for_a_new_password(place: Path, monkeypatch: py
 
     monkeypatch.delenv("HIL_KEY_PASSWORD")
     monkeypatch.setattr("sys.stdin", Terminal())
-    answers = iter(["one", "other", *["the same twice over"] * 2])
+    answers = iter(["the first of two", "the other of them", *["the same twice over"] * 2])
     monkeypatch.setattr("getpass.getpass", lambda _prompt: next(answers))
     with pytest.raises(InputError, match="the two entries differ"):
         call("sign", "--new-key", "second")

@@ -147,6 +147,22 @@ def test_list_is_by_date(place: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out.count("verify") >= 3
 
 
+def test_a_campaign_s_path_is_broken_between_names_alone_in_a_narrow_terminal(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the working directory on, as it is typed in the next command; whole where there is room."""
+    measured(place / "workshop" / "campaign" / "verify-001", 5.0, begun=datetime(2026, 3, 1, 8, 0, tzinfo=UTC))
+    for width, parts in (
+        (140, ["workshop/campaign/verify-001"]),
+        (80, ["workshop/campaign/", "verify-001", "2026-03-01", "state"]),
+    ):
+        monkeypatch.setenv("COLUMNS", str(width))
+        assert main(["records", "list", "."]) == 0
+        said = capsys.readouterr().out
+        assert set(parts) <= {word for line in said.splitlines() for word in line.split()}
+        assert max(map(len, said.splitlines())) <= width
+
+
 def test_merge_numbers_runs_on_and_tells_the_time_by_the_dates(place: Path) -> None:
     start = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
     measured(place / "late", 5.0, begun=start + timedelta(hours=2))

@@ -17,11 +17,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pypdfium2 as pdfium
 import pytest
+from dcclib.validation.schematron import SchematronValidator
 from dsi_unit import DsiUnit
 
 from drivers.errors import InputError
 from hil.app.report import dcc
-from hil.app.report.certificate import UNITS, Certificate, Common, Stated, loop, of_result, positioning
+from hil.app.report.certificate import UNITS, Certificate, Common, Stated, blocks, loop, of_result, positioning
 from hil.app.report.data import NamedCampaign
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
@@ -140,15 +141,19 @@ def read_by_pydcc(xml: Path, home: Path) -> dict[str, object]:
 
 
 def values_of(xml: bytes) -> dict[str, tuple[float, str, float | None]]:
-    """id of each quantity with one value -> value, unit, U, by ElementTree alone."""
+    """own type of each quantity with one value, such as "A" of hil_A -> value, unit, U, by ElementTree alone."""
     ns = {"d": dcc.DCC, "s": dcc.SI}
     found = {}
-    for quantity in ET.fromstring(xml).iterfind(".//d:result//d:quantity[@id]", ns):
+    for quantity in ET.fromstring(xml).iterfind(".//d:result//d:quantity", ns):
         real = quantity.find("s:real", ns)
         if real is not None:
             spread = real.findtext("s:expandedUnc/s:uncertainty", None, ns)
             value, unit = real.findtext("s:value", "", ns), real.findtext("s:unit", "", ns)
-            found[str(quantity.get("id"))] = (float(value), unit, None if spread is None else float(spread))
+            found[str(quantity.get("refType")).rpartition(" hil_")[2]] = (
+                float(value),
+                unit,
+                None if spread is None else float(spread),
+            )
     return found
 
 
@@ -325,6 +330,30 @@ def test_circle_and_probe_by_hand(place: Path) -> None:
     for said in ("cyclic", "period 10 ± 0.006 mm", "confidence 99.0 %", "fell from", "(before", "(after"):
         assert said in sentence
     assert with_unit("alpha_ppm_per_k") == ("alpha", "ppm/K")
+
+
+def broken_rules(xml: bytes) -> set[str]:
+    """What PTB's Schematron rules of good practice find wrong, as the package dcclib carries them; without their warnings."""
+    found = SchematronValidator.for_dcc().validate_str(xml.decode())
+    of_both = [*found.failed_assertions, *found.successful_reports]
+    return {" ".join(one.text.split()) for one in of_both if one.role == "error"}
+
+
+def test_every_kind_keeps_ptb_s_rules_and_what_is_broken_does_not(place: Path) -> None:
+    for kind, certificate in every_kind().items():
+        assert broken_rules(dcc.to_xml(certificate)) == set(), kind
+    assert b"not recorded with the measurement" in dcc.to_xml(every_kind()["circle"])
+    assert "not recorded with the measurement" in str(blocks(every_kind()["circle"], "aa"))
+    xml = dcc.to_xml(made())
+    assert b"not recorded" not in xml
+    for good, bad, said in (
+        (b">DE<", b">XX<", "country"),
+        (b">v", b">", "release"),
+        (rb"\micro\metre", rb"\micro \metre", "unit"),
+        (b'refType="basic_measuredValue hil_A"', b'id="A" refType="basic_measuredValue"', "refId"),
+    ):
+        assert good in xml
+        assert any(said in rule for rule in broken_rules(xml.replace(good, bad, 1))), said
 
 
 @pytest.mark.skipif(not SCHEMA, reason="HIL_DCC_SCHEMA names no folder with PTB's schema")
