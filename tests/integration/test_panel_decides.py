@@ -14,6 +14,7 @@ from support.bench_axis import PASSWORDS, lay_out
 from support.campaigns import campaign, wavy
 from support.panel import Person
 
+from hil.parameters.job import LARGEST_BYTES
 from hil.records.rows import to_csv
 
 pytestmark = [
@@ -117,6 +118,23 @@ def test_without_control_nothing_is_lit_that_needs_it(person: Person, address: s
         for name in names:
             person.waits(lambda name=name: "take control first" in person.reads(name), f"{name} says why not")  # type: ignore[misc]
             assert not person.finds(name).is_enabled()
+
+
+def test_a_file_that_is_no_set_or_too_large_is_refused_before_it_is_sent(
+    person: Person, address: str, tmp_path: Path
+) -> None:
+    person.goes_to(f"{address}axis/X/parameters")
+    person.clicks("control.take")
+    person.waits(lambda: person.finds("control.release").is_displayed(), "this browser holds control")
+    field = "[data-name='parameters.bring'] input[type=file]"
+    for name, size in (("notes.txt", 10), ("large.toml", LARGEST_BYTES + 1)):
+        (tmp_path / name).write_bytes(b"#" * size)
+        person.driver.find_element(By.CSS_SELECTOR, field).send_keys(str(tmp_path / name))
+        person.is_refused("was not sent: expected one ending in .toml")
+    sent = "return performance.getEntriesByType('resource').filter((one) => one.name.includes('/upload/')).length"
+    assert person.driver.execute_script(sent) == 0
+    person.clicks("control.release")
+    person.waits(lambda: person.finds("control.take").is_displayed(), "control is free")
 
 
 def is_running(person: Person) -> bool:
