@@ -69,9 +69,9 @@ def pointed_at(person: Person) -> str:
 def test_one_pointer_reads_all_channels_in_the_pages_numbers(person: Person) -> None:
     def reads() -> bool:
         points_to(person)
-        return "Position" in pointed_at(person)
+        return re.search(r"Position\n\D?\d+[.,]\d", pointed_at(person)) is not None
 
-    person.waits(reads, "the pointer reads the curves")
+    person.waits(reads, "the pointer reads the curves of an axis that moves")
     text = pointed_at(person)
     for name in ("Position", "Geschwindigkeit", "Drehmoment", "Schleppfehler"):
         assert name in text
